@@ -1,0 +1,139 @@
+"""One YAML file -> one typed configuration, validated once, at the edge.
+
+Unknown keys, wrong types and out-of-range values are refused with the key's path. Every field has a default, so an empty
+file is a valid configuration; `auv-mcm config --write` prints them all with their meaning.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+import yaml
+from msgspec import Meta
+
+from auv_mcm.errors import UsageError
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class SonarConfig(_Section, frozen=True, kw_only=True):
+    """The sonar's habits: how it stores samples and where it sits on the vehicle."""
+
+    transfer: Annotated[
+        Literal["auto", "amplitude", "intensity", "log"],
+        Meta(description="what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from speckle statistics"),
+    ] = "auto"
+    db_per_count: Annotated[
+        Annotated[float, Meta(ge=0.01, le=10.0)] | None, Meta(description="log transfer only: decibels per count; empty: estimated from speckle")
+    ] = None
+    port_order: Annotated[
+        Literal["auto", "near_to_far", "far_to_near"], Meta(description="how a log stores the port channel; auto looks for the water column")
+    ] = "auto"
+    full_scale: Annotated[
+        Annotated[float, Meta(gt=0.0)] | None, Meta(description="stored number at which the recorder clips; empty: found from the samples")
+    ] = None
+    sound_speed_mps: Annotated[
+        Annotated[float, Meta(ge=1400.0, le=1600.0)] | None, Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd")
+    ] = None
+    blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
+    max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="slant range used at most, m")] = 200.0
+    beam_width_deg: Annotated[float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")] = 0.5
+    lever_arm_m: Annotated[
+        tuple[float, float, float], Meta(description="array position from the navigation reference: forward, starboard, down, m")
+    ] = (0.0, 0.0, 0.0)
+    heading_offset_deg: Annotated[float, Meta(ge=-180.0, le=180.0, description="array axis against vehicle heading, clockwise, degrees")] = 0.0
+    pitch_offset_deg: Annotated[float, Meta(ge=-45.0, le=45.0, description="array axis against vehicle pitch, bow up, degrees")] = 0.0
+
+
+class NavigationConfig(_Section, frozen=True, kw_only=True):
+    """Interpolation limits and the 1-sigma errors that go into a contact's covariance."""
+
+    max_extrapolation_s: Annotated[
+        float, Meta(gt=0.0, le=10.0, description="farther than this from a navigation sample a ping is flagged stale")
+    ] = 0.5
+    max_gap_s: Annotated[float, Meta(gt=0.0, le=60.0, description="longest hole between two fixes bridged by interpolation, s")] = 2.0
+    position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0, description="1-sigma of a position fix per axis, m")] = 1.0
+    heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of heading, degrees")] = 1.0
+    pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of pitch, degrees")] = 0.5
+    sound_speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=50.0, description="1-sigma of sound speed, m/s")] = 5.0
+
+
+class WaterfallConfig(_Section, frozen=True, kw_only=True):
+    """The metric grid and when a row or pixel earns coverage."""
+
+    row_spacing_m: Annotated[float, Meta(ge=0.01, le=2.0, description="along-track pixel, m")] = 0.12
+    column_spacing_m: Annotated[float, Meta(ge=0.005, le=2.0, description="ground-range pixel, m")] = 0.06
+    tile_rows: Annotated[int, Meta(ge=64, le=8192, description="rows of a tile's core")] = 512
+    max_ping_gap_m: Annotated[float, Meta(gt=0.0, le=10.0, description="farther apart along track, pings leave a gap without coverage, m")] = 0.6
+    max_turn_rate_deg_s: Annotated[float, Meta(gt=0.0, le=90.0, description="faster than this a row is a turn, deg/s")] = 5.0
+    max_spacing_ratio: Annotated[
+        float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
+    ] = 2.0
+    min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="shallowest grazing angle that earns coverage, degrees")] = 2.0
+    max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = 70.0
+
+
+class DetectConfig(_Section, frozen=True, kw_only=True):
+    """The training-free highlight/shadow detector."""
+
+    p_highlight: Annotated[float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one highlight test in pure speckle")] = 1e-4
+    p_shadow: Annotated[float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one shadow test in pure speckle")] = 1e-2
+    reference_height_m: Annotated[float, Meta(gt=0.05, le=3.0, description="object height the expected shadow length is computed for, m")] = 0.35
+    suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
+    max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="longer than this an object is no mine, m")] = 3.5
+
+
+class ContactsConfig(_Section, frozen=True, kw_only=True):
+    """Association of detections to contacts."""
+
+    gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = 9.21
+    max_gate_m: Annotated[float, Meta(gt=0.0, le=100.0, description="never associate views farther apart than this, m")] = 4.0
+
+
+class PlanConfig(_Section, frozen=True, kw_only=True):
+    """Limits of the proposed re-inspection legs."""
+
+    max_contacts: Annotated[int, Meta(ge=0, le=1000, description="contacts looked at again at most")] = 12
+    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="least p_mine worth a second look")] = 0.5
+    turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
+    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
+    leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
+
+
+class ServiceConfig(_Section, frozen=True, kw_only=True):
+    """Queues and pacing of the running service."""
+
+    queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="pings waiting for perception at most")] = 512
+    health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
+    source: Annotated[str, Meta(description="where pings come from, e.g. replay:///data/mission.xtf?speed=1")] = ""
+    output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = "auv-mcm-out"
+
+
+class Config(_Section, frozen=True, kw_only=True):
+    """The whole configuration."""
+
+    mission: Annotated[str, Meta(max_length=200, description="name shown in reports")] = ""
+    sonar: SonarConfig = SonarConfig()
+    navigation: NavigationConfig = NavigationConfig()
+    waterfall: WaterfallConfig = WaterfallConfig()
+    detect: DetectConfig = DetectConfig()
+    contacts: ContactsConfig = ContactsConfig()
+    plan: PlanConfig = PlanConfig()
+    service: ServiceConfig = ServiceConfig()
+
+
+def parse_config(text: str, place: str) -> Config:
+    """Configuration from YAML text; `place` names it in messages.
+
+    Raises UsageError with the key's path for unknown keys, wrong types and out-of-range values.
+    """
+    try:
+        data: Any = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise UsageError(f"{place}: not valid YAML: {error}") from error
+    try:
+        return msgspec.convert(data if data is not None else {}, Config)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{place}: {error}. 'auv-mcm config --schema' lists every key with its type and range.") from error

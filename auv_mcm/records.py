@@ -1,0 +1,216 @@
+"""Typed, frozen records that travel between stages.
+
+Rows are pings (or along-track grid rows), columns are range. Angles are radians, clockwise from true north for
+headings, bow up for positive pitch, starboard down for positive roll. An absent number is NaN, never zero.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Side: TypeAlias = Literal["port", "starboard"]
+SIDES: Final[tuple[Side, Side]] = ("port", "starboard")
+
+NAN: Final = float("nan")
+
+# Bits of Tile.mask. A pixel counts in statistics when VALID is set and SATURATED is not.
+VALID: Final = 1  # an echo was measured here and nothing speaks against it
+SATURATED: Final = 2  # clipped: a lower bound, good evidence of a highlight, never background
+LOW_RESOLUTION: Final = 4  # several pixels from one slant sample (steep grazing): no detection claim
+TURN: Final = 8  # pixel spacing distorted by a turn: no detection claim, no coverage
+
+
+class EchoTrace(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Samples of one side of one ping, in the recorder's own numbers.
+
+    samples: (n_samples,) any real dtype, ordered near to far.
+    first_range_m: slant range of the centre of sample 0. spacing_m: slant range between samples.
+    """
+
+    samples: NDArray[Any]
+    first_range_m: float
+    spacing_m: float
+
+
+class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """One transmission. `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages."""
+
+    number: int
+    time_s: float
+    port: EchoTrace | None
+    starboard: EchoTrace | None
+    sound_speed_mps: float = 1500.0
+    altitude_m: float = NAN
+    place: str = ""
+
+
+class NavSample(msgspec.Struct, frozen=True, kw_only=True):
+    """What a navigation source knew at `time_s`. Any quantity it did not measure anew is NaN."""
+
+    time_s: float
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
+    heading_rad: float = NAN
+    pitch_rad: float = NAN
+    roll_rad: float = NAN
+    depth_m: float = NAN
+    altitude_m: float = NAN
+    speed_mps: float = NAN
+
+
+class Notice(msgspec.Struct, frozen=True, kw_only=True):
+    """Something a person should know: `code` is stable for scripts, `text` says what, where and what to do."""
+
+    code: str
+    text: str
+    place: str = ""
+
+
+SourceEvent: TypeAlias = Ping | NavSample | Notice
+
+
+class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Vehicle poses at n instants; every array has shape (n,) and dtype float64 (`stale`: bool).
+
+    Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track.
+    `stale` marks instants farther from a navigation sample than the permitted gap; their values are the nearest known ones.
+    """
+
+    time_s: NDArray[np.float64]
+    latitude_deg: NDArray[np.float64]
+    longitude_deg: NDArray[np.float64]
+    depth_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    pitch_rad: NDArray[np.float64]
+    roll_rad: NDArray[np.float64]
+    speed_mps: NDArray[np.float64]
+    altitude_m: NDArray[np.float64]
+    stale: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+
+class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """A metric piece of one side's waterfall on the mission-fixed along-track grid.
+
+    intensity: (n_rows, n_columns) float32, linear, local seabed mean about 1, 0 where not VALID.
+    mask: (n_rows, n_columns) uint8, the bits above.
+    first_row: mission grid index of row 0; rows [core_start, core_stop) (local indices) belong to this tile alone,
+    the others are overlap. Column j covers ground range [j, j + 1) * column_spacing_m.
+    pose, first_return_m, ping_number: per row. first_return_m is the slant range of the first bottom
+    return, (n_rows,) float64; NaN where the row has no data. ping_number: (n_rows,) int64, -1 where none.
+    """
+
+    side: Side
+    index: int
+    first_row: int
+    core_start: int
+    core_stop: int
+    row_spacing_m: float
+    column_spacing_m: float
+    intensity: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    pose: PoseTrack
+    first_return_m: NDArray[np.float64]
+    ping_number: NDArray[np.int64]
+
+
+class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """One object seen once, on one side, in one pass.
+
+    row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
+    height_m from the shadow's length, NaN if no shadow end was seen. score: sum of the highlight's and the shadow's
+    distance from the seabed in standard deviations of speckle. snippet: (n, m) float32 normalised intensity around the
+    object, near range left, earlier pings on top; snippet_row, snippet_column: the centroid inside it.
+    covariance_m2: (2, 2) float64 east/north.
+    """
+
+    side: Side
+    row: float
+    column: float
+    time_s: float
+    ping_number: int
+    latitude_deg: float
+    longitude_deg: float
+    covariance_m2: NDArray[np.float64]
+    heading_rad: float
+    ground_range_m: float
+    slant_range_m: float
+    altitude_m: float
+    score: float
+    highlight_db: float
+    shadow_db: float
+    length_m: float
+    width_m: float
+    height_m: float
+    shadow_length_m: float
+    p_mine: float
+    reasons: tuple[str, ...]
+    snippet: NDArray[np.float32]
+    snippet_row: float
+    snippet_column: float
+    row_spacing_m: float
+    column_spacing_m: float
+
+
+ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge", "clutter", "unknown"]
+
+
+class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """An object on the sea floor, from one or more detections. `belief` sums to 1 over classes plus `unknown`.
+
+    covariance_m2: (2, 2) float64 east/north of the fused position. views: its detections, in order of time.
+    aspects_deg: compass direction from sonar to object per view, [0, 360).
+    """
+
+    id: str
+    time_s: float
+    latitude_deg: float
+    longitude_deg: float
+    covariance_m2: NDArray[np.float64]
+    p_mine: float
+    classification: ContactClass
+    belief: dict[str, float]
+    length_m: float
+    width_m: float
+    height_m: float
+    aspects_deg: tuple[float, ...]
+    reasons: tuple[str, ...]
+    views: tuple[Detection, ...]
+
+
+class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Sea floor that one side of one tile really covered.
+
+    rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
+    covered_m2: area of pixels that earned coverage; claimed_fraction: covered pixels over pixels of the polygons.
+    lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`, `stale_navigation`, ...).
+    """
+
+    side: Side
+    tile_index: int
+    start_s: float
+    stop_s: float
+    rings_deg: tuple[NDArray[np.float64], ...]
+    covered_m2: float
+    lost_m2: dict[str, float]
+
+
+class Waypoint(msgspec.Struct, frozen=True, kw_only=True):
+    """One point of a proposed leg. `kind`: `start`, `turn`, `leg_entry`, `leg_exit`; `contact_id` names what the leg looks at."""
+
+    leg: int
+    kind: str
+    latitude_deg: float
+    longitude_deg: float
+    heading_rad: float
+    contact_id: str
+    why: str
+
+
+PipelineEvent: TypeAlias = Tile | Contact | CoveragePatch | Notice

@@ -1,0 +1,1 @@
+"""Everything that stands in for the sea: log readers, synthetic missions, benches, reports."""
