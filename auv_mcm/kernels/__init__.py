@@ -1,0 +1,56 @@
+"""Hot loops, each twice: plain C where a compiler was at hand at installation, numpy everywhere.
+
+Both give the same answer bit for bit unless a kernel says otherwise. `AUV_MCM_KERNELS=numpy` in the environment leaves the
+C library alone; it is read once, at the first call of any kernel.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+VERSION: Final = 1  # of the C signatures; a library that reports another one is not called
+
+
+class Loaded(NamedTuple):
+    """The C library, or None and the reason why numpy serves instead."""
+
+    library: ctypes.CDLL | None
+    reason: str
+
+
+def backend() -> Literal["c", "numpy"]:
+    """Which implementation the kernels run on in this process."""
+    return "numpy" if loaded().library is None else "c"
+
+
+@functools.cache
+def loaded() -> Loaded:
+    """The C library, looked for once beside this file."""
+    if os.environ.get("AUV_MCM_KERNELS", "") == "numpy":
+        return Loaded(None, "AUV_MCM_KERNELS=numpy is set")
+    folder = Path(__file__).parent
+    found = [path for suffix in EXTENSION_SUFFIXES if (path := folder / f"_kernels{suffix}").is_file()]
+    if not found:
+        return Loaded(None, "not built: install a C compiler and reinstall the package")
+    try:
+        library = ctypes.CDLL(str(found[0]))
+        library.auv_mcm_kernels_version.argtypes = []
+        library.auv_mcm_kernels_version.restype = ctypes.c_int32
+        version = library.auv_mcm_kernels_version()
+    except (OSError, AttributeError) as error:
+        return Loaded(None, f"{found[0].name} cannot be loaded ({error}): reinstall the package")
+    if version != VERSION:
+        return Loaded(None, f"{found[0].name} is of another version of this package ({version}, not {VERSION}): reinstall the package")
+    _declare(library)
+    return Loaded(library, found[0].name)
+
+
+def _declare(library: ctypes.CDLL) -> None:
+    pointer, integer, real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+    library.auv_mcm_viterbi_forward.argtypes = [integer, integer, integer, real, pointer, pointer, pointer, pointer]
+    library.auv_mcm_viterbi_forward.restype = None

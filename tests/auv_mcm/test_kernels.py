@@ -1,0 +1,122 @@
+"""The C kernels, their numpy twins and, on tiny grids, the plain definition."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.kernels.viterbi import backtrack, viterbi_forward, viterbi_forward_numpy, viterbi_path, viterbi_path_numpy
+
+needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
+
+# Whole numbers: every order of summation gives the same sum, and ties are frequent.
+whole = st.integers(-4, 4).map(float) | st.just(-np.inf)
+real = st.floats(-1e9, 1e9) | st.just(-np.inf)
+
+
+def grids(elements: st.SearchStrategy[float], pings: int, bins: int) -> st.SearchStrategy[NDArray[np.float64]]:
+    return hnp.arrays(np.float64, st.tuples(st.integers(1, pings), st.integers(1, bins)), elements=elements)
+
+
+def worth(path: tuple[int, ...], score: NDArray[np.float64], step_cost: float) -> float:
+    return sum(float(score[p, k]) for p, k in enumerate(path)) - step_cost * sum(abs(b - a) for a, b in itertools.pairwise(path))
+
+
+@given(score=grids(whole, 4, 4), max_step=st.integers(0, 4), step_cost=st.sampled_from([0.0, 1.0, 2.0]))
+@settings(deadline=None)
+def test_path_is_the_best_of_all_paths(score: NDArray[np.float64], max_step: int, step_cost: float) -> None:
+    n_pings, n_bins = score.shape
+    allowed = [
+        path
+        for path in itertools.product(range(n_bins), repeat=n_pings)
+        if all(abs(b - a) <= max_step for a, b in itertools.pairwise(path))
+    ]
+    best = max(worth(path, score, step_cost) for path in allowed)
+
+    path = tuple(int(k) for k in viterbi_path(score, max_step, step_cost))
+
+    assert path in allowed
+    assert best == -np.inf or worth(path, score, step_cost) == best
+
+
+@needs_c
+@given(score=grids(real | whole, 8, 12), max_step=st.integers(0, 20), step_cost=st.floats(0, 1e6))
+@settings(deadline=None)
+def test_c_and_numpy_agree_to_the_bit(score: NDArray[np.float64], max_step: int, step_cost: float) -> None:
+    start = np.zeros(score.shape[1])
+    cost, back = viterbi_forward(start, score, max_step, step_cost)
+    cost_numpy, back_numpy = viterbi_forward_numpy(start, score, max_step, step_cost)
+    np.testing.assert_array_equal(cost, cost_numpy, strict=True)
+    np.testing.assert_array_equal(back, back_numpy, strict=True)
+    np.testing.assert_array_equal(viterbi_path(score, max_step, step_cost), viterbi_path_numpy(score, max_step, step_cost), strict=True)
+
+
+@given(score=grids(whole, 9, 6), max_step=st.integers(0, 3), cut=st.integers(0, 9))
+@settings(deadline=None)
+def test_blocks_give_the_same_search_as_the_whole(score: NDArray[np.float64], max_step: int, cut: int) -> None:
+    start = np.zeros(score.shape[1])
+    cost, back = viterbi_forward(start, score, max_step, 1.0)
+    first_cost, first_back = viterbi_forward(start, score[:cut], max_step, 1.0)
+    last_cost, last_back = viterbi_forward(first_cost, score[cut:], max_step, 1.0)
+    np.testing.assert_array_equal(last_cost, cost)
+    np.testing.assert_array_equal(np.concatenate([first_back, last_back]), back)
+    np.testing.assert_array_equal(backtrack(int(cost.argmax()), back), viterbi_path(score, max_step, 1.0))
+
+
+def test_among_equals_the_smaller_step_wins_then_the_smaller_bin() -> None:
+    flat = np.zeros((3, 5))
+    np.testing.assert_array_equal(viterbi_path(flat, 2, 0.0), [0, 0, 0])
+    # Into bin 2, which only bins 1 and 3 can reach at equal cost.
+    score = np.array([[-np.inf, 0.0, -np.inf, 0.0, -np.inf], [-np.inf, -np.inf, 0.0, -np.inf, -np.inf]])
+    np.testing.assert_array_equal(viterbi_path(score, 1, 1.0), [1, 2])
+
+
+def test_cost_stays_bounded_however_long_the_mission() -> None:
+    score = np.full((5000, 4), 1e6)
+    cost, _ = viterbi_forward(np.zeros(4), score, 1, 1.0)
+    assert cost.max() == 0.0
+    assert cost.min() >= -1e6
+
+
+def test_inputs_are_left_alone() -> None:
+    start, score = np.zeros(3), np.arange(6.0).reshape(2, 3)
+    viterbi_forward(start, score, 1, 1.0)
+    np.testing.assert_array_equal(start, np.zeros(3))
+    np.testing.assert_array_equal(score, np.arange(6.0).reshape(2, 3))
+
+
+@pytest.mark.parametrize(
+    ("score", "max_step", "step_cost", "message"),
+    [
+        (np.zeros(3), 1, 1.0, "shape"),
+        (np.zeros((2, 0)), 1, 1.0, "at least one bin"),
+        (np.array([[0.0, np.nan]]), 1, 1.0, "NaN"),
+        (np.array([[0.0, np.inf]]), 1, 1.0, r"\+inf"),
+        (np.zeros((2, 2)), -1, 1.0, "not negative"),
+        (np.zeros((2, 2)), 1, -1.0, "not negative"),
+        (np.zeros((2, 2)), 1, np.nan, "finite"),
+    ],
+)
+def test_senseless_input_is_refused(score: NDArray[np.float64], max_step: int, step_cost: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        viterbi_path(score, max_step, step_cost)
+
+
+def test_no_pings_give_an_empty_path() -> None:
+    assert viterbi_path(np.zeros((0, 3)), 1, 1.0).shape == (0,)
+
+
+def test_environment_forces_numpy() -> None:
+    code = "from auv_mcm import kernels; print(kernels.backend())"
+    environment = {**os.environ, "AUV_MCM_KERNELS": "numpy"}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout == "numpy\n"
