@@ -6,13 +6,17 @@ file is a valid configuration; `auv-mcm config --write` prints them all with the
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from typing import Annotated, Any, Literal
 
 import msgspec
 import yaml
-from msgspec import Meta
+from msgspec import Meta, inspect
 
 from auv_mcm.errors import UsageError
+
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pass
@@ -26,16 +30,19 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
         Meta(description="what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from speckle statistics"),
     ] = "auto"
     db_per_count: Annotated[
-        Annotated[float, Meta(ge=0.01, le=10.0)] | None, Meta(description="log transfer only: decibels per count; empty: estimated from speckle")
+        Annotated[float, Meta(ge=0.01, le=10.0)] | None,
+        Meta(description="log transfer only: decibels per count; empty: estimated from speckle"),
     ] = None
     port_order: Annotated[
-        Literal["auto", "near_to_far", "far_to_near"], Meta(description="how a log stores the port channel; auto looks for the water column")
+        Literal["auto", "near_to_far", "far_to_near"],
+        Meta(description="how a log stores the port channel; auto looks for the water column"),
     ] = "auto"
     full_scale: Annotated[
         Annotated[float, Meta(gt=0.0)] | None, Meta(description="stored number at which the recorder clips; empty: found from the samples")
     ] = None
     sound_speed_mps: Annotated[
-        Annotated[float, Meta(ge=1400.0, le=1600.0)] | None, Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd")
+        Annotated[float, Meta(ge=1400.0, le=1600.0)] | None,
+        Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd"),
     ] = None
     blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
     max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="slant range used at most, m")] = 200.0
@@ -43,7 +50,9 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     lever_arm_m: Annotated[
         tuple[float, float, float], Meta(description="array position from the navigation reference: forward, starboard, down, m")
     ] = (0.0, 0.0, 0.0)
-    heading_offset_deg: Annotated[float, Meta(ge=-180.0, le=180.0, description="array axis against vehicle heading, clockwise, degrees")] = 0.0
+    heading_offset_deg: Annotated[
+        float, Meta(ge=-180.0, le=180.0, description="array axis against vehicle heading, clockwise, degrees")
+    ] = 0.0
     pitch_offset_deg: Annotated[float, Meta(ge=-45.0, le=45.0, description="array axis against vehicle pitch, bow up, degrees")] = 0.0
 
 
@@ -66,13 +75,21 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     row_spacing_m: Annotated[float, Meta(ge=0.01, le=2.0, description="along-track pixel, m")] = 0.12
     column_spacing_m: Annotated[float, Meta(ge=0.005, le=2.0, description="ground-range pixel, m")] = 0.06
     tile_rows: Annotated[int, Meta(ge=64, le=8192, description="rows of a tile's core")] = 512
-    max_ping_gap_m: Annotated[float, Meta(gt=0.0, le=10.0, description="farther apart along track, pings leave a gap without coverage, m")] = 0.6
+    max_ping_gap_m: Annotated[
+        float, Meta(gt=0.0, le=10.0, description="farther apart along track, pings leave a gap without coverage, m")
+    ] = 0.6
     max_turn_rate_deg_s: Annotated[float, Meta(gt=0.0, le=90.0, description="faster than this a row is a turn, deg/s")] = 5.0
     max_spacing_ratio: Annotated[
         float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
     ] = 2.0
     min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="shallowest grazing angle that earns coverage, degrees")] = 2.0
-    max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = 70.0
+    max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = (
+        70.0
+    )
+
+    def __post_init__(self) -> None:
+        if self.min_grazing_deg >= self.max_grazing_deg:
+            raise ValueError(f"min_grazing_deg ({self.min_grazing_deg}) must be below max_grazing_deg ({self.max_grazing_deg})")
 
 
 class DetectConfig(_Section, frozen=True, kw_only=True):
@@ -80,7 +97,9 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 
     p_highlight: Annotated[float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one highlight test in pure speckle")] = 1e-4
     p_shadow: Annotated[float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one shadow test in pure speckle")] = 1e-2
-    reference_height_m: Annotated[float, Meta(gt=0.05, le=3.0, description="object height the expected shadow length is computed for, m")] = 0.35
+    reference_height_m: Annotated[
+        float, Meta(gt=0.05, le=3.0, description="object height the expected shadow length is computed for, m")
+    ] = 0.35
     suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
     max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="longer than this an object is no mine, m")] = 3.5
 
@@ -88,7 +107,9 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 class ContactsConfig(_Section, frozen=True, kw_only=True):
     """Association of detections to contacts."""
 
-    gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = 9.21
+    gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = (
+        9.21
+    )
     max_gate_m: Annotated[float, Meta(gt=0.0, le=100.0, description="never associate views farther apart than this, m")] = 4.0
 
 
@@ -125,15 +146,142 @@ class Config(_Section, frozen=True, kw_only=True):
 
 
 def parse_config(text: str, place: str) -> Config:
-    """Configuration from YAML text; `place` names it in messages.
+    """Configuration from YAML text; `place` names it in messages. An empty key or section means its default.
 
-    Raises UsageError with the key's path for unknown keys, wrong types and out-of-range values.
+    Raises UsageError with the key's path for unknown and repeated keys, wrong types and out-of-range values.
     """
     try:
-        data: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        data: Any = yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UsageError(f"{place}: not valid YAML: {error}") from error
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        raise UsageError(f"{place}: expected sections such as 'sonar:' with indented keys, got {type(data).__name__}. {_HELP}")
     try:
-        return msgspec.convert(data if data is not None else {}, Config)
+        _refuse_non_finite(data, "")
+        data = _without_empty(data, Config)
+        for field in msgspec.structs.fields(Config):
+            if isinstance(data.get(field.name), dict) and isinstance(field.default, _Section):
+                data[field.name] = _without_empty(data[field.name], type(field.default))
+        return msgspec.convert(data, Config)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {error}. 'auv-mcm config --schema' lists every key with its type and range.") from error
+        raise UsageError(f"{place}: {str(error).replace('`$.', '`').replace(' - at `$`', '')}. {_HELP}") from error
+
+
+def config_yaml(config: Config) -> str:
+    """`config` as YAML text that parse_config reads back, each key preceded by its meaning, range and default."""
+    lines = [
+        "# Configuration of auv-mcm. Every key may be left out; its default then holds.",
+        "# 'auv-mcm check --config FILE' tells whether a file is valid.",
+        "",
+    ]
+    root = inspect.type_info(Config)
+    assert isinstance(root, inspect.StructType)
+    for field in root.fields:
+        section = getattr(config, field.name)
+        if not isinstance(field.type, inspect.StructType):
+            lines += [*_key_lines(field, section, ""), ""]
+            continue
+        lines += [f"# {(field.type.cls.__doc__ or '').strip()}", f"{field.name}:"]
+        for inner in field.type.fields:
+            lines += _key_lines(inner, getattr(section, inner.name), "  ")
+        lines.append("")
+    return "\n".join(lines[:-1]) + "\n"
+
+
+def config_schema() -> str:
+    """JSON Schema (draft 2020-12) of the configuration, for editors and scripts."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Config)}
+    return json.dumps(schema, indent=2) + "\n"
+
+
+# Choices, written without quotes because none of them means anything else in YAML.
+_WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far_to_near"})
+_HELP = "'auv-mcm config --schema' lists every key with its type and range"
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 scalars, so that 1e-4 is a number and `no`, `1:30` or a date is plain text. Repeated keys and aliases are refused."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 (PyYAML's own class attribute)
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "aliases are not supported here: write the value out", self.get_mark())
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        mapping = super().construct_mapping(node, deep)
+        if len(mapping) < len(node.value):
+            keys = [self.construct_object(key) for key, _ in node.value]
+            repeated = next(key for i, key in enumerate(keys) if key in keys[:i])
+            raise yaml.constructor.ConstructorError(None, None, f"key {repeated!r} is given twice", node.start_mark)
+        return mapping
+
+    def construct_decimal(self, node: yaml.ScalarNode) -> int:
+        return int(node.value)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_decimal)
+for _tag, _pattern, _first in (
+    ("bool", r"true|false", "tf"),
+    ("null", r"null|~|", "n~"),
+    ("int", r"[-+]?[0-9]+", "-+0123456789"),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", "-+.0123456789"),
+):
+    # The empty scalar is filed by PyYAML under the empty string.
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), [*_first, *([""] if _tag == "null" else [])])
+
+
+def _refuse_non_finite(data: Any, path: str) -> None:
+    if isinstance(data, float) and not math.isfinite(data):
+        raise msgspec.ValidationError(f"Expected a finite number, got {data} - at `$.{path}`")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        _refuse_non_finite(value, f"{path}.{key}" if path else str(key))
+
+
+def _without_empty(data: dict[Any, Any], section: type[msgspec.Struct]) -> dict[Any, Any]:
+    return {key: value for key, value in data.items() if value is not None or key not in section.__struct_fields__}
+
+
+def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
+    kind, description = field.type, ""
+    if isinstance(kind, inspect.Metadata):
+        description = str((kind.extra_json_schema or {}).get("description", ""))
+    default = _scalar(field.default) or "empty"
+    return [f"{indent}# {description}", f"{indent}# {_kind(kind)}; default {default}", f"{indent}{field.name}: {_scalar(value)}".rstrip()]
+
+
+def _kind(kind: inspect.Type) -> str:
+    """What a key takes, in words."""
+    if isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if isinstance(kind, inspect.LiteralType):
+        return "one of " + ", ".join(str(value) for value in kind.values)
+    if isinstance(kind, inspect.StrType):
+        return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
+    if isinstance(kind, inspect.TupleType):
+        return f"list of {len(kind.item_types)}: {_kind(kind.item_types[0])}"
+    if isinstance(kind, inspect.UnionType):
+        return ", or ".join(["empty" if isinstance(member, inspect.NoneType) else _kind(member) for member in kind.types])
+    if isinstance(kind, inspect.IntType | inspect.FloatType):
+        word = "whole number" if isinstance(kind, inspect.IntType) else "number"
+        if kind.ge is not None and kind.le is not None:
+            return f"{word} from {kind.ge:g} to {kind.le:g}"
+        bounds = (("at least", kind.ge), ("above", kind.gt), ("at most", kind.le), ("below", kind.lt))
+        return f"{word} {' and '.join(f'{name} {bound:g}' for name, bound in bounds if bound is not None)}".rstrip()
+    raise TypeError(f"no words for {kind}")  # a new kind of key needs its words here
+
+
+def _scalar(value: Any) -> str:
+    """YAML of one value on one line; empty for None. Exponents get a decimal point, which YAML 1.1 readers insist on."""
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_scalar(item) for item in value) + "]"
+    if isinstance(value, str):
+        return value if value in _WORDS else yaml.safe_dump(value, default_style='"', allow_unicode=True, width=math.inf).rstrip("\n")
+    text = repr(value)
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")

@@ -1,0 +1,109 @@
+"""The configuration: refused with the key's path, or exactly what was written."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+
+import msgspec
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from auv_mcm.config import Config, DetectConfig, SonarConfig, config_schema, config_yaml, parse_config
+from auv_mcm.errors import UsageError
+
+
+@pytest.mark.parametrize("text", ["", "---\n", "# nothing\n", "{}", "sonar:\n", "sonar:\n  blank_m:\ndetect:\n"])
+def test_what_is_left_out_or_left_empty_keeps_its_default(text: str) -> None:
+    assert parse_config(text, "f.yaml") == Config()
+
+
+def test_defaults_written_out_read_back_as_defaults() -> None:
+    text = config_yaml(Config())
+    assert parse_config(text, "f.yaml") == Config()
+    assert yaml.safe_load(text)["detect"]["p_highlight"] == 1e-4  # a YAML 1.1 reader sees the same number
+
+
+@given(
+    mission=st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), max_size=50),
+    probability=st.floats(1e-300, 0.49),
+    lever=st.tuples(*[st.floats(-1e9, 1e9)] * 3),
+    full_scale=st.none() | st.floats(1e-9, 1e300),
+)
+@settings(deadline=None, max_examples=20)
+def test_any_configuration_survives_the_file(
+    mission: str, probability: float, lever: tuple[float, float, float], full_scale: float | None
+) -> None:
+    config = Config(
+        mission=mission, sonar=SonarConfig(lever_arm_m=lever, full_scale=full_scale), detect=DetectConfig(p_highlight=probability)
+    )
+    assert parse_config(config_yaml(config), "f.yaml") == config
+
+
+def test_every_key_is_written_with_meaning_kind_and_default() -> None:
+    text = config_yaml(Config())
+    for section in msgspec.structs.fields(Config):
+        for key in getattr(section.default, "__struct_fields__", (section.name,)):
+            assert re.search(rf"\n *# \w.+\n *# .+; default .+\n *{key}:", text), key
+    assert "number from 0 to 50; default 1.0" in text
+    assert "number above 0, or empty; default empty" in text
+
+
+def test_schema_lists_every_key_with_range() -> None:
+    schema = json.loads(config_schema())
+    blank = schema["$defs"]["SonarConfig"]["properties"]["blank_m"]
+    assert (blank["minimum"], blank["maximum"], blank["default"]) == (0.0, 50.0, 1.0)
+    assert schema["$defs"]["SonarConfig"]["additionalProperties"] is False
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sonar: {typo: 1}", "unknown field `typo` - at `sonar`"),
+        ("sonar: {typo: }", "unknown field `typo`"),
+        ("typo: 1", "unknown field `typo`"),
+        ("sonar: {blank_m: -1}", ">= 0.0 - at `sonar.blank_m`"),
+        ("sonar: {blank_m: true}", "`sonar.blank_m`"),
+        ("sonar: {blank_m: 1:30}", "`sonar.blank_m`"),
+        ("sonar: {lever_arm_m: [.nan, 0, 0]}", "finite number, got nan - at `sonar.lever_arm_m.0`"),
+        ("sonar: {full_scale: .inf}", "finite"),
+        ("sonar: {lever_arm_m: [1, 0]}", "length 3"),
+        ("sonar: {transfer: guess}", "guess"),
+        ("sonar: 3", "`sonar`"),
+        ("plan: {max_contacts: 1.5}", "`plan.max_contacts`"),
+        ("waterfall: {min_grazing_deg: 50, max_grazing_deg: 20}", "must be below"),
+        ("- 1", "sections"),
+        ("mission", "sections"),
+        ("1: 2", "str"),
+        ("mission: a\nmission: b", "'mission' is given twice"),
+        ("sonar: &a {blank_m: 1}\nplan: *a", "aliases"),
+        ("sonar: &a\n  x: *a", "aliases"),
+        ("[", "not valid YAML"),
+        ("\x00", "not valid YAML"),
+        ("[" * 5000, "not valid YAML"),
+        ("mission: " + "9" * 5000, "not valid YAML"),
+        ("mission: !!python/object:os.system {}", "not valid YAML"),
+    ],
+)
+def test_mistakes_are_refused_by_place_and_key(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(message)) as caught:
+        parse_config(text, "f.yaml")
+    assert str(caught.value).startswith("f.yaml: ")
+
+
+def test_numbers_and_words_mean_what_they_say() -> None:
+    assert parse_config("detect: {p_highlight: 1e-4}", "f.yaml").detect.p_highlight == 1e-4
+    assert parse_config("sonar: {blank_m: 2}", "f.yaml").sonar.blank_m == 2.0
+    assert parse_config("plan: {max_contacts: 010}", "f.yaml").plan.max_contacts == 10
+    for word in ("no", "2024-99-99", "off"):
+        assert parse_config(f"mission: {word}", "f.yaml").mission == word
+
+
+@given(st.text(max_size=60))
+@settings(deadline=None)
+def test_no_text_raises_anything_else(text: str) -> None:
+    with contextlib.suppress(UsageError):
+        parse_config(text, "f.yaml")
