@@ -1,0 +1,322 @@
+"""Contacts, coverage and waypoints as text: GeoJSON (RFC 7946), CSV (RFC 4180) and KML 2.2.
+
+Pure functions of records. Equal records give equal bytes: keys have a fixed order, features are sorted, numbers are rounded
+to what they can mean (1e-9 degrees is 0.1 mm). An unknown number is `null` in JSON and an empty cell in CSV.
+"""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any, Final, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.contacts.antimeridian import split_line, split_ring
+from auv_mcm.geodesy import LocalFrame, wrap_longitude_deg
+from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
+
+Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | int | None"
+
+MINE_LIKE_P: Final = 0.5  # files and pages for people put contacts from this p_mine up among the mine-like ones
+ELLIPSE_SIGMAS: Final = 2.0  # drawn error ellipses: 86 % of the probability of two normal axes lies inside
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_DEGREE_DIGITS: Final = 9
+_METRE_DIGITS: Final = 3
+_PROBABILITY_DIGITS: Final = 4
+
+
+def is_mine_like(contact: Contact) -> bool:
+    return contact.p_mine >= MINE_LIKE_P
+
+
+def best_view(contact: Contact) -> Detection | None:
+    """The view with the greatest score, the earliest of equals: the one whose side, range and snippet stand for the contact."""
+    return max(contact.views, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=None)
+
+
+def snippet_path(contact: Contact) -> str:
+    """Where a contact's picture lies, relative to the file that names it."""
+    return f"snippets/{contact.id}.png"
+
+
+def sigma_m(contact: Contact) -> float:
+    """1-sigma horizontal position error: the semi-major axis of the 1-sigma error ellipse, NaN if the covariance is not known."""
+    return error_ellipse(contact)[0]
+
+
+def error_ellipse(contact: Contact) -> tuple[float, float, float]:
+    """1-sigma semi-major and semi-minor axis in metres and the major axis' direction in degrees clockwise from north, [0, 180)."""
+    covariance = np.asarray(contact.covariance_m2, dtype=np.float64)
+    if not np.isfinite(covariance).all():
+        return NAN, NAN, NAN
+    variances, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    minor_m, major_m = np.sqrt(np.maximum(variances, 0.0)).tolist()
+    return major_m, minor_m, math.degrees(math.atan2(axes[0, 1], axes[1, 1])) % 180.0
+
+
+def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_points: int = 36) -> NDArray[np.float64]:
+    """(n_points + 1, 2) east, north of a closed counter-clockwise error ellipse around the contact, in metres; NaN if not known."""
+    major_m, minor_m, direction_deg = error_ellipse(contact)
+    angle = np.linspace(0.0, 2.0 * np.pi, n_points + 1)
+    along, across = sigmas * major_m * np.cos(angle), -sigmas * minor_m * np.sin(angle)
+    sine, cosine = math.sin(math.radians(direction_deg)), math.cos(math.radians(direction_deg))
+    ring = np.column_stack([along * sine + across * cosine, along * cosine - across * sine])
+    ring[-1] = ring[0]
+    return ring
+
+
+def iso_time(time_s: float) -> str | None:
+    """UTC seconds since 1970 as ISO 8601 with milliseconds and Z; None if not a time of the years 1 to 9999."""
+    try:
+        moment = _EPOCH + timedelta(milliseconds=round(time_s * 1000.0))
+    except (OverflowError, ValueError):
+        return None
+    return moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+
+
+def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
+    """A FeatureCollection with one point per contact, sorted by id; a contact without a position has a null geometry.
+
+    `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north], [east-north, north-north]].
+    `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score.
+    """
+    return _collection([_contact_feature(contact) for contact in sorted(contacts, key=lambda contact: contact.id)])
+
+
+def coverage_geojson(patches: Iterable[CoveragePatch]) -> bytes:
+    """A FeatureCollection with one polygon or multi-polygon per patch, in order of tile, port first."""
+    features = []
+    for patch in sorted(patches, key=lambda patch: (patch.tile_index, patch.side, patch.start_s)):
+        polygons: list[Json] = [[_positions(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)]
+        properties: dict[str, Json] = {
+            "side": patch.side,
+            "tile": patch.tile_index,
+            "start": iso_time(patch.start_s),
+            "stop": iso_time(patch.stop_s),
+            "covered_m2": _number(patch.covered_m2, _METRE_DIGITS),
+            "lost_m2": {reason: _number(patch.lost_m2[reason], _METRE_DIGITS) for reason in sorted(patch.lost_m2)},
+        }
+        features.append(_feature(_one_or_multi("Polygon", polygons), properties))
+    return _collection(features)
+
+
+def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
+    """A FeatureCollection of the way-points in sailing order, then one line per leg from where the one before ended."""
+    features = []
+    for order, waypoint in enumerate(waypoints):
+        properties: dict[str, Json] = {
+            "order": order,
+            "leg": waypoint.leg,
+            "kind": waypoint.kind,
+            "heading_deg": _number(math.degrees(waypoint.heading_rad) % 360.0, _PROBABILITY_DIGITS),
+            "contact_id": waypoint.contact_id,
+            "why": waypoint.why,
+        }
+        features.append(_feature(_point(waypoint.longitude_deg, waypoint.latitude_deg), properties))
+    positions = np.array([(waypoint.longitude_deg, waypoint.latitude_deg) for waypoint in waypoints], dtype=np.float64).reshape(-1, 2)
+    for leg in dict.fromkeys(waypoint.leg for waypoint in waypoints):
+        members = [order for order, waypoint in enumerate(waypoints) if waypoint.leg == leg]
+        line = positions[max(members[0] - 1, 0) : members[-1] + 1]
+        pieces: list[Json] = [_positions(piece) for piece in split_line(line)]
+        if pieces:
+            last = waypoints[members[-1]]
+            features.append(_feature(_one_or_multi("LineString", pieces), {"leg": leg, "contact_id": last.contact_id, "why": last.why}))
+    return _collection(features)
+
+
+CSV_COLUMNS: Final = (
+    *("id", "time", "latitude_deg", "longitude_deg", "sigma_m", "p_mine", "class", "length_m", "width_m", "height_m", "n_views"),
+    *("aspects_deg", "side", "ground_range_m", "score", "snippet", "reasons"),
+)
+
+
+def contacts_csv(contacts: Iterable[Contact]) -> str:
+    """One row per contact, sorted by id, under a row of column names. Lists are joined by blanks, reasons by semicolons.
+
+    Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerow(CSV_COLUMNS)
+    for contact in sorted(contacts, key=lambda contact: contact.id):
+        view = best_view(contact)
+        writer.writerow(
+            [
+                _cell(contact.id),
+                iso_time(contact.time_s),
+                _number(contact.latitude_deg, _DEGREE_DIGITS),
+                _longitude(contact.longitude_deg),
+                _number(sigma_m(contact), _METRE_DIGITS),
+                _number(contact.p_mine, _PROBABILITY_DIGITS),
+                contact.classification,
+                _number(contact.length_m, _METRE_DIGITS),
+                _number(contact.width_m, _METRE_DIGITS),
+                _number(contact.height_m, _METRE_DIGITS),
+                len(contact.views),
+                " ".join(f"{aspect:.1f}" for aspect in contact.aspects_deg),
+                view.side if view else None,
+                _number(view.ground_range_m, _METRE_DIGITS) if view else None,
+                _number(view.score, _METRE_DIGITS) if view else None,
+                _cell(snippet_path(contact)),
+                _cell("; ".join(contact.reasons)),
+            ]
+        )
+    return text.getvalue()
+
+
+def contacts_kml(contacts: Iterable[Contact], mission: str = "") -> str:
+    """A KML document: mine-like contacts and the rest in two folders, each contact with a table and its 2-sigma error ellipse."""
+    ordered = sorted(contacts, key=lambda contact: contact.id)
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<kml xmlns="http://www.opengis.net/kml/2.2">',
+        "<Document>",
+        f"<name>{_xml(mission or 'Contacts')}</name>",
+        _kml_style("mine_like", "ff3c14dc"),
+        _kml_style("clutter", "ffb4a078"),
+    ]
+    for style, title, chosen in (
+        ("mine_like", "Mine-like", [contact for contact in ordered if is_mine_like(contact)]),
+        ("clutter", "Clutter", [contact for contact in ordered if not is_mine_like(contact)]),
+    ):
+        lines += ["<Folder>", f"<name>{title} ({len(chosen)})</name>"]
+        for contact in chosen:
+            lines += _kml_placemark(contact, style)
+        lines.append("</Folder>")
+    return "\n".join([*lines, "</Document>", "</kml>", ""])
+
+
+def _contact_feature(contact: Contact) -> dict[str, Json]:
+    view = best_view(contact)
+    known = {name: contact.belief[name] for name in get_args(ContactClass) if name in contact.belief}
+    properties: dict[str, Json] = {
+        "id": contact.id,
+        "time": iso_time(contact.time_s),
+        "p_mine": _number(contact.p_mine, _PROBABILITY_DIGITS),
+        "class": contact.classification,
+        "belief": {name: _number(mass, _PROBABILITY_DIGITS) for name, mass in (known | contact.belief).items()},
+        "length_m": _number(contact.length_m, _METRE_DIGITS),
+        "width_m": _number(contact.width_m, _METRE_DIGITS),
+        "height_m": _number(contact.height_m, _METRE_DIGITS),
+        "n_views": len(contact.views),
+        "aspects_deg": [_number(aspect, _METRE_DIGITS) for aspect in contact.aspects_deg],
+        "sigma_m": _number(sigma_m(contact), _METRE_DIGITS),
+        "side": view.side if view else None,
+        "ground_range_m": _number(view.ground_range_m, _METRE_DIGITS) if view else None,
+        "snippet": snippet_path(contact),
+        "reasons": list(contact.reasons),
+        "score": _number(view.score, _METRE_DIGITS) if view else None,
+        "covariance_m2": [[_number(float(value), 6) for value in row] for row in np.asarray(contact.covariance_m2)],
+    }
+    return _feature(_point(contact.longitude_deg, contact.latitude_deg), properties)
+
+
+def _collection(features: Sequence[Mapping[str, Json]]) -> bytes:
+    """One feature per line, so that people can read and compare the file line by line."""
+    lines = ",\n".join(json.dumps(feature, allow_nan=False, ensure_ascii=False, separators=(",", ":")) for feature in features)
+    text = f'{{"type":"FeatureCollection","features":[\n{lines}\n]}}\n' if lines else '{"type":"FeatureCollection","features":[]}\n'
+    return text.encode("utf-8", "replace")
+
+
+def _feature(geometry: Json, properties: dict[str, Json]) -> dict[str, Json]:
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _one_or_multi(kind: str, parts: list[Json]) -> Json:
+    if not parts:
+        return None
+    return {"type": kind, "coordinates": parts[0]} if len(parts) == 1 else {"type": f"Multi{kind}", "coordinates": parts}
+
+
+def _point(longitude_deg: float, latitude_deg: float) -> Json:
+    longitude, latitude = _longitude(longitude_deg), _number(latitude_deg, _DEGREE_DIGITS)
+    return None if longitude is None or latitude is None else {"type": "Point", "coordinates": [longitude, latitude]}
+
+
+def _positions(points: NDArray[np.float64]) -> list[Json]:
+    return [[round(longitude, _DEGREE_DIGITS) + 0.0, round(latitude, _DEGREE_DIGITS) + 0.0] for longitude, latitude in points.tolist()]
+
+
+def _longitude(longitude_deg: float) -> float | None:
+    rounded = _number(longitude_deg, _DEGREE_DIGITS)
+    return None if rounded is None else round(float(wrap_longitude_deg(rounded)), _DEGREE_DIGITS) + 0.0
+
+
+def _number(value: float, digits: int) -> float | None:
+    """Rounded, never -0; None for anything not finite."""
+    return round(float(value), digits) + 0.0 if math.isfinite(value) else None
+
+
+def _cell(text: str) -> str:
+    return "'" + text if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+
+
+def _xml(text: str) -> str:
+    """Text for XML 1.0: escaped, and without the control characters it forbids."""
+    allowed = "".join(sign if sign >= " " or sign in "\t\n\r" else "\ufffd" for sign in text)
+    return html.escape(allowed.encode("utf-8", "replace").decode().replace("\ufffe", "\ufffd").replace("\uffff", "\ufffd"))
+
+
+def _kml_style(name: str, colour: str) -> str:
+    return (
+        f'<Style id="{name}"><IconStyle><color>{colour}</color></IconStyle><LineStyle><color>{colour}</color><width>2</width></LineStyle>'
+        f"<PolyStyle><color>33{colour[2:]}</color></PolyStyle></Style>"
+    )
+
+
+def _kml_placemark(contact: Contact, style: str) -> list[str]:
+    if not (math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)):
+        return [f"<Placemark><name>{_xml(contact.id)}</name><description>position not known</description></Placemark>"]
+    frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
+    geometry = [f"<Point><coordinates>{_kml_coordinates(np.array([[contact.longitude_deg, contact.latitude_deg]]))}</coordinates></Point>"]
+    ring_m = error_ellipse_ring_m(contact)
+    if np.isfinite(ring_m).all():
+        latitude, longitude, _ = frame.to_geodetic(np.column_stack([ring_m, np.zeros(len(ring_m))]))
+        for piece in split_ring(np.column_stack([longitude, latitude])):
+            geometry.append(
+                f"<Polygon><outerBoundaryIs><LinearRing><coordinates>{_kml_coordinates(piece)}</coordinates></LinearRing></outerBoundaryIs></Polygon>"
+            )
+    time = iso_time(contact.time_s)
+    return [
+        "<Placemark>",
+        f"<name>{_xml(contact.id)}</name>",
+        f"<styleUrl>#{style}</styleUrl>",
+        *([f"<TimeStamp><when>{time}</when></TimeStamp>"] if time else []),
+        f"<description>{_xml(_kml_table(contact))}</description>",
+        "<MultiGeometry>",
+        *geometry,
+        "</MultiGeometry>",
+        "</Placemark>",
+    ]
+
+
+def _kml_coordinates(points: NDArray[np.float64]) -> str:
+    return " ".join(f"{longitude:.9f},{latitude:.9f},0" for longitude, latitude in points.tolist())
+
+
+def _kml_table(contact: Contact) -> str:
+    view = best_view(contact)
+    rows: list[tuple[str, Any]] = [
+        ("p_mine", f"{contact.p_mine:.2f}"),
+        ("class", contact.classification.replace("_", " ")),
+        ("size (length, width, height)", " × ".join("?" if math.isnan(size) else f"{size:.2f}" for size in _sizes(contact)) + " m"),
+        ("position error (1 sigma)", f"{sigma_m(contact):.2f} m"),
+        ("views", len(contact.views)),
+        ("aspects", ", ".join(f"{aspect:03.0f}°" for aspect in contact.aspects_deg)),
+        ("side and ground range", f"{view.side}, {view.ground_range_m:.1f} m" if view else ""),
+        ("reasons", "; ".join(contact.reasons)),
+    ]
+    return (
+        "<table>" + "".join(f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>" for name, value in rows) + "</table>"
+    )
+
+
+def _sizes(contact: Contact) -> tuple[float, float, float]:
+    return contact.length_m, contact.width_m, contact.height_m
