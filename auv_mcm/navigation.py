@@ -115,8 +115,11 @@ class NavBuffer:
         Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays so.
         """
         newest_s = self._newest_s
-        # Later chords have their middle at or after this instant.
-        next_chord_s = newest_s if self._chord_start is None else 0.5 * (self._chord_start.time_s + newest_s)
+        # Later chords have their middle at or after this instant; the next fix after a hole starts a new chord.
+        next_chord_s = newest_s
+        start, last = self._chord_start, self._last_fix
+        if start is not None and last is not None and newest_s - last.time_s <= self._position.limits.bridge_s:
+            next_chord_s = 0.5 * (start.time_s + newest_s)
         derived_s = min(self._course.final_until(next_chord_s), self._track_speed.final_until(next_chord_s))
         ready_s = min(channel.final_until(newest_s) for channel in (self._position, self._heading, *self._plain))
         for channel in (self._heading, self._speed):
