@@ -1,0 +1,170 @@
+"""A second look at the best contacts: straight legs that see each object square to how it was seen before.
+
+A cylinder seen end-on may look like a stone; from a direction 90 degrees away it shows its side. Evenly spread aspects are the best
+choice when nothing is known about an object's orientation (Bourque and Nguyen, "Optimal aspect angles for multi-view target recognition
+with side-scan sonar", 2011). The plan is a proposal: the vehicle decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import PlanConfig
+from auv_mcm.errors import BadInputError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.tour import short_tour
+from auv_mcm.records import Contact, Waypoint
+
+SAME_ASPECT_DEG: Final = 30.0  # views from directions closer than this count as one look
+SETTLING_RADII: Final = 1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
+_ARC_STEP_RAD: Final = math.radians(15.0)
+_LEAST_STEP_M: Final = 1e-3  # way-points closer than this are one
+_BLOCK: Final = 1 << 18  # pairs of legs measured at once, bounds memory
+
+
+class _Leg(NamedTuple):
+    """One of the four ways to pass a contact; `entry` and `exit` lie in the plan's plane, `ends_deg` are their latitude and longitude."""
+
+    contact: Contact
+    look_side: str
+    track_deg: float
+    entry: Pose
+    exit: Pose
+    ends_deg: tuple[tuple[float, float], tuple[float, float]]
+
+
+def needs_second_look(contact: Contact, min_p_mine: float) -> bool:
+    """True for a likely mine that was seen from one direction only, and whose position is known."""
+    aspects = np.asarray(contact.aspects_deg, dtype=np.float64)
+    known = (contact.latitude_deg, contact.longitude_deg, *aspects)
+    if not (contact.p_mine >= min_p_mine and len(aspects) and all(map(math.isfinite, known))):
+        return False
+    apart = np.abs((aspects[:, np.newaxis] - aspects + 180.0) % 360.0 - 180.0)
+    return bool(apart.max() <= SAME_ASPECT_DEG)
+
+
+def plan_reinspection(
+    contacts: Iterable[Contact], start_latitude_deg: float, start_longitude_deg: float, start_heading_rad: float, config: PlanConfig
+) -> tuple[Waypoint, ...]:
+    """Way-points from the start pose past the best `max_contacts` contacts that need a second look, in the order to sail them.
+
+    Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`. The leg is
+    `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each point, [0, 2 pi).
+    Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of the way-point polygon from inside
+    are not tighter than it either. Equal input gives equal plans. Empty if no contact needs a second look.
+
+    Raises BadInputError if there are contacts to visit but the start pose is not finite.
+    """
+    chosen = sorted((contact for contact in contacts if needs_second_look(contact, config.min_p_mine)), key=lambda c: (-c.p_mine, c.id))
+    chosen = chosen[: config.max_contacts]
+    if not chosen:
+        return ()
+    if not all(map(math.isfinite, (start_latitude_deg, start_longitude_deg, start_heading_rad))):
+        raise BadInputError(
+            f"re-inspection plan: the start pose is not known (latitude {start_latitude_deg}, longitude {start_longitude_deg}, "
+            f"heading {start_heading_rad} rad); give a navigated pose to start from"
+        )
+    frame = LocalFrame(latitude_deg=start_latitude_deg, longitude_deg=start_longitude_deg)
+    start = Pose(0.0, 0.0, start_heading_rad)
+    radius_m = config.turn_radius_m / math.cos(_ARC_STEP_RAD / 2.0)
+    legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
+    tour = short_tour(_connections(start, legs, radius_m))
+    return _waypoints(start, (start_latitude_deg, start_longitude_deg), [legs[index] for index in tour], radius_m, frame, config)
+
+
+def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> list[_Leg]:
+    """Four legs per contact: on either side of it, along or against the first view's aspect. Number i sailed backwards is number i ^ 1.
+
+    Legs are laid out in the contact's own frame: true north at the contact is what its aspect refers to, which matters near the poles.
+    """
+    frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
+    half_m = config.leg_length_m / 2.0 + SETTLING_RADII * config.turn_radius_m
+    legs = []
+    for side in (1.0, -1.0):  # the track runs on this side (1: right) of the contact, as seen along the aspect
+        for way in (1.0, -1.0):
+            track_deg = (contact.aspects_deg[0] + (0.0 if way > 0.0 else 180.0)) % 360.0
+            course = math.radians(contact.aspects_deg[0])
+            along, right = np.array([math.sin(course), math.cos(course), 0.0]), np.array([math.cos(course), -math.sin(course), 0.0])
+            middle = side * config.stand_off_m * right
+            latitude, longitude, height = frame.to_geodetic([middle - way * half_m * along, middle + way * half_m * along])
+            (east0, north0, _), (east1, north1, _) = plan_frame.to_enu(latitude, longitude, np.zeros_like(height)).tolist()
+            heading = math.atan2(east1 - east0, north1 - north0)
+            ends = (float(latitude[0]), float(longitude[0])), (float(latitude[1]), float(longitude[1]))
+            look_side = "port" if side * way > 0.0 else "starboard"
+            legs.append(_Leg(contact, look_side, track_deg, Pose(east0, north0, heading), Pose(east1, north1, heading), ends))
+    return legs
+
+
+def _connections(start: Pose, legs: list[_Leg], radius_m: float) -> NDArray[np.float64]:
+    """(n + 1, n) lengths from the start (row 0) and from every leg's exit to every leg's entry."""
+    entries = np.array([leg.entry for leg in legs])
+    exits = np.array([start, *(leg.exit for leg in legs)])
+    cost = np.empty((len(exits), len(entries)))
+    rows = max(1, _BLOCK // len(entries))
+    for row in range(0, len(exits), rows):
+        cost[row : row + rows] = dubins_lengths(exits[row : row + rows, np.newaxis], entries[np.newaxis], radius_m)
+    return cost
+
+
+def _waypoints(
+    start: Pose, start_deg: tuple[float, float], legs: list[_Leg], radius_m: float, frame: LocalFrame, config: PlanConfig
+) -> tuple[Waypoint, ...]:
+    waypoints: list[Waypoint] = []
+
+    def add(leg: int, kind: str, place_deg: tuple[float, float], heading_rad: float, why: str) -> None:
+        latitude, longitude = place_deg
+        course = heading_rad % (2.0 * math.pi)
+        waypoints.append(
+            Waypoint(
+                leg=leg,
+                kind=kind,
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                heading_rad=course,
+                contact_id=legs[leg - 1].contact.id,
+                why=why,
+            )
+        )
+
+    add(1, "start", start_deg, start.heading_rad, "where the plan starts")
+    pose = start
+    for number, leg in enumerate(legs, start=1):
+        path = sample_path(dubins_path(pose, leg.entry, radius_m), _ARC_STEP_RAD)
+        steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+        turns = path[1:][(steps > _LEAST_STEP_M) & (np.hypot(*(path[1:, :2] - leg.entry[:2]).T) > _LEAST_STEP_M)]
+        for place, course in _on_the_globe(turns, frame):
+            add(number, "turn", place, course, f"turn towards {leg.contact.id}")
+        why = _reason(leg, config)
+        add(number, "leg_entry", leg.ends_deg[0], _true_course(*leg.ends_deg), why)
+        add(number, "leg_exit", leg.ends_deg[1], _true_course(leg.ends_deg[1], leg.ends_deg[0]) + math.pi, why)
+        pose = leg.exit
+    return tuple(waypoints)
+
+
+def _on_the_globe(poses: NDArray[np.float64], frame: LocalFrame) -> list[tuple[tuple[float, float], float]]:
+    """((latitude, longitude), true course) of poses in the plan's plane; true north turns against the plane's, most near the poles."""
+    ahead = np.column_stack([np.sin(poses[:, 2]), np.cos(poses[:, 2])])
+    here, there = (np.column_stack([poses[:, :2] + reach * ahead, np.zeros(len(poses))]) for reach in (0.0, 1.0))
+    places, aims = (list(zip(*(part.tolist() for part in frame.to_geodetic(points)[:2]), strict=True)) for points in (here, there))
+    return [(place, _true_course(place, aim)) for place, aim in zip(places, aims, strict=True)]
+
+
+def _true_course(here_deg: tuple[float, float], there_deg: tuple[float, float]) -> float:
+    east, north, _ = LocalFrame(latitude_deg=here_deg[0], longitude_deg=here_deg[1]).to_enu(*there_deg, 0.0)
+    return math.atan2(east, north)
+
+
+def _reason(leg: _Leg, config: PlanConfig) -> str:
+    contact = leg.contact
+    seen = "once" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} times"
+    look_deg = (leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360.0
+    return (
+        f"second look at {contact.id} (p_mine {contact.p_mine:.2f}): seen {seen} looking towards {contact.aspects_deg[0]:03.0f}°, "
+        f"this leg looks towards {look_deg:03.0f}°, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
+    )

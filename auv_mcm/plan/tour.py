@@ -1,0 +1,113 @@
+"""The order in which to sail straight legs, and which way to sail each: a short open tour over measured connections.
+
+Every contact k can be passed in four ways, numbered 4 k .. 4 k + 3; way i sailed backwards is way i ^ 1. `cost[0, j]` is the length from
+the start to way j's entry, `cost[i + 1, j]` from way i's exit to way j's entry. A path sailed backwards is as long:
+cost[i + 1, j] == cost[(j ^ 1) + 1, i ^ 1], so reversing a stretch of the tour changes only the two connections at its ends.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Costs: TypeAlias = NDArray[np.float64]
+
+WAYS: Final = 4
+_LEAST_GAIN_M: Final = 1e-6
+_MOST_MOVES: Final = 20_000_000  # moves measured at most: bounds the time for very many contacts, and is the same on every machine
+
+
+def tour_length(tour: list[int], cost: Costs) -> float:
+    """Sum of the connections from the start through the ways in order."""
+    return float(sum(cost[before, after - 1] for before, after in pairwise([0, *(way + 1 for way in tour)])))
+
+
+def short_tour(cost: Costs) -> list[int]:
+    """One way per contact in sailing order; never longer than sailing the contacts as numbered with the best way for each.
+
+    Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and the best ways for the
+    order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976).
+    """
+    as_numbered = _best_ways(list(range(cost.shape[1] // WAYS)), cost)
+    tours = [_improved(_inserted(cost), cost), _improved(as_numbered, cost)]
+    return min(tours, key=lambda tour: tour_length(tour, cost))
+
+
+def _inserted(cost: Costs) -> list[int]:
+    tour: list[int] = []
+    for contact in range(cost.shape[1] // WAYS):
+        tour, _ = _with_contact(tour, contact, cost)
+    return tour
+
+
+def _with_contact(tour: list[int], contact: int, cost: Costs) -> tuple[list[int], float]:
+    """The tour with one more contact where and how it adds least, and what it adds."""
+    ways = WAYS * contact + np.arange(WAYS)
+    before = np.array([0, *(way + 1 for way in tour)])
+    added = cost[before[:, np.newaxis], ways]
+    if tour:
+        after = np.array(tour)
+        added[:-1] += cost[ways + 1][:, after].T - cost[before[:-1], after][:, np.newaxis]
+    place, way = divmod(int(np.argmin(added)), WAYS)
+    return [*tour[:place], int(ways[way]), *tour[place:]], float(added[place, way])
+
+
+def _improved(tour: list[int], cost: Costs) -> list[int]:
+    moves_left = _MOST_MOVES
+    length = tour_length(tour, cost)
+    while moves_left > 0:
+        moves_left -= len(tour) * len(tour) * (WAYS + 1)
+        shorter = min((_reversed_stretch(tour, cost), _moved_contact(tour, cost)), key=lambda other: tour_length(other, cost))
+        if tour_length(shorter, cost) > length - _LEAST_GAIN_M:
+            shorter = _best_ways([way // WAYS for way in tour], cost)
+            if tour_length(shorter, cost) > length - _LEAST_GAIN_M:
+                break
+        tour, length = shorter, tour_length(shorter, cost)
+    return tour
+
+
+def _reversed_stretch(tour: list[int], cost: Costs) -> list[int]:
+    """The best of all tours with one stretch (possibly one leg) sailed backwards."""
+    ways = np.array(tour)
+    before = np.array([0, *(ways[:-1] + 1)])
+    backwards = ways ^ 1
+    into, out = cost[before, ways], np.append(cost[ways[:-1] + 1, ways[1:]], 0.0)
+    gain = into[:, np.newaxis] + out - cost[before[:, np.newaxis], backwards]
+    gain[:, :-1] -= cost[backwards[:, np.newaxis] + 1, ways[1:]]
+    first, last = divmod(int(np.argmax(np.where(np.tri(len(tour), dtype=np.bool_).T, gain, -np.inf))), len(tour))
+    return [*tour[:first], *(way ^ 1 for way in reversed(tour[first : last + 1])), *tour[last + 1 :]]
+
+
+def _moved_contact(tour: list[int], cost: Costs) -> list[int]:
+    """The best of all tours with one contact taken out and put back in anywhere, sailed in any way."""
+    best, most = tour, 0.0
+    stops = [0, *(way + 1 for way in tour)]
+    for place, way in enumerate(tour):
+        rest = [*tour[:place], *tour[place + 1 :]]
+        saved = cost[stops[place], way]
+        if place + 1 < len(tour):
+            saved += cost[way + 1, tour[place + 1]] - cost[stops[place], tour[place + 1]]
+        moved, added = _with_contact(rest, way // WAYS, cost)
+        if saved - added > most:
+            best, most = moved, saved - added
+    return best
+
+
+def _best_ways(order: list[int], cost: Costs) -> list[int]:
+    """The way past each contact that makes the tour in this order shortest (dynamic programming over the four ways)."""
+    ways = WAYS * np.array(order)[:, np.newaxis] + np.arange(WAYS)
+    reach = cost[0, ways[0]]
+    choices = []
+    for before, after in pairwise(ways):
+        through = reach[:, np.newaxis] + cost[before[:, np.newaxis] + 1, after]
+        choices.append(np.argmin(through, axis=0))
+        reach = through.min(axis=0)
+    way = int(np.argmin(reach))
+    picked = [way]
+    for choice in reversed(choices):
+        way = int(choice[way])
+        picked.append(way)
+    return [int(options[way]) for options, way in zip(ways, reversed(picked), strict=True)]
