@@ -193,7 +193,7 @@ class NavBuffer:
             elif channel.last_s == time_s:
                 self.counters["navigation.time_repeated"] += 1
             elif channel is self._heading:
-                self._last_heading = _unwrap(value, self._last_heading if self._last_heading is not None else self._last_course)
+                self._last_heading = self._unwrap(value, time_s)
                 channel.append(time_s, self._last_heading)
             else:
                 channel.append(time_s, value)
@@ -238,9 +238,14 @@ class NavBuffer:
         middle_s = 0.5 * (start.time_s + fix.time_s)
         self._track_speed.append(middle_s, distance / duration)
         if distance >= CHORD_M:
-            # Near the heading if there is one, so that a pose track that changes from one to the other stays continuous.
-            self._last_course = _unwrap(_course(start, fix), self._last_heading if self._last_heading is not None else self._last_course)
+            self._last_course = self._unwrap(_course(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
+
+    def _unwrap(self, angle_rad: float, time_s: float) -> float:
+        """The turn count nearest to the heading, to the course while the compass is silent: a track may change between them."""
+        compass_speaks = time_s - self._heading.last_s <= self._heading.limits.bridge_s
+        last = self._last_heading if compass_speaks or self._last_course is None else self._last_course
+        return angle_rad if last is None else angle_rad + 2 * math.pi * round((last - angle_rad) / (2 * math.pi))
 
     def _measured_or_derived(
         self, measured: _Channel, derived: _Channel, counter: str, times: NDArray[np.float64]
@@ -402,11 +407,6 @@ def _fix(time_s: float, latitude_deg: float, longitude_deg: float) -> _Fix:
     x = prime_vertical * cosine * math.cos(longitude)
     y = prime_vertical * cosine * math.sin(longitude)
     return _Fix(time_s, x, y, prime_vertical * (1.0 - ECCENTRICITY_SQUARED) * sine, latitude, longitude)
-
-
-def _unwrap(angle_rad: float, last_rad: float | None) -> float:
-    """The same direction within half a turn of `last_rad`."""
-    return angle_rad if last_rad is None else angle_rad + 2 * math.pi * round((last_rad - angle_rad) / (2 * math.pi))
 
 
 def _distance(a: _Fix, b: _Fix) -> float:

@@ -151,6 +151,10 @@ def test_a_gap_is_bridged_up_to_two_seconds() -> None:
     np.testing.assert_allclose(east_north(longer)[:, 0], [0.0, 4.0], atol=1e-6)
 
 
+def test_halfway_through_a_hole_the_earlier_value_counts() -> None:
+    assert east_north(at(filled([here(0.0), here(3.0, east=4.0)]), 1.5))[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_nothing_is_extrapolated() -> None:
     track = at(filled([here(0.0), here(1.0, east=1.0, heading_rad=0.1, depth_m=6.0)]), 1.4, 30.0, -1.0)
     np.testing.assert_allclose(east_north(track)[:, 0], [1.0, 1.0, 0.0], atol=1e-6)
@@ -250,6 +254,36 @@ def test_a_compass_that_fails_is_replaced_by_the_course_and_counted() -> None:
     np.testing.assert_allclose(np.rad2deg(track.heading_rad), [95.0, 95.0, 90.0], atol=1e-3)  # meridians converge a little
     assert not track.stale.any()
     assert buffer.counters["navigation.heading_from_course"] == 1
+
+
+def test_heading_stays_continuous_when_the_compass_fails_for_some_turns_and_comes_back() -> None:
+    radius, speed = 20.0, 1.5
+    samples = []
+    for i in range(2000):
+        angle = speed / radius * 0.2 * i
+        sample = here(
+            0.2 * i, east=radius * math.sin(angle), north=radius * math.cos(angle), heading_rad=(angle + math.pi / 2) % (2 * math.pi)
+        )
+        samples.append(without(sample, "heading_rad") if 1000 <= i < 1700 else sample)
+    track = filled(samples).interpolate(START_S + np.linspace(0.0, 390.0, 2000))
+    np.testing.assert_allclose(np.diff(track.heading_rad), speed / radius * 390.0 / 1999, atol=math.radians(3.0))
+
+
+def test_heading_of_a_vehicle_that_drifts_astern_does_not_spin() -> None:
+    samples = [here(0.5 * i, north=-0.5 * i, heading_rad=0.1 * math.sin(i)) for i in range(100)]
+    assert np.abs(filled(samples).interpolate(START_S + np.linspace(0.0, 49.5, 300)).heading_rad).max() <= 0.1
+
+
+def test_fixes_that_scatter_make_no_great_speed() -> None:
+    samples = [without(here(0.02 * i, east=2.8 * (i % 2)), "heading_rad", "speed_mps") for i in range(200)]
+    assert filled(samples).interpolate(START_S + np.linspace(0.0, 3.9, 50)).speed_mps.max() < 6.0
+
+
+def test_a_new_place_makes_no_speed() -> None:
+    samples = [without(here(0.5 * i, east=0.5 * i + 1000.0 * (i >= 20)), "heading_rad", "speed_mps") for i in range(40)]
+    track = filled(samples).interpolate(START_S + np.linspace(0.0, 19.5, 100))
+    np.testing.assert_allclose(track.speed_mps, 1.0, atol=1e-3)
+    np.testing.assert_allclose(track.heading_rad, math.pi / 2, atol=1e-3)
 
 
 def test_no_position_at_all_is_stale_not_zero() -> None:
@@ -413,9 +447,24 @@ def a_stream(steps: list[tuple[int, set[str], float, float]], always_missing: se
 def test_what_is_ready_never_changes(
     steps: list[tuple[int, set[str], float, float]], always_missing: set[str], config: NavigationConfig
 ) -> None:
-    samples = a_stream(steps, always_missing)
-    times = START_S + np.arange(-32, 16 * 30) / 16.0
-    buffer = NavBuffer(config)
+    assert_final(a_stream(steps, always_missing), config)
+
+
+def test_a_late_sample_of_the_same_instant_changes_nothing_that_is_ready() -> None:
+    assert_final([here(0.0), only(5.0, heading_rad=1.0), here(5.0, east=3.0)])
+
+
+def test_a_vehicle_that_starts_to_move_changes_no_heading_that_is_ready() -> None:
+    fixes = [here(0.5 * i, east=0.5 * i) for i in range(20)]
+    fixes += [here(10.0 + 0.5 * i, east=9.5) for i in range(40)]
+    fixes += [here(30.0 + 0.5 * i, east=9.5, north=0.3 * i) for i in range(40)]
+    assert_final([without(fix, "heading_rad", "speed_mps") for fix in fixes])
+
+
+def assert_final(samples: list[NavSample], config: NavigationConfig | None = None) -> None:
+    """After each sample take every pose that is said to be ready; at the end they must all be the same still."""
+    times = START_S + np.arange(-32, 16 * 50) / 16.0
+    buffer = NavBuffer(config or NavigationConfig())
     early: list[tuple[NDArray[np.float64], PoseTrack]] = []
     for sample in samples:
         buffer.add(sample)
