@@ -451,7 +451,7 @@ def test_what_is_ready_never_changes(
 
 
 def test_a_late_sample_of_the_same_instant_changes_nothing_that_is_ready() -> None:
-    assert_final([here(0.0), only(5.0, heading_rad=1.0), here(5.0, east=3.0)])
+    assert_final([here(0.0), *(only(i, heading_rad=1.0, speed_mps=1.0) for i in range(1, 12)), here(11.0, east=3.0)])
 
 
 def test_a_vehicle_that_starts_to_move_changes_no_heading_that_is_ready() -> None:
