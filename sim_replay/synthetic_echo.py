@@ -26,7 +26,8 @@ REFERENCE_GRAZING_RAD: Final = math.radians(15.0)
 _REFERENCE_INTENSITY: Final = math.sin(REFERENCE_GRAZING_RAD) ** 2 / math.cos(REFERENCE_GRAZING_RAD)
 _LOG_REFERENCE_COUNT: Final = 150.0
 _BEAM_OFFSETS: Final = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])  # lines across the beam, in beam widths
-_FACET_FRACTIONS: Final = np.array([0.125, 0.375, 0.625, 0.875])
+_FLAT_FACET: Final = np.array([0.25, 0.75])  # where along a facet its energy is put; a steep one spans several bins
+_STEEP_FACET: Final = np.array([0.125, 0.375, 0.625, 0.875])
 _TEXTURE_CELLS: Final = 512
 
 
@@ -94,8 +95,8 @@ def mean_intensity(scene: SyntheticScene, solids: Sequence[Solid], texture: Floa
             near.append(solid)
 
     offsets = _BEAM_OFFSETS if near else np.zeros(1)
-    fractions = _FACET_FRACTIONS if near else np.array([0.5])
-    energy = np.zeros(scene.n_samples + 2)
+    fractions = _STEEP_FACET if near else _FLAT_FACET
+    energy = np.zeros(scene.n_samples + 4)
     for offset in offsets:
         ground = position(altitude * tangent + flat_range * (drift + offset * beam), y)
         height = np.zeros_like(y)
@@ -110,7 +111,7 @@ def mean_intensity(scene: SyntheticScene, solids: Sequence[Solid], texture: Floa
         if texture is not None:
             gain = np.where(height > 0.0, gain, _texture_at(texture, scene.texture_m, *ground))
         _deposit(energy, height, gain, y, altitude, slant_factor, spacing, fractions)
-    energy = energy[1:-1] / (len(offsets) * spacing * _REFERENCE_INTENSITY)
+    energy = energy[1 : scene.n_samples + 1] / (len(offsets) * spacing * _REFERENCE_INTENSITY)
     for slant, intensity in points:
         at = slant / spacing - 0.5
         low = math.floor(at)
@@ -144,7 +145,7 @@ def _deposit(
 ) -> None:
     """Add what the facets between profile points send back to the slant-range bins.
 
-    Bin i is energy[i + 1]; the rims take what falls outside.
+    Bin i is energy[i + 1]; element 0 and the last three take what falls outside.
     """
     depth = altitude_m - height
     depression = depth[1:] / y[1:]

@@ -1,0 +1,31 @@
+"""Shared by all tests: reproducible property tests, and the folder of recorded data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+settings.register_profile("reproducible", derandomize=True, deadline=None)
+settings.load_profile("reproducible")
+
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Callable[[str], Path]:
+    """Path of a recorded file beside the checkout, by its name in the data folder.
+
+    Skips the test where the folder is absent; a file missing from a folder that is there is an error.
+    """
+
+    def path_of(name: str) -> Path:
+        if not SHARED_DATA.is_dir():
+            pytest.skip(f"needs recorded data {name}: the folder shared/data beside the checkout is absent")
+        path = SHARED_DATA / name
+        assert path.exists(), f"shared/data is there, but {name} is not in it"
+        return path
+
+    return path_of
