@@ -98,7 +98,6 @@ class XtfLog:
         self._said: set[str] = set()
         self._reference_weight: dict[str, int] = {}
         self._n_samples: dict[str, tuple[int, str]] = {}
-        self._speeds: dict[float, float] = {}
         self._last_navigation: tuple[float, ...] = ()
         with self._open() as file:
             self.size_bytes = os.fstat(file.fileno()).st_size
@@ -146,6 +145,8 @@ class XtfLog:
     def _open(self) -> BinaryIO:
         if self._path.is_dir():
             raise BadInputError(f"{self._path} is a directory. Name the XTF file inside it.")
+        if self._path.exists() and not self._path.is_file():  # opening a pipe would wait for ever
+            raise BadInputError(f"{self._path} is no regular file. Copy the log to a disk first.")
         try:
             return self._path.open("rb", buffering=self._chunk_bytes)
         except FileNotFoundError as error:
@@ -154,8 +155,6 @@ class XtfLog:
             raise BadInputError(f"{self._path} cannot be read: {error.strerror}. Check its permissions.") from error
 
     def _read_file_header(self, file: BinaryIO) -> tuple[int, bytes]:
-        if not file.seekable():
-            raise BadInputError(f"{self._path} is no regular file. Copy the log to a disk first.")
         size = os.fstat(file.fileno()).st_size
         if size == 0:
             raise BadInputError(f"{self._path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
@@ -484,21 +483,13 @@ class XtfLog:
         )
 
     def _sound_speed(self, stored: float, place: str) -> float:
-        known = self._speeds.get(stored)
-        if known is not None:
-            return known
         speed = stored if 1400.0 <= stored <= 1600.0 else 2.0 * stored
-        if not 1400.0 <= speed <= 1600.0:
-            self.counters["reader.sound_speed_absurd"] += 1
-            self._tell_once(
-                "reader.sound_speed_absurd",
-                f"sound velocity {stored:g} m/s is absurd; 1500 is used. Set sonar.sound_speed_mps if you know it",
-                place,
-            )
-            speed = 1500.0
-        if len(self._speeds) < 1000:  # a log with a sound speed of its own for every ping must not fill memory
-            self._speeds[stored] = speed
-        return speed
+        if 1400.0 <= speed <= 1600.0:
+            return speed
+        self.counters["reader.sound_speed_absurd"] += 1
+        text = f"sound velocity {stored:g} m/s is absurd; 1500 is used. Set sonar.sound_speed_mps if you know it"
+        self._tell_once("reader.sound_speed_absurd", text, place)
+        return 1500.0
 
     # --- telling ---
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tracemalloc
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -32,6 +32,8 @@ from xtf_logs import (
 
 from auv_mcm.config import SonarConfig
 from auv_mcm.records import NavSample, Notice, Ping
+from sim_replay.port_order import DECISIVE, port_order_evidence
+from sim_replay.synthetic import Leg, SyntheticScene, synthetic_mission
 from sim_replay.xtf import XtfLog
 
 
@@ -49,7 +51,9 @@ def test_events_come_in_file_order_navigation_before_its_ping(tmp_path: Path) ->
 
 
 def test_a_second_iteration_gives_the_same_again(tmp_path: Path) -> None:
-    log = XtfLog(written(tmp_path / "log.xtf"), SonarConfig())
+    path = written(tmp_path / "log.xtf")
+    edit_headers(path, lambda _, header: setattr(header, "SoundVelocity", 3.0))
+    log = XtfLog(path, SonarConfig())
     first, second = list(log), list(log)
     assert same_events(first, second)
     assert log.counters["reader.pings"] == 8
@@ -89,6 +93,28 @@ def test_the_order_of_port_samples_is_seen(tmp_path: Path, stored_far_to_near: b
     (notice,) = [event for event in events if isinstance(event, Notice)]
     assert notice.code == "reader.port_order"
     assert ("far_to_near" if stored_far_to_near else "near_to_far") in notice.text.split("(")[0]
+
+
+@pytest.mark.parametrize("kind", ["amplitude_uint16", "log_uint8"])
+@pytest.mark.parametrize("altitude_m", [2.0, 5.0, 20.0])
+@pytest.mark.parametrize("ring_down_m", [0.0, 0.5])
+def test_the_order_is_seen_in_port_alone_whatever_the_samples_mean(
+    kind: Literal["amplitude_uint16", "log_uint8"], altitude_m: float, ring_down_m: float
+) -> None:
+    leg = Leg(latitude_deg=43.0, longitude_deg=5.5, heading_deg=0.0, length_m=6.0)
+    scene = SyntheticScene(legs=(leg,), samples=kind, altitude_m=altitude_m, ring_down_m=ring_down_m, texture_nu=3.0)
+    traces = [event.port for event in synthetic_mission(scene) if isinstance(event, Ping) and event.port is not None]
+    port = np.stack([t.samples for t in traces])
+    evidence = port_order_evidence(port[:, ::-1], None, traces[0].spacing_m, 1.0)
+    assert evidence.total > DECISIVE
+    assert port_order_evidence(port, None, traces[0].spacing_m, 1.0).total == pytest.approx(-evidence.total)
+
+
+def test_noise_alone_hardly_shows_a_port_order() -> None:
+    random = np.random.default_rng(5)
+    totals = np.array([port_order_evidence(random.rayleigh(100.0, (50, 1024)), None, 0.03, 1.0).total for _ in range(40)])
+    assert np.mean(np.abs(totals) > DECISIVE) < 0.3
+    assert np.all(np.abs(totals) < 2.5 * DECISIVE)
 
 
 @pytest.mark.parametrize("configured", ["far_to_near", "near_to_far"])

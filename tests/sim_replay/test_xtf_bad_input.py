@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,11 @@ def test_missing_file(tmp_path: Path) -> None:
 
 def test_directory(tmp_path: Path) -> None:
     assert "directory" in refusal(tmp_path)
+
+
+def test_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.xtf")
+    assert "no regular file" in refusal(tmp_path / "pipe.xtf")
 
 
 def test_empty_file(tmp_path: Path) -> None:
