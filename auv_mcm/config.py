@@ -95,11 +95,12 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
 class DetectConfig(_Section, frozen=True, kw_only=True):
     """The training-free highlight/shadow detector."""
 
-    p_highlight: Annotated[float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one highlight test in pure speckle")] = 1e-4
-    p_shadow: Annotated[float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one shadow test in pure speckle")] = 1e-2
-    reference_height_m: Annotated[
-        float, Meta(gt=0.05, le=3.0, description="object height the expected shadow length is computed for, m")
-    ] = 0.35
+    p_false_alarm: Annotated[
+        float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one highlight-and-shadow test in pure speckle")
+    ] = 5e-4
+    max_candidates_per_tile: Annotated[
+        int, Meta(ge=0, le=100_000, description="candidates measured per tile and side at most, best first; the rest is counted")
+    ] = 256
     suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
     max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="longer than this an object is no mine, m")] = 3.5
 

@@ -102,8 +102,8 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mask: (n_rows, n_columns) uint8, the bits above.
     first_row: mission grid index of row 0; rows [core_start, core_stop) (local indices) belong to this tile alone,
     the others are overlap. Column j covers ground range [j, j + 1) * column_spacing_m.
-    pose, first_return_m, ping_number: per row. first_return_m is the slant range of the first bottom
-    return, (n_rows,) float64; NaN where the row has no data. ping_number: (n_rows,) int64, -1 where none.
+    pose, first_return_m, first_return_sigma_m, ping_number: per row. first_return_m is the slant range of the first bottom
+    return and its 1-sigma, (n_rows,) float64. ping_number: (n_rows,) int64, -1 where the row has no ping.
     """
 
     side: Side
@@ -117,6 +117,7 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mask: NDArray[np.uint8]
     pose: PoseTrack
     first_return_m: NDArray[np.float64]
+    first_return_sigma_m: NDArray[np.float64]
     ping_number: NDArray[np.int64]
 
 
@@ -124,9 +125,10 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """One object seen once, on one side, in one pass.
 
     row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
-    height_m from the shadow's length, NaN if no shadow end was seen. score: sum of the highlight's and the shadow's
-    distance from the seabed in standard deviations of speckle. snippet: (n, m) float32 normalised intensity around the
-    object, near range left, earlier pings on top; snippet_row, snippet_column: the centroid inside it.
+    height_m from the shadow's length, NaN if no shadow was seen. score: evidence of highlight and shadow together, in
+    standard deviations of the sea floor around. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m)
+    float32 normalised intensity around the object, near range left, earlier pings on top; snippet_row, snippet_column: the
+    centroid inside it.
     covariance_m2: (2, 2) float64 east/north.
     """
 
@@ -139,6 +141,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     longitude_deg: float
     covariance_m2: NDArray[np.float64]
     heading_rad: float
+    aspect_deg: float
     ground_range_m: float
     slant_range_m: float
     altitude_m: float

@@ -1,0 +1,151 @@
+"""The ledger of contacts: which detections are views of the same object, and what they say together.
+
+Two detections of one look (same side, same passage) are two objects: suppression has already merged echoes of one. A detection
+of another look joins the contact it fits by Mahalanobis distance of positions, one-to-one over what arrives together, or opens
+a new one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import ContactsConfig
+from auv_mcm.detect.belief import odds_of, probability
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import Contact, ContactClass, Detection
+
+_SAME_LOOK_S: Final = 30.0
+_SAME_LOOK_RAD: Final = math.radians(45.0)
+_DEPENDENT_ASPECT_DEG: Final = 15.0
+_CLUTTER_P: Final = 0.2
+_MAX_ODDS: Final = 5.0
+_IMPOSSIBLE: Final = 1e6
+
+
+class Ledger:
+    """Contacts of one mission, in order of first view."""
+
+    def __init__(self, config: ContactsConfig) -> None:
+        self._config = config
+        self._contacts: list[Contact] = []
+        self._frame: LocalFrame | None = None
+        self._positions_m = np.empty((0, 2))
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        return tuple(self._contacts)
+
+    def add(self, detections: list[Detection]) -> list[Contact]:
+        """Take the detections that became final together; return the contacts opened or changed, by id."""
+        if not detections:
+            return []
+        if self._frame is None:
+            first = detections[0]
+            self._frame = LocalFrame(latitude_deg=first.latitude_deg, longitude_deg=first.longitude_deg, height_m=0.0)
+        changed: set[int] = set()
+        for detection, match in zip(detections, self._assign(detections), strict=True):
+            if match is None:
+                self._contacts.append(_contact(f"C{len(self._contacts) + 1:04d}", (detection,)))
+                index = len(self._contacts) - 1
+            else:
+                index = match
+                contact = self._contacts[index]
+                self._contacts[index] = _contact(contact.id, tuple(sorted([*contact.views, detection], key=lambda d: d.time_s)))
+            changed.add(index)
+        self._positions_m = np.array([self._east_north(c.latitude_deg, c.longitude_deg) for c in self._contacts])
+        return [self._contacts[index] for index in sorted(changed)]
+
+    def _east_north(self, latitude_deg: float, longitude_deg: float) -> NDArray[np.float64]:
+        assert self._frame is not None
+        return np.asarray(self._frame.to_enu(latitude_deg, longitude_deg, 0.0)[..., :2])
+
+    def _assign(self, detections: list[Detection]) -> list[int | None]:
+        """Per detection the contact it belongs to, or None for a new one."""
+        if not self._contacts:
+            return [None] * len(detections)
+        cost = np.full((len(detections), len(self._contacts)), _IMPOSSIBLE)
+        for row, detection in enumerate(detections):
+            offset = self._positions_m - self._east_north(detection.latitude_deg, detection.longitude_deg)
+            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m)
+            for column in near:
+                contact = self._contacts[column]
+                if any(_same_look(detection, view) for view in contact.views):
+                    continue
+                spread = detection.covariance_m2 + contact.covariance_m2
+                distance2 = float(offset[column] @ np.linalg.solve(spread, offset[column]))
+                if distance2 <= self._config.gate_chi2:
+                    cost[row, column] = distance2
+        if not (cost < _IMPOSSIBLE).any():
+            return [None] * len(detections)
+        from scipy.optimize import linear_sum_assignment
+
+        matches: list[int | None] = [None] * len(detections)
+        for row, column in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[row, column] < _IMPOSSIBLE:
+                matches[int(row)] = int(column)
+        return matches
+
+
+def _same_look(a: Detection, b: Detection) -> bool:
+    turned = abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
+    return a.side == b.side and abs(a.time_s - b.time_s) < _SAME_LOOK_S and turned < _SAME_LOOK_RAD
+
+
+def _contact(contact_id: str, views: tuple[Detection, ...]) -> Contact:
+    frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
+    positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
+    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]))
+    covariance = np.linalg.inv(information.sum(axis=0))
+    east_north = covariance @ np.einsum("nij,nj->i", information, positions)
+    latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))
+    p_mine = _fused_probability(views)
+    best = max(views, key=lambda v: (v.score, -v.time_s))
+    return Contact(
+        id=contact_id,
+        time_s=views[0].time_s,
+        latitude_deg=float(latitude),
+        longitude_deg=float(longitude),
+        covariance_m2=covariance,
+        p_mine=p_mine,
+        classification=_classification(p_mine),
+        belief=_belief(p_mine),
+        length_m=max(v.length_m for v in views),
+        width_m=best.width_m,
+        height_m=_median_known([v.height_m for v in views]),
+        aspects_deg=tuple(v.aspect_deg for v in views),
+        reasons=tuple(dict.fromkeys(reason for view in views for reason in view.reasons)),
+        views=views,
+    )
+
+
+def _fused_probability(views: tuple[Detection, ...]) -> float:
+    """Log-odds of independent views add; views from within 15 degrees of each other count as one, by their mean."""
+    groups: list[list[Detection]] = []
+    for view in views:
+        for group in groups:
+            if abs(math.remainder(view.aspect_deg - group[0].aspect_deg, 360.0)) < _DEPENDENT_ASPECT_DEG:
+                group.append(view)
+                break
+        else:
+            groups.append([view])
+    odds = sum(sum(odds_of(v.p_mine) for v in group) / len(group) for group in groups)
+    return probability(min(max(odds, -_MAX_ODDS), _MAX_ODDS)) if len(views) > 1 else views[0].p_mine
+
+
+def _classification(p_mine: float) -> ContactClass:
+    # Telling mine shapes apart needs shadow models; highlight and shadow alone only separate clutter.
+    return "clutter" if p_mine < _CLUTTER_P else "unknown"
+
+
+def _belief(p_mine: float) -> dict[str, float]:
+    clutter = max(0.0, 1.0 - 2.0 * p_mine)
+    return {"cylinder": 0.0, "sphere": 0.0, "truncated_cone": 0.0, "wedge": 0.0, "clutter": clutter, "unknown": 1.0 - clutter}
+
+
+def _median_known(values: list[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan

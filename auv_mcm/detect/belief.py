@@ -1,0 +1,80 @@
+"""How mine-like a measured candidate is, from its score, its size and its surroundings; and the words for it.
+
+Log-odds add: evidence of highlight and shadow (the score), plausibility of size and height, crowding by equals nearby. The
+constants are set on synthetic missions (`auv-mcm bench detect` prints the reliability of the result).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from auv_mcm.detect.measure import Measurement
+
+_EVEN_SCORE: Final = 4.4
+_PER_DEVIATION: Final = 1.3
+_BOUND: Final = 4.0
+_CROWD_FREE: Final = 2
+_PER_NEIGHBOUR: Final = 0.25
+_CROWD_BOUND: Final = 2.5
+
+MIN_OBJECT_M: Final = 0.2
+HEIGHT_RANGE_M: Final = (0.08, 1.2)
+
+REASONS: Final[dict[str, str]] = {
+    "highlight_and_shadow": "a bright echo with a shadow right behind it",
+    "no_highlight": "a shadow without a bright echo before it: a weak reflector, a pit, or a dark patch",
+    "no_shadow": "a bright echo without a shadow: flat, buried, or a patch of rougher bottom",
+    "too_large": "longer than any mine sought",
+    "too_small": "smaller than any mine sought, or a few bright speckles",
+    "implausible_height": "shadow length says a height no mine sought has",
+    "crowded": "one of many alike nearby, as in boulder fields",
+    "extended": "part of a structure many metres long, such as a wreck or an outcrop",
+    "in_turn": "seen in a turn: shape and position are distorted",
+    "stale_navigation": "navigation was missing or old: the position is uncertain",
+    "saturated": "the echo was clipped: its strength is a lower bound",
+}
+
+
+def log_odds(score: float, measured: Measurement, max_object_m: float) -> tuple[float, tuple[str, ...]]:
+    """Log-odds of a mine-like object and the codes of what spoke for or against it (keys of REASONS)."""
+    odds = min(max(_PER_DEVIATION * (score - _EVEN_SCORE), -_BOUND), _BOUND)
+    reasons: list[str] = []
+    if measured.has_highlight and measured.has_shadow:
+        reasons.append("highlight_and_shadow")
+    elif measured.has_shadow:
+        reasons.append("no_highlight")
+        odds -= 0.5
+    else:
+        reasons.append("no_shadow")
+        odds -= 1.5
+    longest = max(measured.along_m, measured.across_m)
+    if longest > max_object_m or measured.touches_border:
+        reasons.append("too_large")
+        odds = min(odds, 0.0) - 3.0
+    elif longest < MIN_OBJECT_M:
+        reasons.append("too_small")
+        odds -= 1.0
+    if math.isfinite(measured.height_m) and not HEIGHT_RANGE_M[0] <= measured.height_m <= HEIGHT_RANGE_M[1]:
+        reasons.append("implausible_height")
+        odds -= 1.0
+    if measured.in_turn:
+        reasons.append("in_turn")
+        odds -= 0.5
+    if measured.saturated:
+        reasons.append("saturated")
+    return odds, tuple(reasons)
+
+
+def crowding(n_neighbours: int) -> float:
+    """Log-odds taken off for other candidates at least about as strong within a few metres."""
+    return min(_PER_NEIGHBOUR * max(n_neighbours - _CROWD_FREE, 0), _CROWD_BOUND)
+
+
+def probability(odds: float) -> float:
+    return 1.0 / (1.0 + math.exp(-odds))
+
+
+def odds_of(p: float) -> float:
+    bounded = min(max(p, 1e-6), 1.0 - 1e-6)
+    return math.log(bounded / (1.0 - bounded))

@@ -1,0 +1,191 @@
+"""Measures one candidate: which pixels are its highlight and its shadow, where it is, how long, wide and high."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.detect.prescreen import Peak, ScoreMaps
+from auv_mcm.records import NAN, SATURATED, TURN, VALID, Tile
+
+ROWS_M: Final = 4.0
+_NEAR_M: Final = 3.0
+_FAR_M: Final = 8.0
+
+_BRIGHT_STEP: Final = 0.7  # nats above the background at least (3 dB)
+_DARK_STEP: Final = -1.0  # nats below it
+_STEP_DEVIATIONS: Final = 2.0
+_SEARCH_M: Final = 0.45
+_MAX_GAP_M: Final = 0.9  # between highlight and shadow: bright surroundings of scour lie there
+_CENTRE_ROWS_M: Final = 0.3
+_BRIDGE_M: Final = 0.3  # speckle peaks inside a shadow
+
+
+class Measurement(NamedTuple):
+    """All rows and columns are fractional, tile-local; lengths in metres; decibels against the local background.
+
+    row, column: highlight centroid, or where the shadow starts if there is no highlight. height_m and shadow_length_m are NaN
+    without a shadow. along_m: extent along track; across_m: extent of the highlight across track.
+    """
+
+    row: float
+    column: float
+    along_m: float
+    across_m: float
+    shadow_length_m: float
+    height_m: float
+    highlight_db: float
+    shadow_db: float
+    has_highlight: bool
+    has_shadow: bool
+    touches_border: bool
+    in_turn: bool
+    saturated: bool
+    snippet: NDArray[np.float32]
+    snippet_row: float
+    snippet_column: float
+
+
+class _Roi(NamedTuple):
+    contrast: NDArray[np.float32]  # ln of the 3 x 3 mean over background, 0 where nothing valid
+    intensity: NDArray[np.float32]  # over background
+    valid: NDArray[np.bool_]
+    row: int  # of the peak
+    column: int
+
+
+def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> Measurement:
+    """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content."""
+    n_rows, n_columns = tile.mask.shape
+    row_m, column_m = tile.row_spacing_m, tile.column_spacing_m
+    rows = slice(max(0, peak.row - round(ROWS_M / row_m)), min(n_rows, peak.row + round(ROWS_M / row_m) + 1))
+    columns = slice(max(0, peak.column - round(_NEAR_M / column_m)), min(n_columns, peak.column + round(_FAR_M / column_m) + 1))
+    roi = _region(tile, maps, peak, rows, columns)
+    spread = math.sqrt(float(maps.small_box_variance[peak.row, peak.column]))
+    bright = roi.contrast > max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
+    dark = _bridged((roi.contrast < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m))
+
+    highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
+    anchor_row, anchor_column = (roi.row, roi.column) if highlight is None else _strongest(roi, highlight)
+    shadow = _shadow_behind(dark, roi, anchor_row, anchor_column, row_m, column_m)
+
+    row, column, across_m, highlight_rows = float(anchor_row), float(anchor_column), column_m, 0
+    highlight_db = NAN
+    if highlight is not None:
+        row, column, highlight_rows, highlight_columns = _weighted_extent(roi, highlight)
+        across_m = highlight_columns * column_m
+        highlight_db = _decibels(roi, highlight)
+    shadow_length_m, height_m, shadow_db, shadow_rows = NAN, NAN, NAN, 0
+    if shadow is not None:
+        start, stop = _shadow_interval(shadow, round(row), round(_CENTRE_ROWS_M / row_m))
+        if highlight is None:
+            column = start - 0.5
+        shadow_rows = int(np.ptp(np.nonzero(shadow)[0])) + 1
+        shadow_db = _decibels(roi, shadow)
+        object_m = (columns.start + min(column, start - 0.5) + 0.5) * column_m
+        far_m = (columns.start + stop) * column_m
+        shadow_length_m = (stop - start) * column_m
+        altitude_m = float(tile.first_return_m[peak.row])
+        height_m = altitude_m * (far_m - object_m) / far_m if far_m > 0.0 else NAN
+    ground_m = (columns.start + column + 0.5) * column_m
+    footprint_m = math.hypot(ground_m, float(tile.first_return_m[peak.row])) * beam_width_rad
+    along_m = _without_footprint(max(highlight_rows, shadow_rows, 1) * row_m, footprint_m)
+    border = any(part is not None and (part[0].any() or part[-1].any()) for part in (highlight, shadow))
+    around = tile.mask[rows, columns][max(roi.row - 2, 0) : roi.row + 3, max(roi.column - 4, 0) : roi.column + 5]
+    return Measurement(
+        row=rows.start + row + 0.5,
+        column=columns.start + column + 0.5,
+        along_m=along_m,
+        across_m=across_m,
+        shadow_length_m=shadow_length_m,
+        height_m=height_m,
+        highlight_db=highlight_db,
+        shadow_db=shadow_db,
+        has_highlight=highlight is not None,
+        has_shadow=shadow is not None,
+        touches_border=border,
+        in_turn=bool((around & TURN).any()),
+        saturated=bool((around & SATURATED).any()),
+        snippet=np.ascontiguousarray(tile.intensity[rows, columns]),
+        snippet_row=row + 0.5,
+        snippet_column=column + 0.5,
+    )
+
+
+def _region(tile: Tile, maps: ScoreMaps, peak: Peak, rows: slice, columns: slice) -> _Roi:
+    valid = (tile.mask[rows, columns] & VALID) != 0
+    background = np.float32(maps.background[peak.row, peak.column])
+    intensity = np.where(valid, tile.intensity[rows, columns] / background, np.float32(0.0)).astype(np.float32)
+    border = cv2.BORDER_CONSTANT
+    total = cv2.blur(intensity, (3, 3), borderType=border)
+    weight = cv2.blur(valid.astype(np.float32), (3, 3), borderType=border)
+    mean = np.divide(total, weight, out=np.ones_like(total), where=weight > 0.3)
+    contrast = np.log(np.clip(mean, 1e-3, 1e3))
+    return _Roi(contrast, intensity, valid, peak.row - rows.start, peak.column - columns.start)
+
+
+def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
+    """The mask with holes of up to `gap` columns between its pixels of a row filled."""
+    closed = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, np.ones((1, gap + 1), dtype=np.uint8))
+    return np.asarray(closed.astype(np.bool_))
+
+
+def _component_near(mask: NDArray[np.bool_], row: int, column: int, half_rows: int, half_columns: int) -> NDArray[np.bool_] | None:
+    """The connected part of `mask` that has most pixels in the window around (row, column); ties go to the first label."""
+    _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
+    window = labels[max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1]
+    counts = np.bincount(window.ravel())
+    if counts.shape[0] < 2:
+        return None
+    label = 1 + int(np.argmax(counts[1:]))
+    return np.asarray(labels == label)
+
+
+def _shadow_behind(dark: NDArray[np.bool_], roi: _Roi, row: int, column: int, row_m: float, column_m: float) -> NDArray[np.bool_] | None:
+    """The dark part that starts close behind the highlight, cut off where it lies up-range of it."""
+    reach = round(_MAX_GAP_M / column_m)
+    behind = dark.copy()
+    behind[:, : max(column - 1, 0)] = False
+    return _component_near(behind, row, column + reach // 2, max(1, round(_CENTRE_ROWS_M / row_m)), max(1, (reach + 1) // 2))
+
+
+def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
+    """The brightest pixel of a part among those within the search window of the peak, smoothed contrast, first on ties."""
+    distance = np.hypot(*(np.indices(part.shape) - np.array([roi.row, roi.column])[:, None, None]))
+    value = np.where(part, roi.contrast - 0.05 * distance, -np.inf)
+    row, column = np.unravel_index(int(np.argmax(value)), part.shape)
+    return int(row), int(column)
+
+
+def _weighted_extent(roi: _Roi, part: NDArray[np.bool_]) -> tuple[float, float, int, int]:
+    rows, columns = np.nonzero(part)
+    # Weights bounded in dB terms: one glint must not pull the centre of a long object to itself.
+    weight = np.maximum(roi.contrast[rows, columns].astype(np.float64), 0.1)
+    total = weight.sum()
+    return float(rows @ weight / total), float(columns @ weight / total), int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
+
+
+def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tuple[float, float]:
+    """First and one-past-last column of the shadow in the rows around the object's centre: medians over rows."""
+    rows = np.flatnonzero(shadow.any(axis=1))
+    near = rows[np.abs(rows - row) <= half_rows]
+    if near.size == 0:
+        near = rows[[int(np.argmin(np.abs(rows - row)))]]
+    starts = shadow[near].argmax(axis=1)
+    stops = shadow.shape[1] - shadow[near][:, ::-1].argmax(axis=1)
+    return float(np.median(starts)), float(np.median(stops))
+
+
+def _decibels(roi: _Roi, part: NDArray[np.bool_]) -> float:
+    """Mean intensity of a part over the background, dB, floored at -40."""
+    mean = float(roi.intensity[part].mean(dtype=np.float64))
+    return 10.0 * math.log10(max(mean, 1e-4))
+
+
+def _without_footprint(extent_m: float, footprint_m: float) -> float:
+    """Length of an object whose image is smeared by the along-track beam; a point keeps a tenth of its image."""
+    return math.sqrt(max(extent_m**2 - footprint_m**2, (0.1 * extent_m) ** 2))

@@ -1,0 +1,213 @@
+"""Scores every pixel of a tile as the centre of an object's highlight with its shadow behind, by box means on integral images.
+
+The sea floor sets its own scale. The variance of the logarithm of box means is measured around each pixel at two box sizes, as
+equivalent looks: it holds speckle, its correlation from pixel to pixel, and texture, and how it falls from the small to the
+large box says how many independent samples other boxes have. Ratios of box means to the background then become standard
+deviations in closed form. Highlights and shadows of several sizes are tried, shadows in multiples of what an object of given
+height casts at that range and altitude.
+"""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.detect.ftest import equivalent_looks, f_deviate
+from auv_mcm.integral import PaddedIntegral
+from auv_mcm.records import LOW_RESOLUTION, VALID, Tile
+
+# Along track, across track, metres.
+_HIGHLIGHTS_M: Final = ((0.12, 0.18), (0.36, 0.24), (0.36, 0.48), (0.84, 0.36), (1.6, 0.36))
+# Along track and height of the object that casts it, metres.
+_SHADOWS_M: Final = ((0.36, 0.1), (0.36, 0.2), (0.36, 0.35), (0.84, 0.35), (0.84, 0.7))
+_SHADOW_LENGTH_M: Final = (0.18, 6.0)
+_SHADOW_LAG_M: Final = 0.6  # from the highlight's centre to where the shadow starts, at most
+
+# Background: a frame around the object, narrow enough to follow the sea floor, hollow so that the object stays out of it.
+_FRAME_ROWS_M: Final = 1.5
+_FRAME_NEAR_M: Final = 1.0
+_FRAME_FAR_M: Final = 2.0
+_HOLLOW_ROWS_M: Final = 0.6
+_HOLLOW_NEAR_M: Final = 0.4
+_HOLLOW_FAR_M: Final = 1.2
+_MIN_BACKGROUND: Final = 0.3
+_MIN_SHADOW: Final = 0.6
+
+_LOOKS_ROWS_M: Final = 5.0
+_LOOKS_COLUMNS_M: Final = 4.0
+_SMALL_BOX_M: Final = (0.36, 0.24)
+_LARGE_BOX_M: Final = (0.84, 0.84)
+_LOG_CLIP: Final = 1.2  # bright objects and shadows must not pass for texture
+_MIN_LOG_VARIANCE: Final = 1e-3
+
+# A shadow is the better witness: speckle and glints make bright spots, hardly anything else makes dark ones.
+HIGHLIGHT_WEIGHT: Final = 0.5
+# Beyond these deviates more contrast says little more; the small slope left keeps the order of strong echoes.
+_HIGHLIGHT_KNEE: Final = 5.0
+_SHADOW_KNEE: Final = 6.0
+_LOWEST_DEVIATE: Final = -2.0
+_BEYOND_KNEE: Final = 0.05
+_MAX_RATIO: Final = 100.0
+
+CONTEXT_M: Final = _LOOKS_ROWS_M + _FRAME_ROWS_M + 1.0
+"""Along-track reach of a score: a pixel this far inside a tile is scored as it would be anywhere else."""
+
+
+class ScoreMaps(NamedTuple):
+    """Per pixel, each (n_rows, n_columns) float32: `score` in standard deviations of pure sea floor (-inf where nothing can be said),
+    `highlight` and `shadow` deviates (a shadow counts positive), `background` mean intensity, `small_box_variance` of ln I."""
+
+    score: NDArray[np.float32]
+    highlight: NDArray[np.float32]
+    shadow: NDArray[np.float32]
+    background: NDArray[np.float32]
+    small_box_variance: NDArray[np.float32]
+
+
+class Peak(NamedTuple):
+    """A local maximum of the score: tile-local row and column, and the score there."""
+
+    score: float
+    row: int
+    column: int
+
+
+class _Boxes:
+    """Masked box means on one tile, in whole pixels around each pixel."""
+
+    def __init__(self, tile: Tile) -> None:
+        valid = (tile.mask & VALID) != 0
+        self.row_m, self.column_m = tile.row_spacing_m, tile.column_spacing_m
+        intensity = np.where(valid, np.minimum(tile.intensity, np.float32(_MAX_RATIO)), np.float32(0.0))
+        self._pad = (self.rows(_LOOKS_ROWS_M) + 2, self.columns(max(_SHADOW_LENGTH_M[1], _LOOKS_COLUMNS_M)) + 4)
+        self.valid = valid
+        self._intensity = self.integral(intensity)
+        self._weight = self.integral(valid.view(np.uint8))
+
+    def rows(self, length_m: float) -> int:
+        return max(1, round(length_m / self.row_m))
+
+    def columns(self, length_m: float) -> int:
+        return max(1, round(length_m / self.column_m))
+
+    def integral(self, plane: NDArray[np.float32] | NDArray[np.uint8]) -> PaddedIntegral:
+        return PaddedIntegral(plane, *self._pad)
+
+    def sums(self, *box: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return self._intensity.box(*box), self._weight.box(*box)
+
+    def centred(self, size_m: tuple[float, float]) -> tuple[tuple[int, int, int, int], int]:
+        """Half-open offsets of a box around a pixel, and its area in pixels."""
+        half_row, half_column = self.rows(size_m[0]) // 2, self.columns(size_m[1]) // 2
+        return (-half_row, half_row + 1, -half_column, half_column + 1), (2 * half_row + 1) * (2 * half_column + 1)
+
+    def shadow_sums(self, along_m: float, lengths: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+        half = self.rows(along_m) // 2
+        varying = (-half, half + 1, 0, lengths)
+        return self._intensity.box_varying(*varying), self._weight.box_varying(*varying), 2 * half + 1
+
+
+def score_tile(tile: Tile) -> ScoreMaps:
+    """Score maps of one tile."""
+    boxes = _Boxes(tile)
+    background, weight, frame_area = _background(boxes)
+    known = boxes.valid & (weight >= _MIN_BACKGROUND * frame_area)
+    inverse_background = (1.0 / np.maximum(background, 1e-6)).astype(np.float32)
+
+    def ratio(sums: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float32]:
+        return np.asarray((sums / np.maximum(weights, 1.0)).astype(np.float32) * inverse_background)
+
+    small, small_area = boxes.centred(_SMALL_BOX_M)
+    large, large_area = boxes.centred(_LARGE_BOX_M)
+    small_variance = _log_variance(boxes, ratio(*boxes.sums(*small)), known)
+    large_variance = _log_variance(boxes, ratio(*boxes.sums(*large)), known)
+    decay = np.clip(np.log(small_variance / large_variance) / np.float32(np.log(large_area / small_area)), 0.0, 1.0).astype(np.float32)
+
+    def looks(area: NDArray[np.float32] | float) -> NDArray[np.float32]:
+        scale = np.exp(-decay * np.log(np.asarray(area, dtype=np.float32) / np.float32(small_area)))
+        return equivalent_looks(small_variance * scale)
+
+    background_looks = looks(float(frame_area))
+
+    highlight = np.full(known.shape, -np.inf, dtype=np.float32)
+    for size_m in _HIGHLIGHTS_M:
+        box, area = boxes.centred(size_m)
+        np.maximum(highlight, f_deviate(ratio(*boxes.sums(*box)), looks(float(area)), background_looks), out=highlight)
+
+    darkest = np.full(known.shape, np.inf, dtype=np.float32)
+    for along_m, height_m in _SHADOWS_M:
+        lengths = _shadow_columns(tile, height_m)
+        sums, weights, n_rows = boxes.shadow_sums(along_m, lengths)
+        areas = (n_rows * lengths).astype(np.float32)
+        deviate = f_deviate(ratio(sums, weights), looks(areas), background_looks)
+        np.minimum(darkest, np.where(weights > _MIN_SHADOW * areas, deviate, np.float32(0.0)), out=darkest)
+    shadow = -_darkest_behind(darkest, boxes.columns(_SHADOW_LAG_M))
+
+    combined = HIGHLIGHT_WEIGHT * _saturate(highlight, _HIGHLIGHT_KNEE) + _saturate(shadow, _SHADOW_KNEE)
+    score = combined * np.float32(1.0 / np.hypot(HIGHLIGHT_WEIGHT, 1.0))
+    return ScoreMaps(np.where(known, score, -np.inf).astype(np.float32), highlight, shadow, background, small_variance)
+
+
+def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: float) -> list[Peak]:
+    """Local maxima above the threshold in the tile's core, best first; ties by row, then column.
+
+    A peak is the highest score within `radius_m` along rows and columns. Pixels of low resolution (near nadir) hold none.
+    """
+    threshold = np.float32(NormalDist().inv_cdf(1.0 - p_false_alarm))
+    half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
+    finite = np.maximum(maps.score, np.float32(-1e6))
+    highest = cv2.dilate(finite, np.ones((2 * half_row + 1, 2 * half_column + 1), dtype=np.uint8))
+    peak = (finite == highest) & (finite >= threshold) & ((tile.mask & LOW_RESOLUTION) == 0)
+    peak[: tile.core_start] = False
+    peak[tile.core_stop :] = False
+    rows, columns = np.nonzero(peak)
+    found = [Peak(float(finite[row, column]), int(row), int(column)) for row, column in zip(rows, columns, strict=True)]
+    return sorted(found, key=lambda p: (-p.score, p.row, p.column))
+
+
+def _saturate(deviate: NDArray[np.float32], knee: float) -> NDArray[np.float32]:
+    bounded = np.maximum(deviate, np.float32(_LOWEST_DEVIATE))
+    return np.asarray(np.minimum(bounded, np.float32(knee) + np.float32(_BEYOND_KNEE) * (bounded - np.float32(knee))))
+
+
+def _background(boxes: _Boxes) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
+    rows, hollow_rows = boxes.rows(_FRAME_ROWS_M), boxes.rows(_HOLLOW_ROWS_M)
+    frame = (-rows, rows + 1, -boxes.columns(_FRAME_NEAR_M), boxes.columns(_FRAME_FAR_M))
+    hollow = (-hollow_rows, hollow_rows + 1, -boxes.columns(_HOLLOW_NEAR_M), boxes.columns(_HOLLOW_FAR_M))
+    frame_sum, frame_weight = boxes.sums(*frame)
+    hollow_sum, hollow_weight = boxes.sums(*hollow)
+    weight = frame_weight - hollow_weight
+    area = (frame[1] - frame[0]) * (frame[3] - frame[2]) - (hollow[1] - hollow[0]) * (hollow[3] - hollow[2])
+    mean = np.maximum(frame_sum - hollow_sum, 0.0) / np.maximum(weight, 1.0)
+    return np.maximum(mean, 1e-6).astype(np.float32), weight, area
+
+
+def _log_variance(boxes: _Boxes, ratio: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Variance of ln(ratio), clipped, over the known pixels within a few metres, (n_rows, n_columns) float32."""
+    logarithm = np.clip(np.log(np.maximum(ratio, np.float32(1e-3))), -_LOG_CLIP, _LOG_CLIP) * known
+    rows, columns = boxes.rows(_LOOKS_ROWS_M), boxes.columns(_LOOKS_COLUMNS_M)
+    box = (-rows, rows + 1, -columns, columns + 1)
+    count = np.maximum(boxes.integral(known.view(np.uint8)).box(*box), 1.0)
+    mean = boxes.integral(logarithm).box(*box) / count
+    square = boxes.integral(logarithm * logarithm).box(*box) / count
+    return np.maximum(square - mean * mean, _MIN_LOG_VARIANCE).astype(np.float32)
+
+
+def _shadow_columns(tile: Tile, height_m: float) -> NDArray[np.intp]:
+    """Length in columns (n_rows, n_columns) of the shadow an object of `height_m` casts: h y / (H - h) on a flat bottom."""
+    altitude_m = tile.first_return_m[:, None]
+    ground_m = ((np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
+    length_m = height_m * ground_m / np.maximum(altitude_m - height_m, 0.3 * altitude_m)
+    return np.maximum(np.rint(np.clip(length_m, *_SHADOW_LENGTH_M) / tile.column_spacing_m), 1.0).astype(np.intp)
+
+
+def _darkest_behind(deviate: NDArray[np.float32], lag_columns: int) -> NDArray[np.float32]:
+    """Minimum over shadows that start 1 to `lag_columns` columns farther out, in the row itself or a neighbouring one."""
+    n_columns = deviate.shape[1]
+    padded = np.pad(deviate, ((1, 1), (0, lag_columns + 1)), constant_values=0.0)
+    lowest = cv2.erode(padded, np.ones((3, lag_columns), dtype=np.uint8), anchor=(0, 1), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(lowest[1:-1, 1 : 1 + n_columns])

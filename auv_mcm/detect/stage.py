@@ -1,0 +1,114 @@
+"""The detection stage: a tile in, measured and georeferenced detections out."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import Config
+from auv_mcm.detect.belief import log_odds, probability
+from auv_mcm.detect.measure import ROWS_M, Measurement, measure
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
+from auv_mcm.georeference import EchoGeometry, aspect_deg, locate, position_covariance
+from auv_mcm.navigation import interpolate_track
+from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Tile
+from auv_mcm.waterfall.radiometry import LOCAL_MEAN_M
+
+OVERLAP_M: Final = 0.5 * LOCAL_MEAN_M + max(CONTEXT_M, ROWS_M) + 1.0
+"""Along-track context a tile needs beyond its core for detections there to be independent of where it was cut."""
+
+_STALE_SIGMA_M: Final = 25.0
+_SOUND_SPEED_MPS: Final = 1500.0  # ranges are metric already; only the way made during the ping is left, millimetres per percent
+_STEP_M: Final = 0.4  # peaks closer than this are one candidate
+
+
+class TileDetections(NamedTuple):
+    """What a tile gave: detections (best first), peaks beyond the candidate budget, detections that could not be placed on Earth."""
+
+    detections: tuple[Detection, ...]
+    n_over_budget: int
+    n_without_position: int
+
+
+def worth_looking(tile: Tile) -> bool:
+    """Whether any core pixel can hold a detection: all masked or near nadir means there is nothing to score."""
+    core = tile.mask[tile.core_start : tile.core_stop]
+    return bool(((core & (VALID | LOW_RESOLUTION)) == VALID).any())
+
+
+def detect_tile(tile: Tile, config: Config) -> TileDetections:
+    """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead."""
+    maps = score_tile(tile)
+    peaks = find_peaks(tile, maps, config.detect.p_false_alarm, _STEP_M)
+    taken = peaks[: config.detect.max_candidates_per_tile]
+    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    measured = [measure(tile, maps, peak, beam_width_rad) for peak in taken]
+    detections = _placed(tile, config, taken, measured)
+    return TileDetections(detections, len(peaks) - len(taken), len(taken) - len(detections))
+
+
+def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measurement]) -> tuple[Detection, ...]:
+    if not peaks:
+        return ()
+    # Measured rows count from the upper edge of row 0, poses stand at row centres.
+    position = np.clip(np.array([m.row for m in measured]) - 0.5, 0.0, len(tile.pose) - 1.0)
+    pose = interpolate_track(tile.pose, position)
+    first_return_m = _between(tile.first_return_m, position)
+    ground_range_m = np.array([m.column for m in measured]) * tile.column_spacing_m
+    echoes = EchoGeometry(
+        side=tile.side,
+        pose=pose,
+        slant_range_m=np.hypot(ground_range_m, first_return_m),
+        first_return_m=first_return_m,
+        sound_speed_mps=np.full(len(measured), _SOUND_SPEED_MPS),
+    )
+    latitude, longitude, _ = locate(echoes, config.sonar)
+    covariance = position_covariance(echoes, config.sonar, config.navigation, _between(tile.first_return_sigma_m, position))
+    covariance[pose.stale] += _STALE_SIGMA_M**2 * np.eye(2)
+    aspect = aspect_deg(echoes, config.sonar)
+    detections = []
+    for index, (peak, m) in enumerate(zip(peaks, measured, strict=True)):
+        if not (math.isfinite(latitude[index]) and math.isfinite(longitude[index])):
+            continue
+        odds, reasons = log_odds(peak.score, m, config.detect.max_object_m)
+        if pose.stale[index]:
+            reasons = (*reasons, "stale_navigation")
+        detections.append(
+            Detection(
+                side=tile.side,
+                row=tile.first_row + m.row,
+                column=m.column,
+                time_s=float(pose.time_s[index]),
+                ping_number=int(tile.ping_number[round(position[index])]),
+                latitude_deg=float(latitude[index]),
+                longitude_deg=float(longitude[index]),
+                covariance_m2=covariance[index],
+                heading_rad=float(pose.heading_rad[index]),
+                aspect_deg=float(aspect[index]),
+                ground_range_m=float(ground_range_m[index]),
+                slant_range_m=float(echoes.slant_range_m[index]),
+                altitude_m=float(first_return_m[index] * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))),
+                score=peak.score,
+                highlight_db=m.highlight_db,
+                shadow_db=m.shadow_db,
+                length_m=max(m.along_m, m.across_m),
+                width_m=min(m.along_m, m.across_m),
+                height_m=m.height_m,
+                shadow_length_m=m.shadow_length_m,
+                p_mine=probability(odds),
+                reasons=reasons,
+                snippet=m.snippet,
+                snippet_row=m.snippet_row,
+                snippet_column=m.snippet_column,
+                row_spacing_m=tile.row_spacing_m,
+                column_spacing_m=tile.column_spacing_m,
+            )
+        )
+    return tuple(detections)
+
+
+def _between(values: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.interp(position, np.arange(values.shape[0]), values)

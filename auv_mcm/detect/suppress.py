@@ -1,0 +1,168 @@
+"""Non-maximum suppression in metres over a whole pass, independent of where tiles were cut.
+
+Detections close together are one object seen more than once: the best one stays. Greedy suppression spreads along chains, so a
+chain of neighbours is settled at once, when no later row can add to it or to its surroundings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Final
+
+import msgspec
+
+from auv_mcm.config import DetectConfig
+from auv_mcm.detect.belief import crowding, odds_of, probability
+from auv_mcm.records import Detection
+
+_SURROUNDINGS_M: Final = 8.0
+_SHADOW_SHARE: Final = 0.3
+_MAX_SUPPRESSION_M: Final = 3.0
+_ALIKE: Final = 0.5
+_CROWDED: Final = 6
+
+_STRUCTURE_LINK_M: Final = 2.5
+_STRUCTURE_MEMBERS: Final = 6
+_STRUCTURE_LARGE: Final = 2
+_STRUCTURE_P: Final = 0.02
+_OUTLINE_STEP_M: Final = 2.5
+_ALONE_P: Final = 0.1
+_BESIDE_STRUCTURE_ODDS: Final = 0.7
+
+
+class Suppressor:
+    """Settles the detections of one side in the order of rows; feed every tile's detections with the row it is complete up to."""
+
+    def __init__(self, config: DetectConfig, counters: Counter[str]) -> None:
+        self._config = config
+        self._counters = counters
+        self._waiting: list[Detection] = []
+        self._recent: list[Detection] = []  # settled, but still surroundings of waiting ones
+
+    def add(self, detections: tuple[Detection, ...], complete_to_row: float) -> list[Detection]:
+        """Take a tile's detections; return those that are final now, in order of rows."""
+        self._waiting = sorted([*self._waiting, *detections], key=_order)
+        return self._settle(complete_to_row)
+
+    def flush(self) -> list[Detection]:
+        """Settle everything left at the end of a segment."""
+        settled = self._settle(math.inf)
+        self._recent = []
+        return settled
+
+    def _settle(self, complete_to_row: float) -> list[Detection]:
+        if not self._waiting:
+            return []
+        row_m = self._waiting[0].row_spacing_m
+        horizon = complete_to_row - _SURROUNDINGS_M / row_m
+        known = [*self._recent, *self._waiting]
+        settled: list[Detection] = []
+        waiting: list[Detection] = []
+        for chain in _chains(self._waiting, _STRUCTURE_LINK_M):
+            if max(d.row for d in chain) >= horizon:
+                waiting += chain
+                continue
+            if _is_structure(chain, self._config.max_object_m):
+                best = _outline(self._best_of(chain, self._config.suppression_m), chain)
+            else:
+                best = self._best_of(chain, self._config.suppression_m)
+            self._counters["detect.suppressed"] += len(chain) - len(best)
+            settled += [self._in_surroundings(detection, known) for detection in best]
+        self._waiting = sorted(waiting, key=_order)
+        oldest = min((d.row for d in waiting), default=horizon) - _SURROUNDINGS_M / row_m
+        self._recent = [d for d in [*self._recent, *settled] if d.row >= min(oldest, horizon - _SURROUNDINGS_M / row_m)]
+        return sorted(settled, key=_order)
+
+    def _best_of(self, chain: list[Detection], reach_m: float) -> list[Detection]:
+        kept: list[Detection] = []
+        for detection in sorted(chain, key=_strongest_first):
+            if not any(_same_object(detection, better, reach_m) for better in kept):
+                kept.append(detection)
+        return kept
+
+    def _in_surroundings(self, detection: Detection, known: list[Detection]) -> Detection:
+        """The detection with its odds lowered by others about as strong within a few metres."""
+        n_alike = 0
+        for other in known:
+            distance_m = _distance_m(detection, other)
+            n_alike += self._config.suppression_m < distance_m < _SURROUNDINGS_M and other.score >= detection.score - _ALIKE
+        reasons = (*detection.reasons, "crowded") if n_alike >= _CROWDED else detection.reasons
+        return msgspec.structs.replace(detection, p_mine=probability(odds_of(detection.p_mine) - crowding(n_alike)), reasons=reasons)
+
+
+def _strongest_first(detection: Detection) -> tuple[float, float, float]:
+    return -detection.score, detection.row, detection.column
+
+
+def _distance_m(a: Detection, b: Detection) -> float:
+    return math.hypot((a.row - b.row) * a.row_spacing_m, (a.column - b.column) * a.column_spacing_m)
+
+
+def _same_object(detection: Detection, better: Detection, reach_m: float) -> bool:
+    along_m = abs(detection.row - better.row) * better.row_spacing_m
+    across_m = (detection.column - better.column) * better.column_spacing_m
+    # Behind a better detection its own shadow and the shadow's far edge give echoes of the same object.
+    shadow_m = better.shadow_length_m if math.isfinite(better.shadow_length_m) else 0.0
+    behind_m = min(reach_m + _SHADOW_SHARE * shadow_m, max(_MAX_SUPPRESSION_M, reach_m))
+    return along_m < reach_m and -reach_m < across_m < behind_m
+
+
+def _outline(kept: list[Detection], chain: list[Detection]) -> list[Detection]:
+    """A structure as a few detections along it that carry its whole size, and what in or beside it is mine-like by itself.
+
+    Something laid beside a wreck must not vanish in it, but a wreck must not fill the contact list either.
+    """
+    rows_m = [d.row * d.row_spacing_m for d in chain]
+    columns_m = [d.column * d.column_spacing_m for d in chain]
+    extents_m = (max(rows_m) - min(rows_m), max(columns_m) - min(columns_m))
+    result: list[Detection] = []
+    for detection in sorted(kept, key=_strongest_first):
+        alone = "too_large" not in detection.reasons and detection.p_mine >= _ALONE_P
+        if alone:
+            odds = odds_of(detection.p_mine) - _BESIDE_STRUCTURE_ODDS
+            result.append(msgspec.structs.replace(detection, p_mine=probability(odds), reasons=(*detection.reasons, "extended")))
+        elif all(_distance_m(detection, other) >= _OUTLINE_STEP_M for other in result if "too_large" in other.reasons):
+            size = {"length_m": max(*extents_m, detection.length_m), "width_m": max(min(extents_m), detection.width_m)}
+            reasons = tuple(dict.fromkeys((*detection.reasons, "too_large", "extended")))
+            result.append(msgspec.structs.replace(detection, p_mine=_STRUCTURE_P, reasons=reasons, **size))
+    return result
+
+
+def _order(detection: Detection) -> tuple[float, float, float]:
+    return detection.row, detection.column, -detection.score
+
+
+def _chains(detections: list[Detection], link_m: float) -> list[list[Detection]]:
+    """Groups in which each member is within `link_m` of another; `detections` sorted by row, groups and members stay so."""
+    parent = list(range(len(detections)))
+
+    def root(index: int) -> int:
+        while parent[index] != index:
+            parent[index] = parent[parent[index]]
+            index = parent[index]
+        return index
+
+    for index, detection in enumerate(detections):
+        for other in range(index - 1, -1, -1):
+            along_m = (detection.row - detections[other].row) * detection.row_spacing_m
+            if along_m > link_m:
+                break
+            across_m = (detection.column - detections[other].column) * detection.column_spacing_m
+            if math.hypot(along_m, across_m) <= link_m:
+                a, b = sorted((root(index), root(other)))
+                parent[b] = a
+    groups: dict[int, list[Detection]] = {}
+    for index, detection in enumerate(detections):
+        groups.setdefault(root(index), []).append(detection)
+    return list(groups.values())
+
+
+def _is_structure(chain: list[Detection], max_object_m: float) -> bool:
+    """Many detections hanging together over more than an object's length, several of them too large by themselves."""
+    if len(chain) < _STRUCTURE_MEMBERS:
+        return False
+    rows_m = [d.row * d.row_spacing_m for d in chain]
+    columns_m = [d.column * d.column_spacing_m for d in chain]
+    extent_m = math.hypot(max(rows_m) - min(rows_m), max(columns_m) - min(columns_m))
+    return extent_m > max_object_m and sum("too_large" in d.reasons for d in chain) >= _STRUCTURE_LARGE

@@ -1,0 +1,160 @@
+"""From a stream of pings and navigation to blocks of pings with poses: ordering, segments, waiting for navigation."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import Config
+from auv_mcm.navigation import NavBuffer
+from auv_mcm.records import EchoTrace, NavSample, Ping
+from auv_mcm.waterfall.stage import PingBlock
+
+BLOCK_PINGS: Final = 32
+_RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
+_CLOCK_STEP_S: Final = 1.0
+_MIN_SEGMENT_GAP_S: Final = 2.0
+_MIN_STEP_M: Final = 1e-3
+_UNKNOWN_SPEED_MPS: Final = 1.5
+
+
+class SegmentEnd(NamedTuple):
+    """The next block does not continue the one before."""
+
+
+class Intake:
+    """Releases blocks of equally laid-out pings once navigation around them is final.
+
+    Depends on the events and their times alone, so the same stream gives the same blocks however it was cut up.
+    """
+
+    def __init__(self, config: Config, counters: Counter[str]) -> None:
+        self._config = config
+        self._counters = counters
+        self._navigation = NavBuffer(config.navigation)
+        self._refused: Counter[str] = Counter()  # by navigation buffers already put away
+        self._pending: deque[Ping | SegmentEnd] = deque()
+        self._newest_s = -math.inf
+        self._previous_time_s = math.nan
+        self._previous_speed_mps = math.nan
+        self._along_m = config.waterfall.max_ping_gap_m  # the first ping stands for half a gap of track before it
+        self._last_time_s = math.nan
+        self._max_wait_s = _RATE_HALF_SPAN_S + 2.0 * max(config.navigation.max_gap_s, config.navigation.max_extrapolation_s)
+
+    @property
+    def navigation_counters(self) -> Counter[str]:
+        return self._refused + self._navigation.counters
+
+    def add_navigation(self, sample: NavSample) -> None:
+        self._navigation.add(sample)
+        if math.isfinite(sample.time_s):
+            self._newest_s = max(self._newest_s, sample.time_s)
+
+    def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
+        """Queue a ping; return what became ready."""
+        if ping.port is None and ping.starboard is None:
+            self._counters["ping.no_side_scan_channel"] += 1
+            return []
+        if not math.isfinite(ping.time_s):
+            self._counters["ping.time_not_finite"] += 1
+            return []
+        step_s = ping.time_s - self._previous_time_s
+        if -_CLOCK_STEP_S < step_s <= 0.0:
+            self._counters["ping.time_repeated" if step_s == 0.0 else "ping.time_backwards"] += 1
+            return []
+        done: list[PingBlock | SegmentEnd] = []
+        if step_s <= -_CLOCK_STEP_S:
+            self._counters["ping.clock_stepped_back"] += 1
+            done = self.flush()
+            self._refused += self._navigation.counters
+            self._navigation = NavBuffer(self._config.navigation)
+            self._newest_s = -math.inf
+        elif step_s > max(_MIN_SEGMENT_GAP_S, self._config.navigation.max_gap_s):
+            self._counters["ping.gap"] += 1
+            self._pending.append(SegmentEnd())
+        self._previous_time_s = ping.time_s
+        self._newest_s = max(self._newest_s, ping.time_s)
+        self._pending.append(ping)
+        return done + self._release(everything=False)
+
+    def flush(self) -> list[PingBlock | SegmentEnd]:
+        """Everything still waiting, and the end of the segment."""
+        return [*self._release(everything=True), SegmentEnd()]
+
+    def start_segment(self, along_m: float) -> None:
+        """The next block's first ping lies just after this along-track distance."""
+        self._along_m = along_m + self._config.waterfall.max_ping_gap_m
+        self._previous_speed_mps = math.nan
+
+    def _release(self, *, everything: bool) -> list[PingBlock | SegmentEnd]:
+        released: list[PingBlock | SegmentEnd] = []
+        while self._pending:
+            if isinstance(self._pending[0], SegmentEnd):
+                self._pending.popleft()
+                released.append(SegmentEnd())
+                continue
+            pings, complete = self._next_run()
+            if not (complete or everything):
+                break
+            last_s = pings[-1].time_s
+            ready = self._navigation.ready_until_s >= last_s + _RATE_HALF_SPAN_S or self._newest_s >= last_s + self._max_wait_s
+            if not (ready or everything):
+                break
+            for _ in pings:
+                self._pending.popleft()
+            released.append(self._block(pings))
+        return released
+
+    def _next_run(self) -> tuple[list[Ping], bool]:
+        """The next block's pings, and whether no later ping can join them."""
+        run: list[Ping] = []
+        for item in self._pending:
+            if isinstance(item, SegmentEnd) or (run and _layout(item) != _layout(run[0])):
+                return run, True
+            run.append(item)
+            if len(run) == BLOCK_PINGS:
+                return run, True
+        return run, False
+
+    def _block(self, pings: list[Ping]) -> PingBlock:
+        times = np.array([ping.time_s for ping in pings])
+        poses = self._navigation.interpolate(times)
+        before = self._navigation.interpolate(times - _RATE_HALF_SPAN_S)
+        after = self._navigation.interpolate(times + _RATE_HALF_SPAN_S)
+        self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
+        self._counters["navigation.ping_stale"] += int(np.count_nonzero(poses.stale))
+        return PingBlock(
+            pings,
+            poses,
+            np.zeros(len(pings)),
+            (after.heading_rad - before.heading_rad) / (2.0 * _RATE_HALF_SPAN_S),
+            (after.pitch_rad - before.pitch_rad) / (2.0 * _RATE_HALF_SPAN_S),
+        )
+
+    def place_along_track(self, block: PingBlock) -> PingBlock:
+        """The block with its along-track distances: speed over ground integrated over time, strictly increasing."""
+        times, speed = block.poses.time_s, block.poses.speed_mps.copy()
+        unknown = ~np.isfinite(speed)
+        self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
+        speed[unknown] = _UNKNOWN_SPEED_MPS
+        along: NDArray[np.float64] = np.empty(len(times))
+        if math.isnan(self._previous_speed_mps):
+            along[0] = self._along_m
+        else:
+            mean = 0.5 * (self._previous_speed_mps + speed[0])
+            along[0] = self._along_m + max(mean * (times[0] - self._last_time_s), _MIN_STEP_M)
+        steps = np.maximum(0.5 * (speed[:-1] + speed[1:]) * np.diff(times), _MIN_STEP_M)
+        along[1:] = along[0] + np.cumsum(steps)
+        self._along_m, self._previous_speed_mps, self._last_time_s = float(along[-1]), float(speed[-1]), float(times[-1])
+        return block._replace(along_m=along)
+
+
+def _layout(ping: Ping) -> tuple[object, ...]:
+    def of(trace: EchoTrace | None) -> tuple[object, ...] | None:
+        return None if trace is None else (trace.samples.shape[0], trace.first_range_m, trace.spacing_m)
+
+    return of(ping.port), of(ping.starboard), ping.sound_speed_mps

@@ -1,0 +1,204 @@
+"""The one chain from pings and navigation to contacts: synchronous, deterministic, the same live and replayed.
+
+    events -> intake -> waterfall -> detection -> suppression -> ledger -> events
+
+What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on threads,
+or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they cost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Final
+
+import msgspec
+
+from auv_mcm.config import Config
+from auv_mcm.contacts.ledger import Ledger
+from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
+from auv_mcm.detect.suppress import Suppressor
+from auv_mcm.intake import Intake, SegmentEnd
+from auv_mcm.plan.coverage import cover_tile
+from auv_mcm.records import (
+    SIDES,
+    Contact,
+    Detection,
+    EchoTrace,
+    NavSample,
+    Notice,
+    Ping,
+    PipelineEvent,
+    SourceEvent,
+    Tile,
+)
+from auv_mcm.waterfall.stage import PingBlock, Waterfall
+from auv_mcm.waterfall.transfer import resolve_transfer
+
+_PROBE_PINGS: Final = 64
+
+
+class Pipeline:
+    """Feed it events in the order they were recorded; it returns what became final.
+
+    `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
+    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same.
+    """
+
+    def __init__(self, config: Config, *, exhaustive: bool = False, threads: int = 1, timer: Callable[[], float] | None = None) -> None:
+        self._config = config
+        self._exhaustive = exhaustive
+        self._timer = timer
+        self._counts: Counter[str] = Counter()
+        self.costs_s: dict[str, float] = {}
+        self._intake = Intake(config, self._counts)
+        self._probe: list[Ping] = []
+        self._waterfall: Waterfall | None = None
+        self._suppressors = {side: Suppressor(config.detect, self._counts) for side in SIDES}
+        self._ledger = Ledger(config.contacts)
+        self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._finished = False
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        return self._ledger.contacts
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Everything refused, skipped or degraded so far, by dotted name; only what happened at least once."""
+        return +(self._counts + self._intake.navigation_counters)
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        """Take one event; return what became final because of it."""
+        if isinstance(event, Notice):
+            return [event]
+        if isinstance(event, NavSample):
+            with self._timed("intake"):
+                self._intake.add_navigation(event)
+            return []
+        self._counts["ping.received"] += 1
+        prepared = self._prepare(event)
+        if prepared is None:
+            return []
+        if self._waterfall is None:
+            self._probe.append(prepared)
+            return self._start() if len(self._probe) == _PROBE_PINGS else []
+        return self._take(prepared)
+
+    def finish(self) -> list[PipelineEvent]:
+        """Everything still in the chain, at the end of the stream. Calling it again returns nothing."""
+        if self._finished:
+            return []
+        self._finished = True
+        events: list[PipelineEvent] = self._start() if self._waterfall is None and self._probe else []
+        if self._waterfall is not None:
+            with self._timed("intake"):
+                released = self._intake.flush()
+            events += self._run(released)
+        if self._threads is not None:
+            self._threads.shutdown()
+        return events
+
+    def _prepare(self, ping: Ping) -> Ping | None:
+        """The ping without what cannot be an echo trace; None if nothing is left."""
+        port, starboard = self._usable(ping.port), self._usable(ping.starboard)
+        if port is None and starboard is None:
+            self._counts["ping.without_samples"] += 1
+            return None
+        if port is ping.port and starboard is ping.starboard:
+            return ping
+        return msgspec.structs.replace(ping, port=port, starboard=starboard)
+
+    def _usable(self, trace: EchoTrace | None) -> EchoTrace | None:
+        if trace is None:
+            return None
+        metric = math.isfinite(trace.first_range_m) and math.isfinite(trace.spacing_m) and trace.spacing_m > 0.0
+        if trace.samples.ndim != 1 or trace.samples.shape[0] < 2 or trace.samples.dtype.kind not in "uif" or not metric:
+            self._counts["ping.trace_unusable"] += 1
+            return None
+        return trace
+
+    def _start(self) -> list[PipelineEvent]:
+        """Decide the sample transfer from the first pings, then run them."""
+        traces = [trace for ping in self._probe for trace in (ping.port, ping.starboard) if trace is not None]
+        transfer, notices = resolve_transfer(self._config.sonar, traces)
+        self._waterfall = Waterfall(self._config, transfer, OVERLAP_M, self._counts)
+        events: list[PipelineEvent] = list(notices)
+        for ping in self._probe:
+            events += self._take(ping)
+        self._probe = []
+        return events
+
+    def _take(self, ping: Ping) -> list[PipelineEvent]:
+        with self._timed("intake"):
+            released = self._intake.add_ping(ping)
+        return self._run(released)
+
+    def _run(self, released: list[PingBlock | SegmentEnd]) -> list[PipelineEvent]:
+        assert self._waterfall is not None
+        events: list[PipelineEvent] = []
+        for item in released:
+            if isinstance(item, SegmentEnd):
+                with self._timed("waterfall"):
+                    tiles = self._waterfall.close_segment()
+                events += self._look(tiles)
+                events += self._announce([d for side in SIDES for d in self._suppressors[side].flush()])
+                self._intake.start_segment(self._waterfall.next_segment_m())
+            else:
+                with self._timed("waterfall"):
+                    tiles = self._waterfall.add(self._intake.place_along_track(item))
+                events += self._look(tiles)
+        return events
+
+    def _look(self, tiles: list[Tile]) -> list[PipelineEvent]:
+        if not tiles:
+            return []
+        with self._timed("detect"):
+            found = list(self._threads.map(self._detect, tiles)) if self._threads is not None else [self._detect(tile) for tile in tiles]
+        events: list[PipelineEvent] = []
+        final: list[Detection] = []
+        for tile, result in zip(tiles, found, strict=True):
+            with self._timed("coverage"):
+                patch = cover_tile(tile, self._config.sonar)
+            events += [tile, patch]
+            if result is None:
+                self._counts["detect.tile_skipped_nothing_to_see"] += 1
+                result = TileDetections((), 0, 0)
+            self._counts["detect.candidate"] += len(result.detections)
+            self._counts["detect.over_budget"] += result.n_over_budget
+            self._counts["detect.without_position"] += result.n_without_position
+            if result.n_over_budget:
+                events.append(_over_budget(tile, result))
+            with self._timed("suppress"):
+                final += self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop)
+        return events + self._announce(final)
+
+    def _detect(self, tile: Tile) -> TileDetections | None:
+        if not self._exhaustive and not worth_looking(tile):
+            return None
+        return detect_tile(tile, self._config)
+
+    def _announce(self, detections: list[Detection]) -> list[PipelineEvent]:
+        with self._timed("ledger"):
+            return list(self._ledger.add(detections))
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        if self._timer is None:
+            yield
+            return
+        start = self._timer()
+        yield
+        self.costs_s[stage] = self.costs_s.get(stage, 0.0) + self._timer() - start
+
+
+def _over_budget(tile: Tile, result: TileDetections) -> Notice:
+    return Notice(
+        code="detect.over_budget",
+        text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the {len(result.detections)} best were). "
+        "Raise detect.max_candidates_per_tile if the computer can afford it.",
+        place=f"{tile.side} tile {tile.index}",
+    )

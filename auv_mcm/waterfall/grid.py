@@ -1,0 +1,190 @@
+"""Pings onto the mission-fixed along-track grid.
+
+Grid row k covers along-track distance [k, k + 1) * row_spacing_m from mission start, so tile boundaries never move a sample.
+A ping stands for the stretch half-way to its neighbours, but no farther than half the permitted gap: a row is the mean of the
+pings it overlaps, weighted by overlap, and a stretch without pings stays without data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.navigation import interpolate_track
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, PoseTrack, Side
+
+_MIN_ROW_COVER = 0.5
+
+
+class SideImage(NamedTuple):
+    """intensity: (n, n_columns) float32, 0 where not VALID; mask: (n, n_columns) uint8."""
+
+    intensity: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+
+
+class Swath(NamedTuple):
+    """n pings, or n grid rows, of all sides over ground range, with their poses.
+
+    along_m: (n,) float64 distance from mission start, strictly increasing. first_return_m, first_return_sigma_m: (n,) float64.
+    ping_number: (n,) int64.
+    """
+
+    along_m: NDArray[np.float64]
+    pose: PoseTrack
+    first_return_m: NDArray[np.float64]
+    first_return_sigma_m: NDArray[np.float64]
+    ping_number: NDArray[np.int64]
+    sides: Mapping[Side, SideImage]
+
+    def __len__(self) -> int:
+        return int(self.along_m.shape[0])
+
+
+def slice_pose(pose: PoseTrack, rows: slice) -> PoseTrack:
+    return PoseTrack(**{name: getattr(pose, name)[rows] for name in pose.__struct_fields__})
+
+
+def concatenate_poses(poses: list[PoseTrack]) -> PoseTrack:
+    return PoseTrack(**{name: np.concatenate([getattr(pose, name) for pose in poses]) for name in PoseTrack.__struct_fields__})
+
+
+def slice_swath(swath: Swath, rows: slice) -> Swath:
+    """The rows `rows` of a swath."""
+    return Swath(
+        swath.along_m[rows],
+        slice_pose(swath.pose, rows),
+        swath.first_return_m[rows],
+        swath.first_return_sigma_m[rows],
+        swath.ping_number[rows],
+        {side: SideImage(image.intensity[rows], image.mask[rows]) for side, image in swath.sides.items()},
+    )
+
+
+def concatenate_swaths(swaths: list[Swath]) -> Swath:
+    """Swaths one after another; narrower ones are widened by pixels without data, and so are sides that some of them lack."""
+    if len(swaths) == 1:
+        return swaths[0]
+    sides: dict[Side, SideImage] = {}
+    for side in dict.fromkeys(side for swath in swaths for side in swath.sides):
+        n_columns = max(swath.sides[side].mask.shape[1] for swath in swaths if side in swath.sides)
+        pieces = [_widened(swath.sides.get(side), len(swath), n_columns) for swath in swaths]
+        sides[side] = SideImage(np.concatenate([p.intensity for p in pieces]), np.concatenate([p.mask for p in pieces]))
+    return Swath(
+        np.concatenate([swath.along_m for swath in swaths]),
+        concatenate_poses([swath.pose for swath in swaths]),
+        np.concatenate([swath.first_return_m for swath in swaths]),
+        np.concatenate([swath.first_return_sigma_m for swath in swaths]),
+        np.concatenate([swath.ping_number for swath in swaths]),
+        sides,
+    )
+
+
+def _widened(image: SideImage | None, n_rows: int, n_columns: int) -> SideImage:
+    if image is None:
+        return SideImage(np.zeros((n_rows, n_columns), dtype=np.float32), np.zeros((n_rows, n_columns), dtype=np.uint8))
+    missing = n_columns - image.mask.shape[1]
+    if missing == 0:
+        return image
+    return SideImage(np.pad(image.intensity, ((0, 0), (0, missing))), np.pad(image.mask, ((0, 0), (0, missing))))
+
+
+class AlongTrackGrid:
+    """Streams pings of one segment into grid rows. Rows come out once no later ping can change them."""
+
+    def __init__(self, row_spacing_m: float, max_gap_m: float) -> None:
+        self._row_spacing_m = row_spacing_m
+        self._half_gap_m = 0.5 * max_gap_m
+        self._held: Swath | None = None
+        self._next_row: int | None = None
+        self._previous_along_m = -math.inf  # of the ping before the held ones
+
+    def add(self, pings: Swath) -> tuple[int, Swath] | None:
+        """First row index and finished rows, or None if none is finished yet."""
+        held = pings if self._held is None else concatenate_swaths([self._held, pings])
+        self._held = held
+        return self._emit(last=False)
+
+    def close(self) -> tuple[int, Swath] | None:
+        """The remaining rows of the segment; the grid is ready for another segment afterwards."""
+        rows = self._emit(last=True) if self._held is not None else None
+        self._held, self._next_row, self._previous_along_m = None, None, -math.inf
+        return rows
+
+    def _emit(self, *, last: bool) -> tuple[int, Swath] | None:
+        assert self._held is not None
+        held, spacing = self._held, self._row_spacing_m
+        along = held.along_m
+        middle = 0.5 * (along[:-1] + along[1:])
+        start = np.maximum(np.concatenate([[0.5 * (self._previous_along_m + along[0])], middle]), along - self._half_gap_m)
+        stop = np.minimum(np.concatenate([middle, [np.inf]]), along + self._half_gap_m)
+        first_row = math.floor(start[0] / spacing) if self._next_row is None else self._next_row
+        # Without the next ping, the last one's stretch is known only up to itself.
+        known_m = stop[-1] if last else along[-1]
+        stop_row = math.ceil(known_m / spacing) if last else math.floor(known_m / spacing)
+        if stop_row <= first_row:
+            return None
+        rows = _average_rows(held, start, stop, first_row, stop_row, spacing)
+        if not last:
+            keep = int(np.searchsorted(stop, stop_row * spacing, side="right"))
+            keep = min(keep, len(held) - 1)
+            # The ping before the kept ones bounds their stretch and carries interpolation of poses.
+            keep = max(keep - 1, 0)
+            if keep > 0:
+                self._previous_along_m = float(along[keep - 1])
+                self._held = slice_swath(held, slice(keep, None))
+            self._next_row = stop_row
+        return first_row, rows
+
+
+def _average_rows(
+    pings: Swath, start_m: NDArray[np.float64], stop_m: NDArray[np.float64], first_row: int, stop_row: int, spacing_m: float
+) -> Swath:
+    n_rows = stop_row - first_row
+    edges = (first_row + np.arange(n_rows + 1)) * spacing_m
+    # Pings overlapping row k are the contiguous run [lowest[k], highest[k]).
+    lowest = np.searchsorted(stop_m, edges[:-1], side="right")
+    highest = np.searchsorted(start_m, edges[1:], side="left")
+    span = int((highest - lowest).max(initial=0))
+    overlap = np.zeros((n_rows, max(span, 1)), dtype=np.float64)
+    source = np.zeros((n_rows, max(span, 1)), dtype=np.intp)
+    for step in range(span):
+        ping = np.minimum(lowest + step, len(pings) - 1)
+        length = np.minimum(stop_m[ping], edges[1:]) - np.maximum(start_m[ping], edges[:-1])
+        overlap[:, step] = np.where(lowest + step < highest, np.maximum(length, 0.0), 0.0)
+        source[:, step] = ping
+    centre = 0.5 * (edges[:-1] + edges[1:])
+    position = np.interp(centre, pings.along_m, np.arange(len(pings), dtype=np.float64))
+    nearest = np.rint(position).astype(np.intp)
+    covered = overlap.sum(axis=1) > 0.0
+    return Swath(
+        centre,
+        interpolate_track(pings.pose, position),
+        np.interp(centre, pings.along_m, pings.first_return_m),
+        np.interp(centre, pings.along_m, pings.first_return_sigma_m),
+        np.where(covered, pings.ping_number[nearest], -1),
+        {side: _average_side(image, source, overlap, spacing_m) for side, image in pings.sides.items()},
+    )
+
+
+def _average_side(image: SideImage, source: NDArray[np.intp], overlap: NDArray[np.float64], spacing_m: float) -> SideImage:
+    n_rows, n_columns = source.shape[0], image.mask.shape[1]
+    total = np.zeros((n_rows, n_columns), dtype=np.float64)
+    weight = np.zeros((n_rows, n_columns), dtype=np.float64)
+    flags = np.zeros((n_rows, n_columns), dtype=np.uint8)
+    for step in range(source.shape[1]):
+        rows = np.flatnonzero(overlap[:, step] > 0.0)
+        if rows.size == 0:
+            continue
+        ping, length = source[rows, step], overlap[rows, step][:, None]
+        mask = image.mask[ping]
+        total[rows] += length * image.intensity[ping]
+        weight[rows] += length * (mask & VALID)
+        flags[rows] |= mask & (SATURATED | LOW_RESOLUTION | TURN)
+    valid = weight >= _MIN_ROW_COVER * spacing_m
+    intensity = np.divide(total, weight, out=np.zeros_like(total), where=valid)
+    return SideImage(intensity.astype(np.float32), np.where(valid, flags | VALID, flags & (LOW_RESOLUTION | TURN)).astype(np.uint8))

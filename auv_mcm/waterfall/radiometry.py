@@ -1,0 +1,149 @@
+"""Radiometric normalisation: remove electronic gain steps and the sonar's angle response, then the local seabed level.
+
+First pass, while pings stream: one curve per side of mean log intensity against grazing angle, learnt recursively, so that a
+change of altitude does not smear it. Second pass, on the metric grid: division by the masked mean over a few metres. Nothing
+depends on absolute gain.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.integral import PaddedIntegral
+
+N_ANGLE_BINS: Final = 180
+_BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
+_CLIP_NATS: Final = 3.0
+_TIME_CONSTANT_PINGS: Final = 150.0
+_MIN_BIN_SAMPLES: Final = 8
+
+_GAIN_STEP_NATS: Final = 0.7
+_GAIN_HISTORY: Final = 8
+_MIN_LEVEL_SAMPLES: Final = 24
+
+LOCAL_MEAN_M: Final = 7.5
+_MIN_VALID_FRACTION: Final = 0.25
+
+
+class AngleCurve:
+    """Recursive mean of ln I per half degree of grazing angle for one side.
+
+    Samples are clipped to +-3 nats around the curve, so neither targets nor shadows drag it.
+    """
+
+    def __init__(self) -> None:
+        self._level = np.full(N_ANGLE_BINS, np.nan)
+        self._weight = np.zeros(N_ANGLE_BINS)
+
+    def learn(self, log_intensity: NDArray[np.float64], usable: NDArray[np.bool_], tangent: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Learn from a block of pings, then return the curve at each of its pixels, (n_pings, n_columns) float64, nats.
+
+        usable: pixels to learn from. tangent: of the grazing angle per pixel, same shape.
+        """
+        angle_bin = np.minimum((np.arctan(tangent) * (1.0 / _BIN_RAD)).astype(np.intp), N_ANGLE_BINS - 1)
+        bins, values = angle_bin[usable], log_intensity[usable]
+        count = np.bincount(bins, minlength=N_ANGLE_BINS)
+        mean = np.bincount(bins, weights=values, minlength=N_ANGLE_BINS) / np.maximum(count, 1)
+        # A bin's first value is its plain mean; only then is there a centre to clip around.
+        centre = np.where(np.isnan(self._level), mean, self._level)
+        clipped = np.clip(values - centre[bins], -_CLIP_NATS, _CLIP_NATS)
+        innovation = np.bincount(bins, weights=clipped, minlength=N_ANGLE_BINS) / np.maximum(count, 1)
+        enough = count >= _MIN_BIN_SAMPLES
+        n_pings = log_intensity.shape[0]
+        share = n_pings / np.minimum(self._weight + n_pings, _TIME_CONSTANT_PINGS)
+        self._level = np.where(enough, centre + np.minimum(share, 1.0) * innovation, self._level)
+        self._weight += np.where(enough, n_pings, 0)
+        curve: NDArray[np.float64] = self._curve()[angle_bin]
+        return curve
+
+    def _curve(self) -> NDArray[np.float64]:
+        known = np.flatnonzero(np.isfinite(self._level))
+        if known.size == 0:
+            return np.zeros(N_ANGLE_BINS)
+        return np.asarray(np.interp(np.arange(N_ANGLE_BINS), known, self._level[known]))
+
+
+class GainStepFilter:
+    """Takes electronic gain steps out: a jump that shows in the water column and on the sea floor alike.
+
+    A jump on the sea floor alone is a change of the sea floor and stays.
+    """
+
+    def __init__(self) -> None:
+        self._correction = 0.0
+        self._seabed: list[float] = []
+        self._water: list[float] = []
+
+    def corrections(self, seabed_level: NDArray[np.float64], water_level: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+        """Correction in nats to subtract from ln I per ping, (n_pings,) float64, and the number of gain steps found.
+
+        seabed_level, water_level: (n_pings,) float64 median ln I of sea floor (angle curve removed) and of the water column, NaN
+        where there are too few samples.
+        """
+        n_pings = seabed_level.shape[0]
+        out = np.empty(n_pings)
+        n_steps = 0
+        for ping in range(n_pings):
+            seabed, water = seabed_level[ping] - self._correction, water_level[ping] - self._correction
+            if len(self._seabed) >= 3 and len(self._water) >= 3 and math.isfinite(seabed) and math.isfinite(water):
+                seabed_jump = seabed - float(np.median(self._seabed))
+                water_jump = water - float(np.median(self._water))
+                both = min(abs(seabed_jump), abs(water_jump))
+                if both > _GAIN_STEP_NATS and seabed_jump * water_jump > 0 and abs(seabed_jump - water_jump) < 0.5 * both:
+                    step = self._step_size(seabed_level[ping:] - self._correction, water_level[ping:] - self._correction, seabed_jump)
+                    self._correction += step
+                    seabed, water = seabed - step, water - step
+                    n_steps += 1
+            out[ping] = self._correction
+            _remember(self._seabed, seabed)
+            _remember(self._water, water)
+        return out, n_steps
+
+    def _step_size(self, seabed: NDArray[np.float64], water: NDArray[np.float64], first_jump: float) -> float:
+        """Mean jump of the following pings that share it: a single ping's median is known to a tenth of a neper only."""
+        jumps = seabed[:_GAIN_HISTORY] - float(np.median(self._seabed))
+        alike = np.isfinite(jumps) & (np.abs(jumps - first_jump) < _GAIN_STEP_NATS)
+        return float(jumps[alike].mean()) if alike.any() else first_jump
+
+
+def _remember(history: list[float], value: float) -> None:
+    if math.isfinite(value):
+        history.append(value)
+        del history[:-_GAIN_HISTORY]
+
+
+def row_medians(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Median of the usable values of each row, (n_rows,) float64; NaN where fewer than 24 are usable."""
+    count = usable.sum(axis=1)
+    filled = np.where(usable, values, np.inf)
+    filled.sort(axis=1)
+    rows = np.arange(values.shape[0])
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    middle = 0.5 * (filled[rows, low] + filled[rows, high])
+    return np.where(count >= _MIN_LEVEL_SAMPLES, middle, np.nan)
+
+
+def local_mean(
+    intensity: NDArray[np.float32], usable: NDArray[np.bool_], row_spacing_m: float, column_spacing_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Masked mean over the 7.5 m x 7.5 m around each pixel, (n_rows, n_columns) float64, and where it is known, bool.
+
+    intensity, usable: (n_rows, n_columns); intensity is 0 where not usable. A box that leaves the image is clipped there.
+    Known where at least a quarter of the box is usable and not all of it is zero.
+    """
+    half_rows, half_columns = (max(1, round(0.5 * LOCAL_MEAN_M / spacing_m)) for spacing_m in (row_spacing_m, column_spacing_m))
+    box = (-half_rows, half_rows + 1, -half_columns, half_columns + 1)
+    total = PaddedIntegral(intensity, half_rows + 1, half_columns + 1).box(*box)
+    count = PaddedIntegral(usable.astype(np.uint8), half_rows + 1, half_columns + 1).box(*box)
+    available = np.outer(_clipped_length(usable.shape[0], half_rows), _clipped_length(usable.shape[1], half_columns))
+    known = (count >= np.maximum(_MIN_VALID_FRACTION * available, 1.0)) & (total > 0.0)
+    return total / np.maximum(count, 1.0), known
+
+
+def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
+    position = np.arange(length)
+    return np.minimum(position + half, length - 1) - np.maximum(position - half, 0) + 1

@@ -1,0 +1,97 @@
+"""Cuts the stream of grid rows into overlapping metric tiles with the local seabed level divided out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from auv_mcm.config import WaterfallConfig
+from auv_mcm.records import SATURATED, SIDES, VALID, Side, Tile
+from auv_mcm.waterfall.grid import Swath, concatenate_swaths, slice_swath
+from auv_mcm.waterfall.radiometry import local_mean
+
+
+class TileCutter:
+    """Holds rows until a tile's core and its overlap on both ends are there.
+
+    The cores of tiles partition the mission grid at multiples of `tile_rows` (shifted by `origin_row`); the overlap holds what any
+    decision about a core pixel can depend on, so where the boundaries lie does not matter to the result.
+    """
+
+    def __init__(self, config: WaterfallConfig, overlap_m: float, origin_row: int = 0) -> None:
+        self._config = config
+        self._overlap = math.ceil(overlap_m / config.row_spacing_m)
+        self._origin = origin_row
+        self._rows: Swath | None = None
+        self._first_row = 0  # of self._rows
+        self._core_row = 0  # next row not yet in any core
+
+    def add(self, first_row: int, rows: Swath) -> list[Tile]:
+        """Take finished rows, which continue those before; return the tiles they complete."""
+        if self._rows is None:
+            self._first_row = self._core_row = first_row
+            self._rows = rows
+        else:
+            self._rows = concatenate_swaths([self._rows, rows])
+        tiles: list[Tile] = []
+        while self._stop_row >= self._next_boundary() + self._overlap:
+            tiles += self._cut(self._next_boundary())
+        return tiles
+
+    def close(self) -> list[Tile]:
+        """The tiles of the remaining rows; the cutter is ready for another segment afterwards."""
+        tiles: list[Tile] = []
+        while self._rows is not None and self._core_row < self._stop_row:
+            tiles += self._cut(min(self._next_boundary(), self._stop_row))
+        self._rows = None
+        return tiles
+
+    def next_segment_row(self) -> int:
+        """First row another segment may start at, so that no two tiles share an index."""
+        return self._next_boundary()
+
+    @property
+    def _stop_row(self) -> int:
+        return self._first_row + (0 if self._rows is None else len(self._rows))
+
+    def _next_boundary(self) -> int:
+        tile_rows = self._config.tile_rows
+        return ((self._core_row - self._origin) // tile_rows + 1) * tile_rows + self._origin
+
+    def _cut(self, core_stop: int) -> list[Tile]:
+        assert self._rows is not None
+        start = max(self._core_row - self._overlap, self._first_row)
+        stop = min(core_stop + self._overlap, self._stop_row)
+        piece = slice_swath(self._rows, slice(start - self._first_row, stop - self._first_row))
+        index = (self._core_row - self._origin) // self._config.tile_rows
+        tiles = [self._tile(side, index, start, self._core_row - start, core_stop - start, piece) for side in SIDES if side in piece.sides]
+        self._core_row = core_stop
+        keep = max(core_stop - self._overlap, self._first_row)
+        self._rows = slice_swath(self._rows, slice(keep - self._first_row, None))
+        self._first_row = keep
+        return tiles
+
+    def _tile(self, side: Side, index: int, first_row: int, core_start: int, core_stop: int, piece: Swath) -> Tile:
+        image = piece.sides[side]
+        usable = (image.mask & (VALID | SATURATED)) == VALID
+        valid = (image.mask & VALID) != 0
+        level = np.where(usable, image.intensity, np.float32(0.0))
+        row_spacing_m, column_spacing_m = self._config.row_spacing_m, self._config.column_spacing_m
+        mean, known = local_mean(level, usable, row_spacing_m, column_spacing_m)
+        normalised = np.divide(image.intensity, mean, out=np.zeros(valid.shape), where=known & valid).astype(np.float32)
+        return Tile(
+            side=side,
+            index=index,
+            first_row=first_row,
+            core_start=core_start,
+            core_stop=core_stop,
+            row_spacing_m=row_spacing_m,
+            column_spacing_m=column_spacing_m,
+            intensity=normalised,
+            mask=np.where(known, image.mask, image.mask & np.uint8(255 - VALID)).astype(np.uint8),
+            pose=piece.pose,
+            first_return_m=piece.first_return_m,
+            first_return_sigma_m=piece.first_return_sigma_m,
+            ping_number=piece.ping_number,
+        )
