@@ -1,0 +1,313 @@
+"""The auv-mcm command. Everything heavy is imported by the subcommand that needs it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from auv_mcm import __version__
+from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+
+if TYPE_CHECKING:
+    from auv_mcm.config import Config
+
+_EXIT_CODES = "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
+_INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
+_BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    arguments = _parser().parse_args(argv)
+    command: Callable[[argparse.Namespace], int] = arguments.command
+    try:
+        code = command(arguments)
+        sys.stdout.flush()
+        return code
+    except AuvMcmError as error:
+        return _fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _fail("interrupted", _INTERRUPTED)
+    except ModuleNotFoundError as error:
+        if error.name not in _BENCH_EXTRA:
+            raise
+        return _fail(f"this command needs the package {error.name}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code)
+    except BrokenPipeError:
+        # Whoever read our output, such as head, has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", HardwareError.exit_code)
+
+
+def _fail(text: str, code: int) -> int:
+    print(f"auv-mcm: {text}", file=sys.stderr)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="auv-mcm",
+        description="Payload service of a mine-hunting AUV: side-scan pings and navigation in, contacts, coverage and way-points out.",
+        epilog=f"'auv-mcm COMMAND --help' explains a command. {_EXIT_CODES}.",
+    )
+    parser.add_argument("--version", action="version", version=f"auv-mcm {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_replay(commands)
+    _add_run(commands)
+    _add_check(commands)
+    _add_config(commands)
+    _add_bench(commands)
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, does: str, more: str, examples: Sequence[str]
+) -> argparse.ArgumentParser:
+    return commands.add_parser(
+        name,
+        help=does,
+        description=f"{does[0].upper()}{does[1:]}.\n\n{more}",
+        epilog="examples:\n" + "\n".join(f"  {example}" for example in examples) + f"\n\n{_EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "replay",
+        "replay recorded missions and write contacts, maps and a report",
+        "Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,\n"
+        "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
+        "in the same directory are replaced. Several logs are one mission, taken in order of time.",
+        [
+            "auv-mcm replay mission.xtf --out results",
+            "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
+        ],
+    )
+    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF file with side-scan pings")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
+    _add_config_option(parser)
+    parser.add_argument(
+        "--exhaustive", action="store_true", help="skip nothing: every stage looks at everything (slower; same contacts, for checking)"
+    )
+    parser.add_argument(
+        "--threads", metavar="N", type=_whole(1, 64), default=1, help="threads that share the work; the contacts are the same (default 1)"
+    )
+    parser.add_argument(
+        "--speed", choices=("real", "max"), default="max", help="real: as fast as it was recorded; max: as fast as possible (default)"
+    )
+    parser.add_argument(
+        "--chunk-bytes",
+        metavar="N",
+        type=_whole(1, 1 << 28),
+        default=1 << 18,
+        help="read buffer; the contacts are the same (default 262144)",
+    )
+    parser.set_defaults(command=_replay)
+
+
+def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "run",
+        "run the live service until its source ends or SIGINT or SIGTERM arrives",
+        "The source is service.source of the configuration; replay:///path/to/mission.xtf?speed=1 plays a recorded\n"
+        "mission (speed: times real time, or max). Contacts go to the console once they are on disk, in contacts.jsonl of\n"
+        "a new session directory below service.output_directory; health lines go to standard error.\n"
+        "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
+        ["auv-mcm run --config vehicle.yaml"],
+    )
+    _add_config_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "check",
+        "check that this installation does what it should",
+        "Looks at Python, packages, the C kernels against numpy, shared memory, the perception process, the output\n"
+        "directory and the configuration. Changes nothing. Exit code 5 if something failed; a warning is no failure.",
+        ["auv-mcm check", "auv-mcm check --config vehicle.yaml"],
+    )
+    _add_config_option(parser)
+    parser.set_defaults(command=_check)
+
+
+def _add_config(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "config",
+        "print or write the configuration with every key explained",
+        "Every key may be left out of a configuration file; its default then holds.",
+        [
+            "auv-mcm config --write                  print all keys with meaning, range and default",
+            "auv-mcm config --write vehicle.yaml     write them to a new file",
+            "auv-mcm config --schema > schema.json   JSON Schema, for editors and scripts",
+        ],
+    )
+    action = parser.add_mutually_exclusive_group(required=True)
+    action.add_argument("--write", metavar="PATH", nargs="?", const="-", help="write YAML with comments to PATH, or print it")
+    action.add_argument("--schema", action="store_true", help="print the JSON Schema")
+    parser.set_defaults(command=_config)
+
+
+def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "bench",
+        "measure speed and memory",
+        "waterfall: pings to tiles, with a cost table per stage; detect: tiles to contacts.\nFurther arguments go to the bench.",
+        ["auv-mcm bench waterfall", "auv-mcm bench detect --help"],
+    )
+    parser.add_argument("bench", choices=("waterfall", "detect"), help="what to measure")
+    parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
+    parser.set_defaults(command=_bench)
+
+
+def _add_config_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'")
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def parse(text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            number = low - 1
+        if not low <= number <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is no whole number from {low} to {high}")
+        return number
+
+    return parse
+
+
+def _read_config(path: Path | None) -> Config:
+    from auv_mcm.config import Config, parse_config
+
+    if path is None:
+        return Config()
+    try:
+        text = path.read_text("utf-8")
+    except OSError as error:
+        raise UsageError(f"configuration {path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"configuration {path} is no UTF-8 text (byte {error.start})") from error
+    return parse_config(text, str(path))
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    config = _read_config(arguments.config)
+
+    from sim_replay.recorded import parse_speed
+    from sim_replay.replay import replay
+
+    with _Progress("replay") as progress:
+        summary = replay(
+            arguments.logs,
+            arguments.out,
+            config,
+            exhaustive=arguments.exhaustive,
+            threads=arguments.threads,
+            chunk_bytes=arguments.chunk_bytes,
+            speed=parse_speed(arguments.speed, "--speed"),
+            progress=progress.show,
+        )
+    speed = f", {summary['times_real_time']:g} times real time" if summary["times_real_time"] else ""
+    print(f"{summary['pings']} pings in {summary['duration_s']:.0f} s over {summary['distance_m']:.0f} m{speed}")
+    print(f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; {summary['covered_km2']:g} km² covered")
+    for notice in summary["notices"]:
+        print(f"notice: {notice['text']}" + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else ""))
+    print(f"report: {arguments.out / 'report.html'}")
+    return 0
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    import logging
+
+    from auv_mcm.service import serve
+
+    config = _read_config(arguments.config)
+    logging.Formatter.converter = time.gmtime
+    logging.basicConfig(
+        stream=sys.stderr, level=logging.INFO, format="%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", datefmt="%Y-%m-%dT%H:%M:%S"
+    )
+    folder = serve(config)
+    print(f"results: {folder}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from auv_mcm.check import run_checks
+
+    return run_checks(lambda: _read_config(arguments.config), print)
+
+
+def _config(arguments: argparse.Namespace) -> int:
+    from auv_mcm.config import Config, config_schema, config_yaml
+
+    text = config_schema() if arguments.schema else config_yaml(Config())
+    if arguments.schema or arguments.write == "-":
+        sys.stdout.write(text)
+        return 0
+    try:
+        with open(arguments.write, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise UsageError(f"{arguments.write} exists and is left alone: name a new file, or remove that one") from error
+    except OSError as error:
+        raise UsageError(f"{arguments.write} cannot be written: {error.strerror}") from error
+    print(f"written: {arguments.write}")
+    return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from sim_replay import bench
+
+    return bench.main([arguments.bench, *arguments.arguments])
+
+
+class _Progress:
+    """A bar on a terminal, a plain line every tenth elsewhere; both on standard error."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._tenths = 0
+        self._update: Callable[[float], None] = self._print_tenths
+        self._close: Callable[[], None] = lambda: None
+
+    def __enter__(self) -> _Progress:
+        if sys.stderr.isatty():
+            try:
+                from rich.console import Console
+                from rich.progress import Progress
+            except ImportError:
+                return self
+            bar = Progress(console=Console(stderr=True), transient=True)
+            task = bar.add_task(self._title, total=1.0)
+            bar.start()
+            self._update = lambda fraction: bar.update(task, completed=fraction)
+            self._close = bar.stop
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def show(self, fraction: float) -> None:
+        self._update(fraction)
+
+    def _print_tenths(self, fraction: float) -> None:
+        if int(fraction * 10.0) > self._tenths:
+            self._tenths = int(fraction * 10.0)
+            print(f"{self._title}: {10 * self._tenths} %", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

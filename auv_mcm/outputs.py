@@ -1,0 +1,195 @@
+"""What a mission leaves on disk, and the running totals that go into it. Part of the shell: the stages never come here."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from auv_mcm.config import PlanConfig
+from auv_mcm.contacts.export import contacts_csv, contacts_geojson, contacts_kml, coverage_geojson, is_mine_like, waypoints_geojson
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame, geodetic_to_ecef
+from auv_mcm.records import NAN, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
+
+MAX_STEP_M = 100.0  # a longer step between two fixes is a jump or a gap, not distance run
+
+
+class Tally:
+    """Totals of everything fed to a pipeline, and the last pose known, from which a plan of further legs starts."""
+
+    def __init__(self) -> None:
+        self.pings = 0
+        self.navigation_samples = 0
+        self.notices = 0
+        self.first_s = NAN
+        self.last_s = NAN
+        self.duration_s = 0.0
+        self.distance_m = 0.0
+        self.latitude_deg = NAN
+        self.longitude_deg = NAN
+        self.heading_rad = NAN
+        self._course_rad = NAN
+        self._ecef_m = np.full(3, np.nan)
+
+    @property
+    def direction_rad(self) -> float:
+        """Heading, or the course over ground where no heading was ever measured; NaN if neither is known."""
+        return self.heading_rad if math.isfinite(self.heading_rad) else self._course_rad
+
+    def add(self, event: SourceEvent) -> None:
+        match event:
+            case Ping():
+                self.pings += 1
+                self._add_time(event.time_s)
+            case NavSample():
+                self.navigation_samples += 1
+                self._add_position(event)
+            case Notice():
+                self.notices += 1
+
+    def _add_time(self, time_s: float) -> None:
+        if not math.isfinite(time_s):
+            return
+        if math.isnan(self.first_s):
+            self.first_s = time_s
+        elif 0.0 < (step_s := time_s - self.last_s) < 60.0:  # holes between logs are no survey time, nor are leaps of a clock
+            self.duration_s += step_s
+        self.last_s = time_s
+
+    def _add_position(self, sample: NavSample) -> None:
+        if math.isfinite(sample.heading_rad):
+            self.heading_rad = sample.heading_rad
+        if (
+            not (math.isfinite(sample.latitude_deg) and math.isfinite(sample.longitude_deg))
+            or sample.latitude_deg == sample.longitude_deg == 0
+        ):
+            return
+        ecef_m = geodetic_to_ecef(sample.latitude_deg, sample.longitude_deg, 0.0)
+        step_m = float(np.linalg.norm(ecef_m - self._ecef_m))
+        if step_m <= MAX_STEP_M:
+            self.distance_m += step_m
+        if 0.0 < step_m <= MAX_STEP_M:
+            frame = LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
+            east_m, north_m, _ = frame.to_enu(sample.latitude_deg, sample.longitude_deg, 0.0)
+            self._course_rad = math.atan2(east_m, north_m)
+        self._ecef_m = ecef_m
+        self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
+
+    def totals(self) -> dict[str, Any]:
+        return {
+            "pings": self.pings,
+            "navigation_samples": self.navigation_samples,
+            "duration_s": round(self.duration_s, 3),
+            "distance_m": round(self.distance_m, 1),
+        }
+
+
+def contact_totals(contacts: Sequence[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
+    """Counts of contacts, and the area covered: summed over tiles, so that sea floor seen twice counts twice."""
+    covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
+    return {
+        "covered_km2": round(covered_m2 / 1e6, 6),
+        "contacts": len(contacts),
+        "contacts_mine_like": sum(is_mine_like(contact) for contact in contacts),
+    }
+
+
+def plan_waypoints(contacts: Sequence[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]) -> tuple[Waypoint, ...]:
+    """The re-inspection plan from the last known pose; empty and counted if there is none."""
+    from auv_mcm.plan.reinspect import plan_reinspection
+
+    pose = (tally.latitude_deg, tally.longitude_deg, tally.direction_rad)
+    if not all(map(math.isfinite, pose)):
+        counters["plan.start_pose_unknown"] += 1
+        return ()
+    return plan_reinspection(contacts, *pose, config)
+
+
+def write_results(
+    folder: Path, contacts: Sequence[Contact], coverage: Sequence[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
+) -> None:
+    """Contacts, coverage and way-points in `folder`, each file whole or not at all."""
+    write_file(folder / "contacts.geojson", contacts_geojson(contacts))
+    write_file(folder / "contacts.csv", contacts_csv(contacts).encode())
+    write_file(folder / "contacts.kml", contacts_kml(contacts, mission).encode())
+    write_file(folder / "coverage.geojson", coverage_geojson(coverage))
+    write_file(folder / "waypoints.geojson", waypoints_geojson(waypoints))
+
+
+def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
+    """`snippets/<id>.png` for each contact id in `pictures`; pictures of an earlier replay go."""
+    snippets = make_directory(folder / "snippets")
+    for contact_id, picture in pictures.items():
+        write_file(snippets / f"{contact_id}.png", picture)
+    for path in snippets.glob("*.png"):
+        if path.stem not in pictures:
+            path.unlink()
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Indented JSON; NaN and infinities, which JSON lacks, become null."""
+    write_file(path, (json.dumps(_finite(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "replace"))
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Replace `path` by `data`; a power cut leaves the old file or the new one, never a piece."""
+    temporary = path.with_name(f".{path.name}.new")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    _sync_directory(path.parent)
+
+
+def make_directory(path: Path) -> Path:
+    """`path` as a directory that can be written to. Raises UsageError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".writable"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        reason = "a file is in its place" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror
+        raise UsageError(f"cannot write to the output directory {path}: {reason}. Name another one.") from error
+    return path
+
+
+class Journal:
+    """Append-only lines of JSON, on disk when `append` returns."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("ab")
+        _sync_directory(path.parent)
+
+    def append(self, records: Iterable[Any]) -> None:
+        lines = [json.dumps(_finite(record), ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for record in records]
+        self._file.write("".join(lines).encode("utf-8", "replace"))
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _sync_directory(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _finite(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {str(key): _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data

@@ -1,0 +1,395 @@
+"""The running service: a source -> a bounded queue -> perception in its own process -> a journal, then the console.
+
+The event loop does input and output only. A contact is on disk before anybody hears of it. SIGINT or SIGTERM stops the source;
+what is queued is still worked off and everything is written. A second signal ends at once; the journal is complete even then.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import importlib
+import json
+import logging
+import os
+import signal
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from auv_mcm import __version__, kernels
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.config import Config
+from auv_mcm.contacts.export import contacts_geojson, iso_time
+from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.outputs import Journal, Tally, contact_totals, make_directory, plan_waypoints, write_json, write_results, write_snippets
+from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.worker import Finished, MakePipeline, Perception, standard_pipeline
+
+log = logging.getLogger(__name__)
+
+# Who opens a source, by the scheme of its URI: module and function, imported when asked for.
+SOURCES: Final[dict[str, str]] = {"replay": "sim_replay.recorded:open_source"}
+_LAG_PROBE_S: Final = 0.25
+_OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
+
+
+class SourceUri(NamedTuple):
+    """A parsed service.source, e.g. replay:///data/mission.xtf?speed=1."""
+
+    text: str
+    scheme: str
+    path: str
+    options: dict[str, str]
+
+
+class Source(Protocol):
+    """Where pings and navigation come from. A lossless one can wait for the service; the others lose what is not taken in time."""
+
+    @property
+    def lossless(self) -> bool: ...
+
+    def events(self) -> AsyncIterator[SourceEvent]: ...
+
+    def counters(self) -> Counter[str]:
+        """What it skipped or mended so far."""
+
+
+OpenSource = Callable[[SourceUri, Config, Clock], Source]
+
+
+def parse_source_uri(text: str) -> SourceUri:
+    """Raises UsageError for anything but scheme:path?option=value&..."""
+    known = ", ".join(f"{scheme}:" for scheme in sorted(SOURCES))
+    if not text:
+        raise UsageError("service.source is empty: say where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
+    try:
+        parts = urlsplit(text)
+        options = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+    except ValueError as error:
+        raise UsageError(f"service.source '{text}' is not a URI: {error}") from error
+    if parts.scheme not in SOURCES:
+        raise UsageError(f"service.source '{text}': unknown scheme '{parts.scheme}'. Known: {known}")
+    if parts.netloc:
+        raise UsageError(f"service.source '{text}': '{parts.netloc}' is read as a host. A path has three slashes: {parts.scheme}:///path")
+    if len(dict(options)) < len(options):
+        raise UsageError(f"service.source '{text}': an option is given twice")
+    return SourceUri(text, parts.scheme, unquote(parts.path), dict(options))
+
+
+def open_source(uri: SourceUri, config: Config, clock: Clock) -> Source:
+    """The source `uri` names. Raises UsageError, BadInputError or HardwareError."""
+    module, _, function = SOURCES[uri.scheme].partition(":")
+    opener: OpenSource = getattr(importlib.import_module(module), function)
+    return opener(uri, config, clock)
+
+
+class EventQueue:
+    """Events on their way from the source to perception: at most `max_pings` pings and a proportionate number of others.
+
+    A lossless source waits for room. Otherwise the oldest ping goes, counted as `service.ping_dropped`: what comes in now says
+    where the vehicle is now.
+    """
+
+    def __init__(self, max_pings: int, lossless: bool, counters: Counter[str]) -> None:
+        self._max_pings = max_pings
+        self._max_events = max_pings * (1 + _OTHERS_PER_PING)
+        self._lossless = lossless
+        self._counters = counters
+        self._events: deque[SourceEvent] = deque()
+        self._pings = 0
+        self._closed = False
+        self._changed = asyncio.Condition()
+
+    @property
+    def pings(self) -> int:
+        return self._pings
+
+    async def put(self, event: SourceEvent) -> None:
+        async with self._changed:
+            is_ping = isinstance(event, Ping)
+            if self._lossless:
+                await self._changed.wait_for(lambda: not self._is_full(is_ping))
+            elif self._is_full(is_ping):
+                self._drop(is_ping)
+            self._events.append(event)
+            self._pings += is_ping
+            self._changed.notify_all()
+
+    async def get(self) -> SourceEvent | None:
+        """The next event; None once the queue is closed and empty."""
+        async with self._changed:
+            await self._changed.wait_for(lambda: bool(self._events) or self._closed)
+            if not self._events:
+                return None
+            event = self._events.popleft()
+            self._pings -= isinstance(event, Ping)
+            self._changed.notify_all()
+            return event
+
+    async def close(self) -> None:
+        """No event follows."""
+        async with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _is_full(self, is_ping: bool) -> bool:
+        return len(self._events) >= self._max_events or (is_ping and self._pings >= self._max_pings)
+
+    def _drop(self, is_ping: bool) -> None:
+        oldest = next((i for i, event in enumerate(self._events) if isinstance(event, Ping) == is_ping), 0)
+        dropped_ping = isinstance(self._events[oldest], Ping)
+        self._counters["service.ping_dropped" if dropped_ping else "service.event_dropped"] += 1
+        self._pings -= dropped_ping
+        del self._events[oldest]
+
+
+class Service:
+    """One mission, from opening the source to the last file. `console` takes one line per contact and notice."""
+
+    def __init__(
+        self,
+        config: Config,
+        source: Source,
+        *,
+        clock: Clock | None = None,
+        console: Callable[[str], None] = print,
+        make_pipeline: MakePipeline = standard_pipeline,
+    ) -> None:
+        self._config = config
+        self._source = source
+        self._clock: Clock = clock or SystemClock()
+        self._console = console
+        self._make_pipeline = make_pipeline
+        self._counters: Counter[str] = Counter()
+        self._tally = Tally()
+        self._contacts: dict[str, Contact] = {}
+        self._coverage: list[CoveragePatch] = []
+        self._notices: list[Notice] = []
+        self._stop = asyncio.Event()
+        self._source_failure: AuvMcmError | None = None
+        self._lag_s = 0.0
+        self._pipeline_counters: Counter[str] = Counter()
+        self._snippets: dict[str, bytes] = {}
+
+    def stop(self) -> None:
+        """Stop the source; `run` then works off the queue, writes everything and returns."""
+        self._stop.set()
+
+    async def run(self) -> Path:
+        """Serve until the source ends or `stop` is called. Returns the folder with the results.
+
+        Raises AuvMcmError; a failure of the source or of perception only after what is known has been written.
+        """
+        self._folder = _session_folder(Path(self._config.service.output_directory), self._clock)
+        self._started_s = self._clock.monotonic_s()
+        journal = Journal(self._folder / "contacts.jsonl")
+        queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
+        perception = Perception(self._config, self._make_pipeline)
+        failure: AuvMcmError | None = None
+        try:
+            await perception.start()
+            gc.collect()
+            gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
+            log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
+            async with asyncio.TaskGroup() as tasks:
+                health = [tasks.create_task(self._watch_lag()), tasks.create_task(self._report_health(queue, perception))]
+                tasks.create_task(self._take_in(queue))
+                tasks.create_task(self._feed(queue, perception))
+                await tasks.create_task(self._publish(perception, journal))
+                for task in health:
+                    task.cancel()
+        except* AuvMcmError as group:
+            failure = _first(group)
+        finally:
+            perception.close()
+            journal.close()
+        self._write()
+        if failure := failure or self._source_failure:
+            raise failure
+        return self._folder
+
+    async def _take_in(self, queue: EventQueue) -> None:
+        """Source to queue, until the source ends or the service is told to stop."""
+        reading = asyncio.ensure_future(self._read(queue))
+        stopping = asyncio.ensure_future(self._stop.wait())
+        try:
+            await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            if not reading.done():
+                log.info("stopping: %d pings still queued", queue.pings)
+                reading.cancel()
+                await asyncio.wait({reading})
+            if not reading.cancelled() and (error := reading.exception()) is not None:
+                # What came in before is worth working off; the failure is raised at the end.
+                log.error("the source failed: %s", error, exc_info=None if isinstance(error, AuvMcmError) else error)
+                self._source_failure = error if isinstance(error, AuvMcmError) else HardwareError(f"the source failed: {error!r}")
+        finally:
+            reading.cancel()
+            stopping.cancel()
+            await queue.close()
+
+    async def _read(self, queue: EventQueue) -> None:
+        async for event in self._source.events():
+            await queue.put(event)
+
+    async def _feed(self, queue: EventQueue, perception: Perception) -> None:
+        while (event := await queue.get()) is not None:
+            try:
+                await perception.feed(event)
+            except ValueError as error:
+                self._counters["service.ping_too_large"] += 1
+                log.error("ping skipped: %s", error)
+                continue
+            self._tally.add(event)
+        await perception.finish()
+
+    async def _publish(self, perception: Perception, journal: Journal) -> None:
+        """Answers of perception to the journal, then to the console."""
+        finished = False
+        while not finished:
+            answer = await perception.answer()
+            contacts = [event for event in answer.events if isinstance(event, Contact)]
+            if contacts:
+                await self._make_durable(contacts, journal)
+            for event in answer.events:
+                self._announce(event)
+            if isinstance(answer, Finished):
+                finished = True
+                self._contacts = {contact.id: contact for contact in answer.contacts}
+                self._pipeline_counters = answer.counters
+                self._snippets = answer.snippets
+
+    async def _make_durable(self, contacts: list[Contact], journal: Journal) -> None:
+        now = iso_time(self._clock.utc_s())
+        records = [{"time": now, "contact": json.loads(contacts_geojson([contact]))["features"][0]} for contact in contacts]
+        try:
+            await asyncio.to_thread(journal.append, records)  # a slow disk must not hold up the ports
+        except OSError as error:
+            # A full disk is no reason to keep a mine to oneself.
+            self._counters["service.journal_failed"] += 1
+            log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
+
+    def _announce(self, event: PipelineEvent) -> None:
+        match event:
+            case Contact():
+                word = "updated" if event.id in self._contacts else "new"
+                self._contacts[event.id] = event
+                self._console(
+                    f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
+                    f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
+                )
+            case CoveragePatch():
+                self._coverage.append(event)
+            case Notice():
+                self._notices.append(event)
+                self._console(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
+
+    async def _watch_lag(self) -> None:
+        """How late the loop wakes up: what a byte at a port waits."""
+        while True:
+            asked_s = self._clock.monotonic_s()
+            await asyncio.sleep(_LAG_PROBE_S)
+            self._lag_s = max(self._lag_s, self._clock.monotonic_s() - asked_s - _LAG_PROBE_S)
+
+    async def _report_health(self, queue: EventQueue, perception: Perception) -> None:
+        pings = 0
+        while True:
+            await asyncio.sleep(self._config.service.health_period_s)
+            log.info("health %s", self._health(queue, perception))
+            if self._tally.pings == pings and perception.in_flight and queue.pings:
+                log.warning("perception has taken no ping for %g s although pings wait", self._config.service.health_period_s)
+            pings, self._lag_s = self._tally.pings, 0.0
+
+    def _health(self, queue: EventQueue, perception: Perception) -> str:
+        return (
+            f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
+            f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts)} lag_ms={self._lag_s * 1e3:.1f}"
+        )
+
+    def _write(self) -> None:
+        contacts = sorted(self._contacts.values(), key=lambda contact: contact.id)
+        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters)
+        write_results(self._folder, contacts, self._coverage, waypoints, self._config.mission)
+        write_snippets(self._folder, self._snippets)
+        summary: dict[str, Any] = {
+            "version": __version__,
+            "kernels": kernels.backend(),
+            "source": self._config.service.source,
+            **self._tally.totals(),
+            **contact_totals(contacts, self._coverage),
+            "waypoints": len(waypoints),
+            "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
+            "counters": dict(sorted((self._counters + self._source.counters() + self._pipeline_counters).items())),
+            "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in self._notices],
+        }
+        write_json(self._folder / "summary.json", summary)
+
+
+def serve(config: Config, *, make_pipeline: MakePipeline = standard_pipeline) -> Path:
+    """Run the service in this process until its source ends or a signal stops it; returns the folder with the results.
+
+    Raises AuvMcmError, or KeyboardInterrupt after a second signal.
+    """
+    clock = SystemClock()
+    source = open_source(parse_source_uri(config.service.source), config, clock)
+
+    async def main() -> Path:
+        service = Service(config, source, clock=clock, make_pipeline=make_pipeline)
+        loop = asyncio.get_running_loop()
+        serving = asyncio.ensure_future(service.run())
+        signals = 0
+
+        def on_signal(number: signal.Signals) -> None:
+            nonlocal signals
+            signals += 1
+            if signals == 1:
+                log.info("%s: finishing; once more to end at once", number.name)
+                service.stop()
+            else:
+                log.warning("%s again: ending at once", number.name)
+                serving.cancel()
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, on_signal, number)
+        try:
+            return await serving
+        except asyncio.CancelledError:
+            raise KeyboardInterrupt from None
+
+    return asyncio.run(main())
+
+
+def _session_folder(parent: Path, clock: Clock) -> Path:
+    """A new folder per run, so that a restart never overwrites what an earlier run found; `latest` points to it."""
+    make_directory(parent)
+    stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
+    for attempt in range(1, 1000):
+        folder = parent / (f"session-{stamp}" if attempt == 1 else f"session-{stamp}-{attempt}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        _point_latest_to(folder)
+        return folder
+    raise UsageError(f"{parent} holds a thousand sessions of {stamp}: the computer's clock does not run")
+
+
+def _point_latest_to(folder: Path) -> None:
+    link = folder.with_name(".latest.new")
+    try:
+        link.unlink(missing_ok=True)
+        link.symlink_to(folder.name)
+        os.replace(link, folder.with_name("latest"))
+    except OSError as error:  # a file system without links, such as FAT on a memory card
+        log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
+
+
+def _first(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, AuvMcmError)
+    return error

@@ -1,0 +1,331 @@
+"""Perception in a process of its own, so that nothing it computes delays the ports of the main process.
+
+The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
+feeds its pipeline and answers each message with the events that came of it, tiles left out. The answer also gives the
+ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import multiprocessing
+import signal
+import sys
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from auv_mcm import errors
+from auv_mcm.config import Config
+from auv_mcm.contacts.export import best_view
+from auv_mcm.records import Contact, EchoTrace, Ping, PipelineEvent, SourceEvent, Tile
+
+RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
+MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
+_ALIGNMENT: Final = 64
+
+
+class Perceiving(Protocol):
+    """What a pipeline offers; see auv_mcm.pipeline."""
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]: ...
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]: ...
+
+    def finish(self) -> list[PipelineEvent]: ...
+
+
+MakePipeline: TypeAlias = Callable[[Config], Perceiving]
+
+
+def standard_pipeline(config: Config) -> Perceiving:
+    """The one pipeline there is, imported only in the process that runs it."""
+    from auv_mcm.pipeline import Pipeline
+
+    return Pipeline(config)
+
+
+class Fed(NamedTuple):
+    """Answer to one event."""
+
+    events: tuple[PipelineEvent, ...]
+
+
+class Finished(NamedTuple):
+    """Answer to the end of the mission; the last one."""
+
+    events: tuple[PipelineEvent, ...]
+    contacts: tuple[Contact, ...]
+    counters: Counter[str]
+    snippets: dict[str, bytes]  # a PNG picture per contact id
+
+
+class PerceptionError(errors.HardwareError):
+    """The perception process failed or died."""
+
+
+class Ring:
+    """Who holds which bytes of a buffer that is used round and round; space is given back in the order it was taken."""
+
+    def __init__(self, n_bytes: int) -> None:
+        self.n_bytes = n_bytes
+        self._taken: deque[tuple[int, int]] = deque()
+
+    def take(self, n_bytes: int) -> int | None:
+        """Offset of `n_bytes` in one piece, or None as long as there is no room."""
+        n_bytes = max(-(-n_bytes // _ALIGNMENT), 1) * _ALIGNMENT
+        if not self._taken:
+            start, limit = 0, self.n_bytes
+        else:
+            oldest, newest_end = self._taken[0][0], self._taken[-1][1]
+            if newest_end <= oldest:
+                start, limit = newest_end, oldest
+            elif newest_end + n_bytes <= self.n_bytes:
+                start, limit = newest_end, self.n_bytes
+            else:
+                start, limit = 0, oldest
+        if start + n_bytes > limit:
+            return None
+        self._taken.append((start, start + n_bytes))
+        return start
+
+    def give_back(self) -> None:
+        """The oldest piece is free again."""
+        self._taken.popleft()
+
+
+class Perception:
+    """The parent's end. One task feeds, another takes the answers; used inside a running event loop."""
+
+    def __init__(self, config: Config, make_pipeline: MakePipeline = standard_pipeline, ring_bytes: int = RING_BYTES) -> None:
+        self._config = config
+        self._make_pipeline = make_pipeline
+        self._ring = Ring(ring_bytes)
+        self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
+        self._room = asyncio.Event()
+        self._answers: asyncio.Queue[Fed | Finished | Exception] = asyncio.Queue()
+        self._dead: Exception | None = None
+        self._to_undo = contextlib.ExitStack()
+
+    @property
+    def in_flight(self) -> int:
+        """Messages the worker has not answered yet."""
+        return len(self._in_flight)
+
+    async def start(self) -> None:
+        """Spawn the process and wait until it is ready. Raises PerceptionError if it cannot start."""
+        context = multiprocessing.get_context("spawn")
+        self._memory = SharedMemory(create=True, size=self._ring.n_bytes)
+        self._to_undo.callback(self._memory.unlink)
+        self._to_undo.callback(self._memory.close)
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_work, args=(theirs, self._memory.name, self._config, self._make_pipeline), name="perception", daemon=True
+        )
+        # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to finish. It
+        # inherits the blocked signals, so that there is no moment at its start when one would kill it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            theirs.close()
+        self._to_undo.callback(self._end_process)
+        self._to_undo.callback(self._connection.close)
+        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
+        self._to_undo.callback(asyncio.get_running_loop().remove_reader, self._connection.fileno())
+        await self.answer()
+
+    async def feed(self, event: SourceEvent) -> None:
+        """Hand one event to the worker, waiting for room. Raises PerceptionError, or ValueError for a ping larger than the ring."""
+        n_bytes = sum(trace.samples.nbytes + _ALIGNMENT for trace in _traces(event))
+        if n_bytes > self._ring.n_bytes:
+            raise ValueError(f"a ping of {n_bytes} bytes does not fit into the ring of {self._ring.n_bytes} bytes")
+        offset: int | None = None
+        while True:
+            self._raise_if_dead()
+            if len(self._in_flight) < MAX_IN_FLIGHT:
+                offset = self._ring.take(n_bytes) if n_bytes else 0
+                if offset is not None:
+                    break
+            self._room.clear()
+            await self._room.wait()
+        self._in_flight.append(bool(n_bytes))
+        self._send(self._in_ring(event, offset) if isinstance(event, Ping) else event)
+
+    async def finish(self) -> None:
+        """Tell the worker that no event follows; its last answer is Finished."""
+        self._in_flight.append(False)
+        self._send(None)
+
+    async def answer(self) -> Fed | Finished:
+        """The next answer, one per event and one to `finish`. Raises PerceptionError if the worker failed or died."""
+        answer = await self._answers.get()
+        if isinstance(answer, Exception):
+            raise answer
+        if self._in_flight and self._in_flight.popleft():
+            self._ring.give_back()
+        self._room.set()
+        return answer
+
+    def close(self) -> None:
+        """End the process if it still runs and free the shared memory. May be called at any time."""
+        self._to_undo.close()
+
+    def _end_process(self) -> None:
+        self._process.kill()  # no effect on one that has ended
+        self._process.join()
+        self._process.close()
+
+    def _in_ring(self, ping: Ping, offset: int) -> _RingPing:
+        def place(trace: EchoTrace | None) -> _RingTrace | None:
+            nonlocal offset
+            if trace is None:
+                return None
+            samples = np.ndarray(trace.samples.shape, trace.samples.dtype, self._memory.buf, offset)
+            samples[...] = trace.samples
+            placed = _RingTrace(offset, samples.shape, samples.dtype.str, trace.first_range_m, trace.spacing_m)
+            offset += -(-trace.samples.nbytes // _ALIGNMENT) * _ALIGNMENT
+            return placed
+
+        port, starboard = place(ping.port), place(ping.starboard)
+        return _RingPing(ping.number, ping.time_s, port, starboard, ping.sound_speed_mps, ping.altitude_m, ping.place)
+
+    def _send(self, message: Any) -> None:
+        self._raise_if_dead()
+        try:
+            self._connection.send(message)
+        except OSError:
+            self._die()
+            self._raise_if_dead()
+
+    def _receive(self) -> None:
+        try:
+            answer = self._connection.recv()
+        except (EOFError, OSError):
+            self._die()
+            return
+        if isinstance(answer, _Failure):
+            self._set_dead(answer.error())
+        else:
+            self._answers.put_nowait(answer)
+
+    def _die(self) -> None:
+        self._process.join(timeout=5.0)  # its end of the pipe is closed: it is gone or going
+        code = self._process.exitcode
+        how = "did not end" if code is None else f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        self._set_dead(
+            PerceptionError(f"the perception process {how}. Contacts announced so far are safe. Check memory and the system log.")
+        )
+
+    def _set_dead(self, error: Exception) -> None:
+        if self._dead is None:
+            self._dead = error
+            self._answers.put_nowait(error)
+        asyncio.get_running_loop().remove_reader(self._connection.fileno())
+        self._room.set()
+
+    def _raise_if_dead(self) -> None:
+        if self._dead is not None:
+            raise self._dead
+
+
+class _RingTrace(NamedTuple):
+    offset: int
+    shape: tuple[int, ...]
+    dtype: str
+    first_range_m: float
+    spacing_m: float
+
+
+class _RingPing(NamedTuple):
+    number: int
+    time_s: float
+    port: _RingTrace | None
+    starboard: _RingTrace | None
+    sound_speed_mps: float
+    altitude_m: float
+    place: str
+
+
+class _Failure(NamedTuple):
+    """An exception of the worker, in words: not every exception survives pickling."""
+
+    kind: str
+    text: str
+
+    def error(self) -> Exception:
+        kind = getattr(errors, self.kind, PerceptionError)
+        return kind(self.text) if issubclass(kind, errors.AuvMcmError) else PerceptionError(self.text)
+
+
+def _traces(event: SourceEvent) -> list[EchoTrace]:
+    return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
+
+
+def _work(connection: Connection, memory_name: str, config: Config, make_pipeline: MakePipeline) -> None:
+    """The worker process."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    memory = SharedMemory(memory_name)
+    place = "at its start"
+    try:
+        pipeline = make_pipeline(config)
+        gc.collect()
+        gc.freeze()
+        connection.send(Fed(()))
+        while (message := connection.recv()) is not None:
+            event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
+            place = getattr(event, "place", "") or place
+            connection.send(Fed(tuple(event for event in pipeline.feed(event) if not isinstance(event, Tile))))
+        events = tuple(event for event in pipeline.finish() if not isinstance(event, Tile))
+        connection.send(Finished(events, pipeline.contacts, pipeline.counters, _snippets(pipeline.contacts)))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass  # the parent is gone: nobody left to answer
+    except errors.AuvMcmError as error:
+        connection.send(_Failure(type(error).__name__, str(error)))
+    except Exception as error:
+        traceback.print_exc(file=sys.stderr)
+        connection.send(
+            _Failure(
+                "PerceptionError",
+                f"perception failed ({place}): {type(error).__name__}: {error}. This is a defect: report it with the log.",
+            )
+        )
+    finally:
+        memory.close()
+
+
+def _snippets(contacts: tuple[Contact, ...]) -> dict[str, bytes]:
+    from sim_replay.report.pictures import snippet_png
+
+    return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
+
+
+def _out_of_ring(ping: _RingPing, memory: SharedMemory) -> Ping:
+    def copy(trace: _RingTrace | None) -> EchoTrace | None:
+        if trace is None:
+            return None
+        samples = np.ndarray(trace.shape, np.dtype(trace.dtype), memory.buf, trace.offset).copy()
+        return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
+
+    return Ping(
+        number=ping.number,
+        time_s=ping.time_s,
+        port=copy(ping.port),
+        starboard=copy(ping.starboard),
+        sound_speed_mps=ping.sound_speed_mps,
+        altitude_m=ping.altitude_m,
+        place=ping.place,
+    )

@@ -1,0 +1,170 @@
+"""A recorded mission through the pipeline, in this process, into a folder of results."""
+
+from __future__ import annotations
+
+import math
+import resource
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import __version__, kernels
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.config import Config, config_yaml
+from auv_mcm.contacts.export import best_view
+from auv_mcm.outputs import Tally, contact_totals, make_directory, plan_waypoints, write_file, write_json, write_results, write_snippets
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
+from sim_replay.recorded import CHUNK_BYTES, Pace, RecordedMission
+from sim_replay.report import MissionRecord, PictureCollector, render_report
+from sim_replay.report.pictures import snippet_png
+
+MAX_TRACK_POINTS: Final = 4000
+
+Progress = Callable[[float], None]
+
+
+def replay(
+    logs: Sequence[Path],
+    folder: Path,
+    config: Config,
+    *,
+    exhaustive: bool = False,
+    threads: int = 1,
+    chunk_bytes: int = CHUNK_BYTES,
+    speed: float = math.inf,
+    clock: Clock | None = None,
+    progress: Progress = lambda fraction: None,
+) -> dict[str, Any]:
+    """Replay `logs` as one mission and write every result into `folder`, replacing those of an earlier replay.
+
+    speed: times real time; inf does not wait. progress: called with the fraction done, 0..1. Returns what summary.json holds.
+    Raises UsageError for a folder that cannot be written to, BadInputError if there is nothing to replay.
+    """
+    clock = clock or SystemClock()
+    mission = RecordedMission(logs, config.sonar, chunk_bytes)
+    make_directory(folder)
+    (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
+    pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)
+    tally, gathered, pace = Tally(), _Gathered(), Pace(speed, clock)
+    costs_s = {"read": 0.0, "pictures": 0.0}
+    started_s = read_s = clock.monotonic_s()
+    for event in mission.events():
+        costs_s["read"] += clock.monotonic_s() - read_s
+        if (wait_s := pace.wait_s(event)) > 0.0:
+            time.sleep(wait_s)
+        tally.add(event)
+        events = pipeline.feed(event)
+        if events:
+            fed_s = clock.monotonic_s()
+            gathered.add(events)
+            costs_s["pictures"] += clock.monotonic_s() - fed_s
+        progress(mission.fraction_done)
+        read_s = clock.monotonic_s()
+    gathered.add(pipeline.finish())
+    processing_s = clock.monotonic_s() - started_s
+    costs_s = {"read": costs_s.pop("read"), **pipeline.costs_s, **costs_s}
+
+    contacts = sorted(pipeline.contacts, key=lambda contact: contact.id)
+    counters = mission.counters() + pipeline.counters
+    waypoints = plan_waypoints(contacts, tally, config.plan, counters)
+    write_results(folder, contacts, gathered.coverage, waypoints, config.mission)
+    write_snippets(folder, {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None})
+    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage)}
+    record = MissionRecord(
+        name=config.mission or ", ".join(path.stem for path in mission.sizes_bytes),
+        logs=tuple(str(path) for path in mission.sizes_bytes),
+        start_s=tally.first_s,
+        stop_s=tally.last_s,
+        track_latitude_deg=gathered.track.latitude_deg,
+        track_longitude_deg=gathered.track.longitude_deg,
+        distance_m=tally.distance_m,
+        covered_km2=totals["covered_km2"],
+        wall_s=processing_s,
+        config_yaml=config_yaml(config),
+        costs=costs_s,
+    )
+    page = render_report(record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
+    write_file(folder / "report.html", page.encode("utf-8", "replace"))
+    summary: dict[str, Any] = {
+        "version": __version__,
+        "mission": config.mission,
+        "logs": [{"path": str(path), "bytes": size} for path, size in mission.sizes_bytes.items()],
+        **totals,
+        "waypoints": len(waypoints),
+        "counters": dict(sorted(counters.items())),
+        "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in gathered.notices],
+        "processing_s": round(processing_s, 3),
+        "times_real_time": round(tally.duration_s / processing_s, 1) if processing_s > 0.0 else None,
+        "costs_s": {stage: round(cost_s, 4) for stage, cost_s in costs_s.items()},
+        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
+        "kernels": kernels.backend(),
+        "threads": threads,
+        "exhaustive": exhaustive,
+        "config": msgspec.to_builtins(config),
+    }
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+class _Track:
+    """Positions along the track, NaN where it breaks, thinned so that a mission of any length leaves a few thousand."""
+
+    def __init__(self) -> None:
+        self._points: list[NDArray[np.float64]] = []
+        self._every = 8  # grid rows, about a metre
+        self._side: Side | None = None
+        self._next_row = 0
+
+    def add(self, tile: Tile) -> None:
+        self._side = self._side or tile.side
+        if tile.side != self._side:
+            return
+        first_row = tile.first_row + tile.core_start
+        if first_row != self._next_row:
+            self._points.append(np.full((1, 2), np.nan))
+        self._next_row = tile.first_row + tile.core_stop
+        core = slice(tile.core_start, tile.core_stop, self._every)
+        points = np.column_stack([tile.pose.latitude_deg[core], tile.pose.longitude_deg[core]])
+        points[tile.pose.stale[core]] = np.nan
+        self._points.append(points)
+        if sum(map(len, self._points)) > MAX_TRACK_POINTS:
+            self._points = [np.concatenate(self._points)[::2]]
+            self._every *= 2
+
+    @property
+    def latitude_deg(self) -> NDArray[np.float64]:
+        return self._all()[:, 0]
+
+    @property
+    def longitude_deg(self) -> NDArray[np.float64]:
+        return self._all()[:, 1]
+
+    def _all(self) -> NDArray[np.float64]:
+        return np.concatenate([np.empty((0, 2)), *self._points])
+
+
+class _Gathered:
+    """What the pipeline said, as far as the results need it; tiles leave only small pictures."""
+
+    def __init__(self) -> None:
+        self.coverage: list[CoveragePatch] = []
+        self.notices: list[Notice] = []
+        self.pictures = PictureCollector()
+        self.track = _Track()
+
+    def add(self, events: Sequence[PipelineEvent]) -> None:
+        for event in events:
+            match event:
+                case Tile():
+                    self.pictures.add_tile(event)
+                    self.track.add(event)
+                case CoveragePatch():
+                    self.coverage.append(event)
+                case Notice():
+                    self.notices.append(event)
