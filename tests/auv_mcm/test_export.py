@@ -45,6 +45,7 @@ def detection(**changes: Any) -> Detection:
         longitude_deg=12.2,
         covariance_m2=np.eye(2),
         heading_rad=0.3,
+        aspect_deg=287.2,
         ground_range_m=18.6,
         slant_range_m=19.4,
         altitude_m=5.5,
