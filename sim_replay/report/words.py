@@ -1,0 +1,151 @@
+"""Plain words for the page: numbers with units, positions as read on a chart, and what each counter means to a person."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Final, NamedTuple
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+STAGES: Final = {
+    "reader": "Reading the log",
+    "ping": "Order of pings",
+    "navigation": "Navigation",
+    "quality": "Quality of echoes",
+    "transfer": "Sample scale",
+    "bottom": "Bottom tracking",
+    "ground": "Ground range",
+    "radiometry": "Brightness",
+    "waterfall": "Waterfall tiles",
+    "grid": "Waterfall tiles",
+    "tile": "Waterfall tiles",
+    "coverage": "Coverage",
+    "detect": "Detection",
+    "contacts": "Contacts",
+    "plan": "Re-inspection plan",
+    "service": "Service",
+    "queue": "Queues",
+}
+
+MEANINGS: Final = {
+    "bottom.not_seen": "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours",
+    "navigation.not_finite": "navigation values that were no numbers and were left out",
+    "navigation.ping_stale": "pings too far from a navigation sample: their position is not trusted, they earn no coverage",
+    "navigation.position_jump": "position fixes left out because the vehicle cannot have moved that far",
+    "navigation.position_out_of_range": "positions that do not exist on Earth, left out",
+    "navigation.position_refix": "times a jump was believed after several fixes agreed on the new place",
+    "navigation.position_zero": "positions of exactly zero: a navigation unit that had no fix yet",
+    "navigation.speed_unknown": "pings without a speed, neither measured nor derivable",
+    "navigation.time_backwards": "navigation samples older than the one before, left out",
+    "navigation.time_leap": "navigation samples whose clock leapt, left out",
+    "navigation.time_not_finite": "navigation samples without a usable time, left out",
+    "navigation.time_repeated": "navigation values with the time of the one before, left out",
+    "navigation.zero_with_position": "values of exactly zero that came with a position and were taken for not measured",
+    "ping.clock_stepped_back": "times the ping clock stepped back for good: a new stretch begins",
+    "ping.gap": "holes between pings: nothing there is covered",
+    "ping.no_side_scan_channel": "pings without a side-scan channel, left out",
+    "ping.time_backwards": "pings older than the one before, left out",
+    "ping.time_not_finite": "pings without a usable time, left out",
+    "ping.time_repeated": "pings with the time of the one before, left out",
+    "quality.sample_not_finite_or_negative": "samples that cannot be echoes, masked",
+    "quality.sample_saturated": "clipped samples: bright at least, never used as background",
+    "radiometry.gain_step": "sudden changes of gain, evened out",
+    "reader.clock_stuck": "pings whose recorder clock stood still; times were spread evenly",
+    "reader.damaged_bytes": "bytes skipped while looking for the next readable packet",
+    "reader.damaged_packet": "packets that could not be read, skipped",
+    "reader.impossible_position": "positions that do not exist on Earth",
+    "reader.joined_log": "places where one log ends and the next begins",
+    "reader.nan_navigation": "packets with navigation that was no number",
+    "reader.other_channel": "channels that are not the chosen side-scan pair",
+    "reader.packet_not_side_scan": "packets of another kind, not needed here",
+    "reader.pings": "pings read",
+    "reader.repeated_navigation": "pings that repeat the navigation of the one before",
+    "reader.sample_not_finite": "samples that were no numbers",
+    "reader.side_empty": "pings with an empty channel on one side",
+    "reader.sound_speed_absurd": "sound speeds that no sea has, replaced by 1500 m/s",
+    "reader.time_backwards": "pings older than the one before",
+    "reader.time_invalid": "packets whose date or time does not exist",
+    "reader.time_tied": "pings that shared a coarse time stamp and were spread evenly",
+    "reader.weight_change": "changes of the recorder's weighting factor",
+    "reader.zero_navigation": "packets with all navigation at zero",
+    "reader.zero_position": "packets with a position of exactly zero",
+}
+
+
+class CounterLine(NamedTuple):
+    name: str
+    number: str
+    meaning: str
+
+
+def explained(counters: Mapping[str, float]) -> list[tuple[str, list[CounterLine]]]:
+    """Counters that are not zero, by stage, each with its meaning; one without an entry is told by its own name."""
+    stages: dict[str, list[CounterLine]] = {}
+    for name in sorted(counters):
+        if counters[name]:
+            stage = name.partition(".")[0] if "." in name else ""
+            stages.setdefault(STAGES.get(stage, stage.replace("_", " ").capitalize() or "Other"), []).append(
+                CounterLine(name, f"{counters[name]:,.10g}".replace(",", "\u202f"), _meaning(name))
+            )
+    return list(stages.items())
+
+
+def _meaning(name: str) -> str:
+    """The meaning of a counter, also of one told apart by side (`quality.port_...`) or kind (`reader.packet_not_side_scan.attitude`)."""
+    sided = re.sub(r"\b(port|starboard)_", "", name)
+    side = re.search(r"\b(port|starboard)_", name)
+    general, _, kind = sided.rpartition(".")
+    if sided in MEANINGS:
+        return MEANINGS[sided] + (f" ({side[1]} side)" if side else "")
+    if general in MEANINGS:
+        return f"{MEANINGS[general]}: {kind.replace('_', ' ')}"
+    return name.rpartition(".")[2].replace("_", " ")
+
+
+def utc(time_s: float, form: str = "%Y-%m-%d %H:%M:%S") -> str:
+    try:
+        return (_EPOCH + timedelta(seconds=round(time_s))).strftime(form)
+    except (OverflowError, ValueError):
+        return "unknown"
+
+
+def duration(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "unknown"
+    if seconds < 10.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def distance(metres: float) -> str:
+    if not math.isfinite(metres):
+        return "unknown"
+    return f"{metres:.0f} m" if abs(metres) < 1000.0 else f"{metres / 1000.0:.2f} km"
+
+
+def metres(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f} m" if math.isfinite(value) else "not seen"
+
+
+def degrees_minutes(degrees: float, positive: str, negative: str, digits: int = 4) -> str:
+    """A latitude or longitude as read on a chart: 55° 12.3456′ N."""
+    if not math.isfinite(degrees):
+        return "unknown"
+    scaled = round(abs(degrees) * 60.0 * 10**digits)
+    whole, minutes = divmod(scaled, 60 * 10**digits)
+    width = digits + 3 if digits else 2
+    return f"{whole}° {minutes / 10**digits:0{width}.{digits}f}′ {negative if degrees < 0.0 else positive}"
+
+
+def nice_step(span: float, most: int) -> float:
+    """The smallest of 1, 2, 5 times a power of ten that divides `span` into at most `most` parts."""
+    least = span / most
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * (1.0 - 1e-9))
