@@ -248,19 +248,15 @@ class Service:
 
     async def _publish(self, perception: Perception, journal: Journal) -> None:
         """Answers of perception to the journal, then to the console."""
-        finished = False
-        while not finished:
-            answer = await perception.answer()
+        while not isinstance(answer := await perception.answer(), Finished):
             contacts = [event for event in answer.events if isinstance(event, Contact)]
             if contacts:
                 await self._make_durable(contacts, journal)
             for event in answer.events:
                 self._announce(event)
-            if isinstance(answer, Finished):
-                finished = True
-                self._contacts = {contact.id: contact for contact in answer.contacts}
-                self._pipeline_counters = answer.counters
-                self._snippets = answer.snippets
+        self._contacts = {contact.id: contact for contact in answer.contacts}
+        self._pipeline_counters = answer.counters
+        self._snippets = answer.snippets
 
     async def _make_durable(self, contacts: list[Contact], journal: Journal) -> None:
         now = iso_time(self._clock.utc_s())

@@ -57,15 +57,14 @@ def standard_pipeline(config: Config) -> Perceiving:
 
 
 class Fed(NamedTuple):
-    """Answer to one event."""
+    """Answer to one event, or to the end of the mission: what became final because of it."""
 
     events: tuple[PipelineEvent, ...]
 
 
 class Finished(NamedTuple):
-    """Answer to the end of the mission; the last one."""
+    """The last answer."""
 
-    events: tuple[PipelineEvent, ...]
     contacts: tuple[Contact, ...]
     counters: Counter[str]
     snippets: dict[str, bytes]  # a PNG picture per contact id
@@ -166,11 +165,11 @@ class Perception:
 
     async def finish(self) -> None:
         """Tell the worker that no event follows; its last answer is Finished."""
-        self._in_flight.append(False)
+        self._in_flight += [False, False]  # what was still in the chain comes first, the end of it after
         self._send(None)
 
     async def answer(self) -> Fed | Finished:
-        """The next answer, one per event and one to `finish`. Raises PerceptionError if the worker failed or died."""
+        """The next answer: Fed for each event and for `finish`, then Finished. Raises PerceptionError if the worker failed or died."""
         answer = await self._answers.get()
         if isinstance(answer, Exception):
             raise answer
@@ -288,9 +287,10 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         while (message := connection.recv()) is not None:
             event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
             place = getattr(event, "place", "") or place
-            connection.send(Fed(tuple(event for event in pipeline.feed(event) if not isinstance(event, Tile))))
-        events = tuple(event for event in pipeline.finish() if not isinstance(event, Tile))
-        connection.send(Finished(events, pipeline.contacts, pipeline.counters, _snippets(pipeline.contacts)))
+            connection.send(Fed(_without_tiles(pipeline.feed(event))))
+        # The last contacts are made durable while their pictures are drawn.
+        connection.send(Fed(_without_tiles(pipeline.finish())))
+        connection.send(Finished(pipeline.contacts, pipeline.counters, _snippets(pipeline.contacts)))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:
@@ -305,6 +305,10 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         )
     finally:
         memory.close()
+
+
+def _without_tiles(events: list[PipelineEvent]) -> tuple[PipelineEvent, ...]:
+    return tuple(event for event in events if not isinstance(event, Tile))
 
 
 def _snippets(contacts: tuple[Contact, ...]) -> dict[str, bytes]:
