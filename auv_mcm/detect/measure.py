@@ -71,7 +71,7 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
 
     highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
     anchor_row, anchor_column = (roi.row, roi.column) if highlight is None else _strongest(roi, highlight)
-    shadow = _shadow_behind(dark, roi, anchor_row, anchor_column, row_m, column_m)
+    shadow = _shadow_behind(dark, highlight, anchor_row, anchor_column, row_m, column_m)
 
     row, column, across_m, highlight_rows = float(anchor_row), float(anchor_column), column_m, 0
     highlight_db = NAN
@@ -145,12 +145,15 @@ def _component_near(mask: NDArray[np.bool_], row: int, column: int, half_rows: i
     return np.asarray(labels == label)
 
 
-def _shadow_behind(dark: NDArray[np.bool_], roi: _Roi, row: int, column: int, row_m: float, column_m: float) -> NDArray[np.bool_] | None:
-    """The dark part that starts close behind the highlight, cut off where it lies up-range of it."""
-    reach = round(_MAX_GAP_M / column_m)
+def _shadow_behind(
+    dark: NDArray[np.bool_], highlight: NDArray[np.bool_] | None, row: int, column: int, row_m: float, column_m: float
+) -> NDArray[np.bool_] | None:
+    """The dark part that starts close behind the highlight's far edge, cut off where it lies up-range of (row, column)."""
+    far_edge = column if highlight is None else column + int(np.flatnonzero(highlight[row, column:])[-1])
+    window = far_edge + round(_MAX_GAP_M / column_m) - column
     behind = dark.copy()
     behind[:, : max(column - 1, 0)] = False
-    return _component_near(behind, row, column + reach // 2, max(1, round(_CENTRE_ROWS_M / row_m)), max(1, (reach + 1) // 2))
+    return _component_near(behind, row, column + window // 2, max(1, round(_CENTRE_ROWS_M / row_m)), max(1, (window + 1) // 2))
 
 
 def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:

@@ -17,8 +17,7 @@ from auv_mcm.detect.belief import crowding, odds_of, probability
 from auv_mcm.records import Detection
 
 _SURROUNDINGS_M: Final = 8.0
-_SHADOW_SHARE: Final = 0.3
-_MAX_SUPPRESSION_M: Final = 3.0
+_MAX_SHADOW_M: Final = 4.0
 _ALIKE: Final = 0.5
 _CROWDED: Final = 6
 
@@ -102,10 +101,12 @@ def _distance_m(a: Detection, b: Detection) -> float:
 def _same_object(detection: Detection, better: Detection, reach_m: float) -> bool:
     along_m = abs(detection.row - better.row) * better.row_spacing_m
     across_m = (detection.column - better.column) * better.column_spacing_m
-    # Behind a better detection its own shadow and the shadow's far edge give echoes of the same object.
+    # A better detection's shadow, the gap before it and its far edge belong to the same object.
     shadow_m = better.shadow_length_m if math.isfinite(better.shadow_length_m) else 0.0
-    behind_m = min(reach_m + _SHADOW_SHARE * shadow_m, max(_MAX_SUPPRESSION_M, reach_m))
-    return along_m < reach_m and -reach_m < across_m < behind_m
+    behind_m = reach_m + min(shadow_m, _MAX_SHADOW_M)
+    # So do the ends of a long one, whose score peaks near its middle.
+    beside_m = reach_m if "too_large" in better.reasons else max(reach_m, 0.5 * (better.length_m + reach_m))
+    return along_m < beside_m and -reach_m < across_m < behind_m
 
 
 def _outline(kept: list[Detection], chain: list[Detection]) -> list[Detection]:
