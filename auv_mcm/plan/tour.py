@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 Costs: TypeAlias = NDArray[np.float64]
 
 WAYS: Final = 4
+EXACT_CONTACTS: Final = 12
+_STRETCH: Final = 8
+_MOST_SWEEPS: Final = 10
 _LEAST_GAIN_M: Final = 1e-6
 _MOST_MOVES: Final = 20_000_000  # moves measured at most: bounds the time for very many contacts, and is the same on every machine
 
@@ -26,14 +29,25 @@ def tour_length(tour: list[int], cost: Costs) -> float:
 
 
 def short_tour(cost: Costs) -> list[int]:
-    """One way per contact in sailing order; never longer than sailing the contacts as numbered with the best way for each.
+    """One way per contact in sailing order: the shortest tour for few contacts, a nearly shortest one for many."""
+    return exact_tour(cost) if cost.shape[1] <= WAYS * EXACT_CONTACTS else nearly_shortest_tour(cost)
+
+
+def exact_tour(cost: Costs) -> list[int]:
+    """The shortest tour. Time and memory double with every contact."""
+    return _shortest_through(0, list(range(cost.shape[1] // WAYS)), None, cost)
+
+
+def nearly_shortest_tour(cost: Costs) -> list[int]:
+    """A tour never longer than sailing the contacts as numbered with the best way for each.
 
     Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and the best ways for the
-    order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976).
+    order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976), then
+    every stretch of a few contacts in its best order.
     """
     as_numbered = _best_ways(list(range(cost.shape[1] // WAYS)), cost)
     tours = [_improved(_inserted(cost), cost), _improved(as_numbered, cost)]
-    return min(tours, key=lambda tour: tour_length(tour, cost))
+    return _stretches_in_best_order(min(tours, key=lambda tour: tour_length(tour, cost)), cost)
 
 
 def _inserted(cost: Costs) -> list[int]:
@@ -94,6 +108,46 @@ def _moved_contact(tour: list[int], cost: Costs) -> list[int]:
         if saved - added > most:
             best, most = moved, saved - added
     return best
+
+
+def _stretches_in_best_order(tour: list[int], cost: Costs) -> list[int]:
+    length = tour_length(tour, cost)
+    for _ in range(_MOST_SWEEPS):
+        for first in range(0, len(tour), _STRETCH // 2):
+            stretch, rest = tour[first : first + _STRETCH], tour[first + _STRETCH :]
+            before = tour[first - 1] + 1 if first else 0
+            contacts = [way // WAYS for way in stretch]
+            tour = [*tour[:first], *_shortest_through(before, contacts, rest[0] if rest else None, cost), *rest]
+        if tour_length(tour, cost) > length - _LEAST_GAIN_M:
+            break
+        length = tour_length(tour, cost)
+    return tour
+
+
+def _shortest_through(before: int, contacts: list[int], after: int | None, cost: Costs) -> list[int]:
+    """The shortest way from row `before` of `cost` through all contacts to way `after` (None: ending anywhere).
+
+    Dynamic programming over sets of contacts and the way sailed last (M. Held and R. M. Karp, "A dynamic programming approach to
+    sequencing problems", 1962), all sets of equal size at once.
+    """
+    ways = np.add.outer(WAYS * np.array(contacts), np.arange(WAYS)).ravel()
+    bits = 1 << np.arange(len(ways)) // WAYS
+    between = cost[ways[:, np.newaxis] + 1, ways]
+    sets = np.arange(1 << len(contacts))
+    size = sum((sets >> place) & 1 for place in range(len(contacts)))
+    reach = np.full((len(sets), len(ways)), np.inf)
+    reach[bits, np.arange(len(ways))] = cost[before, ways]
+    for n_done in range(1, len(contacts)):
+        done = sets[size == n_done]
+        through = np.min(reach[done][:, :, np.newaxis] + between, axis=1)
+        row, column = np.nonzero((done[:, np.newaxis] & bits) == 0)
+        reach[done[row] | bits[column], column] = through[row, column]
+    done_set = len(sets) - 1
+    last = reach[done_set] + (cost[ways + 1, after] if after is not None else 0.0)
+    picked = [int(np.argmin(last))]
+    while done_set := int(done_set & ~bits[picked[-1]]):
+        picked.append(int(np.argmin(reach[done_set] + between[:, picked[-1]])))
+    return [int(way) for way in ways[picked[::-1]]]
 
 
 def _best_ways(order: list[int], cost: Costs) -> list[int]:
