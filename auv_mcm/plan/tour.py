@@ -43,11 +43,11 @@ def nearly_shortest_tour(cost: Costs) -> list[int]:
 
     Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and the best ways for the
     order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976), then
-    every stretch of a few contacts in its best order.
+    every stretch of a few contacts in its best order, and so on until neither helps.
     """
     as_numbered = _best_ways(list(range(cost.shape[1] // WAYS)), cost)
     tours = [_improved(_inserted(cost), cost), _improved(as_numbered, cost)]
-    return _stretches_in_best_order(min(tours, key=lambda tour: tour_length(tour, cost)), cost)
+    return min((_stretches_in_best_order(tour, cost) for tour in tours), key=lambda tour: tour_length(tour, cost))
 
 
 def _inserted(cost: Costs) -> list[int]:
@@ -111,16 +111,16 @@ def _moved_contact(tour: list[int], cost: Costs) -> list[int]:
 
 
 def _stretches_in_best_order(tour: list[int], cost: Costs) -> list[int]:
-    length = tour_length(tour, cost)
     for _ in range(_MOST_SWEEPS):
+        length = tour_length(tour, cost)
         for first in range(0, len(tour), _STRETCH // 2):
             stretch, rest = tour[first : first + _STRETCH], tour[first + _STRETCH :]
             before = tour[first - 1] + 1 if first else 0
             contacts = [way // WAYS for way in stretch]
             tour = [*tour[:first], *_shortest_through(before, contacts, rest[0] if rest else None, cost), *rest]
+        tour = _improved(tour, cost)
         if tour_length(tour, cost) > length - _LEAST_GAIN_M:
             break
-        length = tour_length(tour, cost)
     return tour
 
 
