@@ -8,17 +8,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import jinja2
 import msgspec
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.export import best_view, error_ellipse, is_mine_like, snippet_path
+from auv_mcm.contacts.export import best_view, error_ellipse, is_mine_like
+from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.detect.belief import REASONS
 from auv_mcm.records import Contact, CoveragePatch, Detection, Notice, Waypoint
 from sim_replay.report import words
 from sim_replay.report.chart import WIDTH, draw_chart
-from sim_replay.report.pictures import CEILING_DB, COLOURS, FLOOR_DB, PictureCollector, Strip, snippet_jpeg, snippet_png
+from sim_replay.report.pictures import PictureCollector, Strip, snippet_jpeg
 
 _SNIPPET_BYTES: Final = 5_000_000  # pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
 _NOTICES_PER_CODE: Final = 5
@@ -67,15 +67,6 @@ def write_report(
     path.write_text(render_report(mission, contacts, patches, waypoints, notices, counters, pictures), encoding="utf-8", errors="replace")
 
 
-def write_snippets(directory: Path, contacts: Iterable[Contact]) -> None:
-    """A picture per contact with a view, where `contacts.geojson` in `directory` says it is: snippets/<id>.png."""
-    for contact in contacts:
-        if view := best_view(contact):
-            path = directory / snippet_path(contact)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(snippet_png(view))
-
-
 def render_report(
     mission: MissionRecord,
     contacts: Sequence[Contact],
@@ -86,6 +77,9 @@ def render_report(
     pictures: PictureCollector,
 ) -> str:
     """The page as text."""
+    import jinja2  # bench extra: pictures must be at hand without it
+    from markupsafe import Markup
+
     folder = Path(__file__).parent
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -108,7 +102,9 @@ def render_report(
         likely=[card for card in cards if card.mine_like],
         clutter=[card for card in cards if not card.mine_like],
         legs=[point for point in waypoints if point.kind == "leg_exit"],
-        counters=words.explained(counters),
+        counters=words.explained(counters, words.is_loss),
+        counted=words.explained(counters, lambda name: not words.is_loss(name)),
+        reasons=REASONS,
         notices=_by_code(notices),
         costs=_costs(mission.costs),
         words=words,
@@ -121,14 +117,21 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
     likely = sum(is_mine_like(contact) for contact in contacts)
     facts = [
         (str(likely), "mine-like contact" if likely == 1 else "mine-like contacts", f"of {len(contacts)} in all"),
-        (f"{mission.covered_km2:.3f} km²", "covered", "sea floor that earned it"),
+        (words.area(1e6 * mission.covered_km2), "covered", "turns and poor pings left out"),
         (words.distance(mission.distance_m), "sailed", "along the track"),
-        (words.duration(span_s), "of recording", f"{words.utc(mission.start_s)} to {words.utc(mission.stop_s, '%H:%M:%S')} UTC"),
+        (words.duration(span_s), "of recording", _period(mission)),
     ]
     if mission.wall_s > 0.0 and math.isfinite(span_s):
         speed = span_s / mission.wall_s
         facts.append((f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×", "real time", f"processed in {words.duration(mission.wall_s)}"))
     return facts
+
+
+def _period(mission: MissionRecord) -> str:
+    if not (math.isfinite(mission.start_s) and math.isfinite(mission.stop_s)):
+        return "no time was recorded"
+    same_day = words.utc(mission.start_s, "%Y-%m-%d") == words.utc(mission.stop_s, "%Y-%m-%d")
+    return f"{words.utc(mission.start_s)} to {words.utc(mission.stop_s, '%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S')} UTC"
 
 
 def _band(p_mine: float) -> str:
@@ -255,35 +258,25 @@ def _cards(contacts: Sequence[Contact], strips: Sequence[Strip], waypoints: Sequ
 
 def _contact_facts(contact: Contact, view: Detection | None) -> list[tuple[str, str]]:
     major_m, minor_m, direction_deg = error_ellipse(contact)
-    size = " × ".join(words.metres(length_m) for length_m in (contact.length_m, contact.width_m))
     facts = [
-        ("Length × width", size),
-        ("Height", words.metres(contact.height_m) + (" from its shadow" if math.isfinite(contact.height_m) else "")),
+        ("Size", f"{words.metres(contact.length_m)} × {words.metres(contact.width_m)}, height {words.metres(contact.height_m)}"),
         ("Position", f"{contact.latitude_deg:.7f}, {contact.longitude_deg:.7f}"),
         ("", f"{words.degrees_minutes(contact.latitude_deg, 'N', 'S')}, {words.degrees_minutes(contact.longitude_deg, 'E', 'W')}"),
-        (
-            "Error, 1 σ",
-            f"{words.metres(major_m)} along {direction_deg:03.0f}°, {words.metres(minor_m)} across" if major_m >= 0.0 else "not known",
-        ),
+        ("Error, 1 σ", f"{major_m:.2f} × {minor_m:.2f} m along {direction_deg:03.0f}°" if major_m >= 0.0 else "not known"),
         ("First seen", f"{words.utc(contact.time_s)} UTC"),
-        ("Looked towards", ", ".join(f"{aspect:03.0f}°" for aspect in contact.aspects_deg) or "not known"),
+        ("Aspect", ", ".join(f"{aspect:03.0f}°" for aspect in contact.aspects_deg) or "not known"),
     ]
     if view is not None:
         facts += [
-            (
-                "Best view",
-                f"{view.side}, {view.ground_range_m:.1f} m off, altitude {words.metres(view.altitude_m, 1)}, ping {view.ping_number}",
-            ),
-            (
-                "Echo and shadow",
-                f"{_decibels(view.highlight_db)} and {_decibels(view.shadow_db)} against the sea floor, score {view.score:.1f}",
-            ),
+            ("Best view", f"{view.side}, {view.ground_range_m:.1f} m off, ping {view.ping_number}"),
+            ("Contrast", f"echo {_decibels(view.highlight_db)}, shadow {_decibels(view.shadow_db)}"),
+            ("Score", f"{view.score:.1f} σ"),
         ]
     return facts
 
 
 def _decibels(level_db: float) -> str:
-    return f"{level_db:+.1f} dB".replace("-", "\u2212") if math.isfinite(level_db) else "not measured"
+    return f"{level_db:+.1f} dB".replace("-", "\u2212") if math.isfinite(level_db) else "none"
 
 
 def _snippet_view(view: Detection, jpeg: bytes) -> dict[str, Any]:

@@ -1,32 +1,27 @@
-"""Display pictures of a mission: waterfall strips reduced while tiles stream by, and one picture per contact.
+"""Waterfall strips of a mission, reduced to display bytes while tiles stream by.
 
-Display only: detection works on the linear tiles. A pixel is one byte, two bits of condition and six of level, -15..+12 dB about the
-local seabed mean, so that one table of 256 colours draws everything and a mission of any length fits a fixed number of bytes: when they
-are used up, all pictures are reduced by two and the mission goes on at half the resolution.
+A mission of any length fits a fixed number of bytes: when they are used up, all pictures are reduced by two and the mission goes on at half
+the resolution.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.contacts.picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, display_levels, encoded, snippet_picture
+from auv_mcm.contacts.picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
-Bytes: TypeAlias = NDArray[np.uint8]
-
-FLOOR_DB: Final = -15.0
-CEILING_DB: Final = 12.0
 MAX_PIXELS: Final = 24_000_000
 MAX_JPEG_BYTES: Final = 11_000_000
 _MAX_SWATH_PIXELS: Final = 1600
 _STRIP_ASPECT: Final = 1.25  # a strip's length along track over the swath's width
-_LEVELS: Final = 63  # 1..63; 0: no echo
-_SOFT, _TURNED = 1, 2  # conditions; the greater one wins when pixels are put together
 _QUALITIES: Final = (86, 76, 64)
 
 
@@ -78,10 +73,9 @@ class PictureCollector:
         """Reduce a tile's core to its display picture; the tile itself is not kept."""
         if not self._columns_per_pixel:
             self._row_spacing_m, self._column_spacing_m = tile.row_spacing_m, tile.column_spacing_m
-            self._columns_per_pixel = max(1, round(tile.row_spacing_m / tile.column_spacing_m))
+            self._columns_per_pixel = 1
             while 2 * tile.intensity.shape[1] > _MAX_SWATH_PIXELS * self._columns_per_pixel:
-                self._rows_per_pixel *= 2
-                self._columns_per_pixel *= 2
+                self._halve()
         core = slice(tile.core_start, tile.core_stop)
         if tile.core_stop <= tile.core_start or not tile.intensity.shape[1]:
             return
@@ -110,9 +104,13 @@ class PictureCollector:
             self._halve()
 
     def _halve(self) -> None:
-        self._pieces = [piece._replace(pixels=_halved(piece.pixels)) for piece in self._pieces]
-        self._rows_per_pixel *= 2
-        self._columns_per_pixel *= 2
+        """Halve the resolution, first across only, until pixels are about square."""
+        pixel_m = self._rows_per_pixel * self._row_spacing_m, self._columns_per_pixel * self._column_spacing_m
+        rows = 2 if pixel_m[0] < 1.5 * pixel_m[1] else 1
+        columns = 2 if pixel_m[1] < 1.5 * pixel_m[0] else 1
+        self._pieces = [piece._replace(pixels=_coarser(piece.pixels, rows, columns)) for piece in self._pieces]
+        self._rows_per_pixel *= rows
+        self._columns_per_pixel *= columns
 
     def _drawn(self, quality: int) -> tuple[Strip, ...]:
         if not self._pieces:
@@ -141,7 +139,7 @@ class PictureCollector:
                 canvas[at, half_px - pixels.shape[1] : half_px] = pixels[:, ::-1]
             else:
                 canvas[at, half_px : half_px + pixels.shape[1]] = pixels
-        jpeg = _encoded(COLOURS[canvas[::-1]], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+        jpeg = encoded(COLOURS[canvas[::-1]], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
         metres = self._row_spacing_m
         return Strip(
             number=number,
@@ -155,36 +153,9 @@ class PictureCollector:
         )
 
 
-def snippet_picture(view: Detection, least_px: int = 0) -> Bytes:
-    """(n, m, 3) blue-green-red picture of a detection's surroundings with square pixels, oriented as in the strips.
-
-    Enlarged by a whole factor until its width is at least `least_px`.
-    """
-    image = np.asarray(view.snippet, dtype=np.float32)
-    if image.size == 0:
-        return np.full((8, 8, 3), COLOURS[0], dtype=np.uint8)
-    levels = _levels(image).astype(np.float32)
-    missing = ~(image > 0.0)
-    levels[missing] = 0.0
-    image_m = image.shape[0] * view.row_spacing_m, image.shape[1] * view.column_spacing_m
-    pixel_m = min(view.row_spacing_m, view.column_spacing_m)
-    size = max(1, round(image_m[1] / pixel_m)), max(1, round(image_m[0] / pixel_m))
-    factor = max(1, -(-least_px // size[0]))
-    size = size[0] * factor, size[1] * factor
-    smooth = np.clip(cv2.resize(levels, size, interpolation=cv2.INTER_CUBIC).round(), 1, _LEVELS).astype(np.uint8)
-    hole = cv2.resize(missing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
-    drawn = COLOURS[np.where(hole, np.uint8(0), smooth)]
-    return np.ascontiguousarray(drawn[::-1, ::-1] if view.side == "port" else drawn[::-1])
-
-
-def snippet_png(view: Detection) -> bytes:
-    """The picture of `snippets/<id>.png`: at least 480 pixels wide, later pings above, port mirrored so that range grows to the left."""
-    return _encoded(snippet_picture(view, 480), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
-
-
 def snippet_jpeg(view: Detection) -> bytes:
-    """The same picture as small as it goes, for the page."""
-    return _encoded(snippet_picture(view), ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 88])
+    """A contact's picture at its own resolution, for the page."""
+    return encoded(snippet_picture(view), ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
 def _reduced(intensity: NDArray[np.float32], mask: Bytes, rows: int, columns: int) -> Bytes:
@@ -192,15 +163,16 @@ def _reduced(intensity: NDArray[np.float32], mask: Bytes, rows: int, columns: in
     valid = (mask & VALID) != 0
     total = _blocks(np.where(valid, intensity, np.float32(0.0)), rows, columns).sum(axis=(1, 3), dtype=np.float64)
     count = _blocks(valid, rows, columns).sum(axis=(1, 3))
-    levels = _levels(np.divide(total, count, out=np.zeros_like(total), where=count > 0))
+    levels = display_levels(np.divide(total, count, out=np.zeros_like(total), where=count > 0))
     levels[count == 0] = 0
     turned, soft = (_blocks((mask & bit) != 0, rows, columns).any(axis=(1, 3)) for bit in (TURN, LOW_RESOLUTION))
-    condition = np.where(turned, np.uint8(_TURNED), np.where(soft, np.uint8(_SOFT), np.uint8(0)))
+    condition = np.where(turned, np.uint8(TURNED), np.where(soft, np.uint8(SOFT), np.uint8(0)))
     return np.asarray(condition << 6 | levels, dtype=np.uint8)
 
 
-def _halved(pixels: Bytes) -> Bytes:
-    levels, condition = _blocks(pixels & _LEVELS, 2, 2), _blocks(pixels >> 6, 2, 2).max(axis=(1, 3))
+def _coarser(pixels: Bytes, rows: int, columns: int) -> Bytes:
+    """Mean level of the echoes and the gravest condition of blocks of display bytes."""
+    levels, condition = _blocks(pixels & LEVELS, rows, columns), _blocks(pixels >> 6, rows, columns).max(axis=(1, 3))
     count = (levels > 0).sum(axis=(1, 3))
     mean = (levels.sum(axis=(1, 3), dtype=np.uint16) + count // 2) // np.maximum(count, 1)
     return np.asarray(condition << 6 | mean.astype(np.uint8), dtype=np.uint8)
@@ -211,13 +183,6 @@ def _blocks(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
     n_rows, n_columns = -(-image.shape[0] // rows), -(-image.shape[1] // columns)
     padded = np.pad(image, ((0, n_rows * rows - image.shape[0]), (0, n_columns * columns - image.shape[1])))
     return padded.reshape(n_rows, rows, n_columns, columns)
-
-
-def _levels(intensity: NDArray[Any]) -> Bytes:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        level_db = 10.0 * np.log10(intensity)
-    scaled = np.nan_to_num((level_db - FLOOR_DB) / (CEILING_DB - FLOOR_DB), nan=0.0, posinf=1.0, neginf=0.0)
-    return np.asarray(1.0 + np.clip(scaled, 0.0, 1.0) * (_LEVELS - 1) + 0.5, dtype=np.uint8)
 
 
 def _columns_used(pixels: Bytes) -> int:
@@ -232,28 +197,3 @@ def _gaps(pieces: Sequence[_Piece], start_row: int, stop_row: int) -> list[tuple
             gaps.append((seen, min(first, stop_row)))
         seen = max(seen, stop)
     return [*gaps, (seen, stop_row)] if seen < stop_row else gaps
-
-
-def _encoded(picture: NDArray[np.uint8], kind: str, options: list[int]) -> bytes:
-    done, data = cv2.imencode(kind, picture, options)
-    if not done:
-        raise RuntimeError(f"OpenCV could not encode a {picture.shape} picture as {kind}")
-    return bytes(data)
-
-
-def _colour_table() -> Bytes:
-    """256 colours, blue-green-red: copper for plain echoes, dimmed where resolution is low, violet in turns, blue-grey without echo."""
-    stops = np.array([[10, 7, 6], [66, 32, 17], [150, 82, 33], [222, 152, 70], [255, 240, 208]], dtype=np.float64)
-    where = np.linspace(0.0, 1.0, len(stops))
-    copper = np.column_stack([np.interp(np.linspace(0.0, 1.0, _LEVELS), where, stops[:, channel]) for channel in range(3)])
-    empty, violet = np.array([30, 39, 50]), np.array([98, 70, 168])
-    table = np.empty((4, 64, 3))
-    table[:, 0] = empty
-    table[_TURNED:, 0] = 0.6 * empty + 0.4 * violet
-    table[0, 1:] = copper
-    table[_SOFT, 1:] = 0.5 * copper + 0.5 * empty
-    table[_TURNED:, 1:] = 0.55 * copper + 0.45 * violet
-    return np.ascontiguousarray(table.reshape(256, 3)[:, ::-1].round().astype(np.uint8))
-
-
-COLOURS: Final = _colour_table()

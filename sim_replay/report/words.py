@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Final, NamedTuple
 
@@ -26,11 +26,34 @@ STAGES: Final = {
     "detect": "Detection",
     "contacts": "Contacts",
     "plan": "Re-inspection plan",
+    "replay": "Replay",
     "service": "Service",
     "queue": "Queues",
 }
 
+WORK: Final = frozenset({"reader.pings", "reader.joined_log", "ping.received", "detect.candidate", "detect.suppressed"})
+
 MEANINGS: Final = {
+    "detect.candidate": "places bright or dark enough to look at closely",
+    "detect.over_budget": "candidates beyond a tile's budget, not looked at",
+    "detect.suppressed": "candidates merged into a stronger one beside them",
+    "detect.tile_skipped_nothing_to_see": "tiles without a valid pixel, skipped",
+    "detect.without_position": "detections left out because their position is not known",
+    "navigation.heading_from_course": "navigation samples without heading: the course over ground stood in for it",
+    "navigation.speed_from_fixes": "navigation samples without speed: it was derived from position fixes",
+    "ping.received": "pings that came in",
+    "ping.trace_unusable": "traces refused by the quality checks",
+    "ping.without_samples": "pings without a single sample",
+    "plan.start_pose_unknown": "re-inspection plans not made because the vehicle's last pose is not known",
+    "quality.dead": "traces without any signal",
+    "quality.no_samples": "traces without samples",
+    "quality.ping_mostly_saturated": "traces with most of their echoes clipped",
+    "quality.stuck": "traces that repeat the one before, sample by sample",
+    "replay.log_unusable": "logs nothing could be read from",
+    "service.event_dropped": "results dropped because the receiver was too slow",
+    "service.journal_failed": "results that could not be written to disk",
+    "service.ping_dropped": "pings dropped because perception was too slow",
+    "service.ping_too_large": "pings larger than the buffer between processes",
     "bottom.not_seen": "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours",
     "navigation.not_finite": "navigation values that were no numbers and were left out",
     "navigation.ping_stale": "pings too far from a navigation sample: their position is not trusted, they earn no coverage",
@@ -81,11 +104,16 @@ class CounterLine(NamedTuple):
     meaning: str
 
 
-def explained(counters: Mapping[str, float]) -> list[tuple[str, list[CounterLine]]]:
-    """Counters that are not zero, by stage, each with its meaning; one without an entry is told by its own name."""
+def is_loss(name: str) -> bool:
+    """Whether a counter tells of something left out or degraded, rather than of work done. New counters are taken for losses."""
+    return name not in WORK
+
+
+def explained(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
+    """Wanted counters that are not zero, by stage, each with its meaning; one without an entry is told by its own name."""
     stages: dict[str, list[CounterLine]] = {}
     for name in sorted(counters):
-        if counters[name]:
+        if counters[name] and wanted(name):
             stage = name.partition(".")[0] if "." in name else ""
             stages.setdefault(STAGES.get(stage, stage.replace("_", " ").capitalize() or "Other"), []).append(
                 CounterLine(name, f"{counters[name]:,.10g}".replace(",", "\u202f"), _meaning(name))
@@ -130,8 +158,14 @@ def distance(metres: float) -> str:
     return f"{metres:.0f} m" if abs(metres) < 1000.0 else f"{metres / 1000.0:.2f} km"
 
 
+def area(square_metres: float) -> str:
+    if not math.isfinite(square_metres):
+        return "unknown"
+    return f"{square_metres:,.0f} m²".replace(",", "\u202f") if square_metres < 1e5 else f"{square_metres / 1e6:.3f} km²"
+
+
 def metres(value: float, digits: int = 2) -> str:
-    return f"{value:.{digits}f} m" if math.isfinite(value) else "not seen"
+    return f"{value:.{digits}f} m" if math.isfinite(value) else "unknown"
 
 
 def degrees_minutes(degrees: float, positive: str, negative: str, digits: int = 4) -> str:

@@ -1,0 +1,84 @@
+"""Normalised sonar intensity as a picture for people, and the picture that goes with each contact.
+
+Display only: detection works on linear intensity. The mapping is fixed, -15..+12 dB about the local seabed mean, so that equal echoes look
+equal in every picture. A display byte holds two bits of condition and six of level; one table of 256 colours draws it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import Detection
+
+Bytes: TypeAlias = NDArray[np.uint8]
+
+FLOOR_DB: Final = -15.0
+CEILING_DB: Final = 12.0
+LEVELS: Final = 63  # 1..63; 0: no echo
+SOFT: Final = 1  # condition of a pixel of low resolution
+TURNED: Final = 2  # condition of a pixel in a turn
+
+
+def snippet_picture(view: Detection, least_px: int = 0) -> Bytes:
+    """(n, m, 3) blue-green-red picture of a detection's surroundings with square pixels, oriented as in the strips.
+
+    Enlarged by a whole factor until its width is at least `least_px`.
+    """
+    image = np.asarray(view.snippet, dtype=np.float32)
+    if image.size == 0:
+        return np.full((8, 8, 3), COLOURS[0], dtype=np.uint8)
+    levels = display_levels(image).astype(np.float32)
+    missing = ~(image > 0.0)
+    levels[missing] = 0.0
+    image_m = image.shape[0] * view.row_spacing_m, image.shape[1] * view.column_spacing_m
+    pixel_m = min(view.row_spacing_m, view.column_spacing_m)
+    size = max(1, round(image_m[1] / pixel_m)), max(1, round(image_m[0] / pixel_m))
+    factor = max(1, -(-least_px // size[0]))
+    size = size[0] * factor, size[1] * factor
+    smooth = np.clip(cv2.resize(levels, size, interpolation=cv2.INTER_CUBIC).round(), 1, LEVELS).astype(np.uint8)
+    hole = cv2.resize(missing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    drawn = COLOURS[np.where(hole, np.uint8(0), smooth)]
+    return np.ascontiguousarray(drawn[::-1, ::-1] if view.side == "port" else drawn[::-1])
+
+
+def snippet_png(view: Detection) -> bytes:
+    """The picture of `snippets/<id>.png`: at least 480 pixels wide, later pings above, port mirrored so that range grows to the left."""
+    return encoded(snippet_picture(view, 480), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
+
+
+def display_levels(intensity: NDArray[Any]) -> Bytes:
+    """Levels 1..63 of linear intensity in units of the seabed mean; not finite and not positive values become 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level_db = 10.0 * np.log10(intensity)
+    scaled = np.nan_to_num((level_db - FLOOR_DB) / (CEILING_DB - FLOOR_DB), nan=0.0, posinf=1.0, neginf=0.0)
+    return np.asarray(1.0 + np.clip(scaled, 0.0, 1.0) * (LEVELS - 1) + 0.5, dtype=np.uint8)
+
+
+def encoded(picture: NDArray[np.uint8], kind: str, options: list[int]) -> bytes:
+    """A blue-green-red picture as an image file of `kind` (".png", ".jpg")."""
+    done, data = cv2.imencode(kind, picture, options)
+    if not done:
+        raise RuntimeError(f"OpenCV could not encode a {picture.shape} picture as {kind}")
+    return bytes(data)
+
+
+def _colour_table() -> Bytes:
+    """256 colours, blue-green-red: copper for plain echoes, dimmed where resolution is low, violet in turns, blue-grey without echo."""
+    stops = np.array([[10, 7, 6], [66, 32, 17], [150, 82, 33], [222, 152, 70], [255, 240, 208]], dtype=np.float64)
+    where = np.linspace(0.0, 1.0, len(stops))
+    copper = np.column_stack([np.interp(np.linspace(0.0, 1.0, LEVELS), where, stops[:, channel]) for channel in range(3)])
+    empty, violet = np.array([30, 39, 50]), np.array([98, 70, 168])
+    table = np.empty((4, 64, 3))
+    table[:, 0] = empty
+    table[TURNED:, 0] = 0.6 * empty + 0.4 * violet
+    table[0, 1:] = copper
+    table[SOFT, 1:] = 0.5 * copper + 0.5 * empty
+    table[TURNED:, 1:] = 0.55 * copper + 0.45 * violet
+    return np.ascontiguousarray(table.reshape(256, 3)[:, ::-1].round().astype(np.uint8))
+
+
+COLOURS: Final = _colour_table()
