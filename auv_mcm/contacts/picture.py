@@ -52,10 +52,9 @@ def snippet_png(view: Detection) -> bytes:
 
 def display_levels(intensity: NDArray[Any]) -> Bytes:
     """Levels 1..63 of linear intensity in units of the seabed mean; not finite and not positive values become 1."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        level_db = 10.0 * np.log10(intensity)
-    scaled = np.nan_to_num((level_db - FLOOR_DB) / (CEILING_DB - FLOOR_DB), nan=0.0, posinf=1.0, neginf=0.0)
-    return np.asarray(1.0 + np.clip(scaled, 0.0, 1.0) * (LEVELS - 1) + 0.5, dtype=np.uint8)
+    level_db = 10.0 * np.log10(np.fmax(intensity, np.float32(1e-6)))
+    scaled = (level_db - FLOOR_DB) * ((LEVELS - 1) / (CEILING_DB - FLOOR_DB)) + 1.5
+    return np.asarray(np.clip(scaled, 1.0, LEVELS), dtype=np.uint8)
 
 
 def encoded(picture: NDArray[np.uint8], kind: str, options: list[int]) -> bytes:

@@ -20,7 +20,7 @@ from sim_replay.report import words
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.pictures import PictureCollector, Strip, snippet_jpeg
 
-_SNIPPET_BYTES: Final = 5_000_000  # pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
+_SNIPPET_BYTES: Final = 3_500_000  # pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
 _NOTICES_PER_CODE: Final = 5
 _LEAST_BOX_M: Final = 3.0
 _CLASSES: Final = {

@@ -7,6 +7,7 @@ the resolution.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -18,11 +19,11 @@ from auv_mcm.contacts.picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, displ
 from auv_mcm.contacts.picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
-MAX_PIXELS: Final = 24_000_000
+MAX_PIXELS: Final = 40_000_000
 MAX_JPEG_BYTES: Final = 11_000_000
 _MAX_SWATH_PIXELS: Final = 1600
 _STRIP_ASPECT: Final = 1.25  # a strip's length along track over the swath's width
-_QUALITIES: Final = (86, 76, 64)
+_QUALITIES: Final = (86, 74, 60, 48)
 
 
 class Strip(NamedTuple):
@@ -161,28 +162,32 @@ def snippet_jpeg(view: Detection) -> bytes:
 def _reduced(intensity: NDArray[np.float32], mask: Bytes, rows: int, columns: int) -> Bytes:
     """Area averages of linear intensity over blocks of rows x columns pixels, as display bytes."""
     valid = (mask & VALID) != 0
-    total = _blocks(np.where(valid, intensity, np.float32(0.0)), rows, columns).sum(axis=(1, 3), dtype=np.float64)
-    count = _blocks(valid, rows, columns).sum(axis=(1, 3))
-    levels = display_levels(np.divide(total, count, out=np.zeros_like(total), where=count > 0))
-    levels[count == 0] = 0
-    turned, soft = (_blocks((mask & bit) != 0, rows, columns).any(axis=(1, 3)) for bit in (TURN, LOW_RESOLUTION))
-    condition = np.where(turned, np.uint8(TURNED), np.where(soft, np.uint8(SOFT), np.uint8(0)))
-    return np.asarray(condition << 6 | levels, dtype=np.uint8)
+    total, count, bits = np.where(valid, intensity, np.float32(0.0)), valid, mask
+    if rows > 1 or columns > 1:
+        total = sum(_phases(total, rows, columns), start=np.zeros((1, 1), dtype=np.float32))
+        count = sum(_phases(count, rows, columns), start=np.zeros((1, 1), dtype=np.uint16))
+        bits = reduce(np.bitwise_or, _phases(mask, rows, columns))
+    pixels = display_levels(total / np.maximum(count, 1).astype(np.float32))
+    pixels[count == 0] = 0
+    pixels[(bits & LOW_RESOLUTION) != 0] |= SOFT << 6
+    pixels[(bits & TURN) != 0] = (pixels[(bits & TURN) != 0] & LEVELS) | TURNED << 6
+    return pixels
 
 
 def _coarser(pixels: Bytes, rows: int, columns: int) -> Bytes:
     """Mean level of the echoes and the gravest condition of blocks of display bytes."""
-    levels, condition = _blocks(pixels & LEVELS, rows, columns), _blocks(pixels >> 6, rows, columns).max(axis=(1, 3))
-    count = (levels > 0).sum(axis=(1, 3))
-    mean = (levels.sum(axis=(1, 3), dtype=np.uint16) + count // 2) // np.maximum(count, 1)
+    phases = _phases(pixels, rows, columns)
+    total = sum((phase & LEVELS for phase in phases), start=np.zeros((1, 1), dtype=np.uint16))
+    count = sum(((phase & LEVELS) > 0 for phase in phases), start=np.zeros((1, 1), dtype=np.uint16))
+    mean = (total + count // 2) // np.maximum(count, 1)
+    condition = reduce(np.maximum, (phase >> 6 for phase in phases))
     return np.asarray(condition << 6 | mean.astype(np.uint8), dtype=np.uint8)
 
 
-def _blocks(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
-    """(n, rows, m, columns) view of an image padded with zeros to whole blocks."""
-    n_rows, n_columns = -(-image.shape[0] // rows), -(-image.shape[1] // columns)
-    padded = np.pad(image, ((0, n_rows * rows - image.shape[0]), (0, n_columns * columns - image.shape[1])))
-    return padded.reshape(n_rows, rows, n_columns, columns)
+def _phases(image: NDArray[Any], rows: int, columns: int) -> list[NDArray[Any]]:
+    """The rows x columns images made of every rows-th row and columns-th column, after padding with zeros to whole blocks."""
+    padded = np.pad(image, ((0, -image.shape[0] % rows), (0, -image.shape[1] % columns)))
+    return [padded[row::rows, column::columns] for row in range(rows) for column in range(columns)]
 
 
 def _columns_used(pixels: Bytes) -> int:
