@@ -82,7 +82,7 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     max_spacing_ratio: Annotated[
         float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
     ] = 2.0
-    min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="shallowest grazing angle that earns coverage, degrees")] = 2.0
+    min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="shallowest grazing angle that earns coverage, degrees")] = 1.0
     max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = (
         70.0
     )

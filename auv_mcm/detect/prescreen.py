@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect.ftest import equivalent_looks, f_deviate
 from auv_mcm.integral import PaddedIntegral
-from auv_mcm.records import LOW_RESOLUTION, VALID, Tile
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 
 # Along track, across track, metres.
 _HIGHLIGHTS_M: Final = ((0.12, 0.18), (0.36, 0.24), (0.36, 0.48), (0.84, 0.36), (1.6, 0.36))
 # Along track and height of the object that casts it, metres.
 _SHADOWS_M: Final = ((0.36, 0.1), (0.36, 0.2), (0.36, 0.35), (0.84, 0.35), (0.84, 0.7))
 _SHADOW_LENGTH_M: Final = (0.18, 6.0)
+_LEAST_ALTITUDE_M: Final = 0.05
 _SHADOW_LAG_M: Final = 0.6  # from the highlight's centre to where the shadow starts, at most
 
 # Background: a frame around the object, narrow enough to follow the sea floor, hollow so that the object stays out of it.
@@ -34,6 +35,7 @@ _FRAME_FAR_M: Final = 2.0
 _HOLLOW_ROWS_M: Final = 0.6
 _HOLLOW_NEAR_M: Final = 0.4
 _HOLLOW_FAR_M: Final = 1.2
+_BACKGROUND_CLIP: Final = 6.0  # times the local mean: one speckle in 400 is brighter
 _MIN_BACKGROUND: Final = 0.3
 _MIN_SHADOW: Final = 0.6
 
@@ -42,6 +44,7 @@ _LOOKS_COLUMNS_M: Final = 4.0
 _SMALL_BOX_M: Final = (0.36, 0.24)
 _LARGE_BOX_M: Final = (0.84, 0.84)
 _LOG_CLIP: Final = 1.2  # bright objects and shadows must not pass for texture
+_MIN_DECAY: Final = 0.3  # less is measured where a structure, not texture, spans the large boxes
 _MIN_LOG_VARIANCE: Final = 1e-3
 
 # A shadow is the better witness: speckle and glints make bright spots, hardly anything else makes dark ones.
@@ -50,6 +53,9 @@ HIGHLIGHT_WEIGHT: Final = 0.5
 _HIGHLIGHT_KNEE: Final = 5.0
 _SHADOW_KNEE: Final = 6.0
 _LOWEST_DEVIATE: Final = -2.0
+# An echo may be so strong that it counts without a shadow: over soft mud, or with the shadow filled by multipath.
+_GLINT_DISCOUNT: Final = 4.0
+_GLINT_KNEE: Final = 5.0
 _BEYOND_KNEE: Final = 0.05
 _MAX_RATIO: Final = 100.0
 
@@ -87,6 +93,9 @@ class _Boxes:
         self.valid = valid
         self._intensity = self.integral(intensity)
         self._weight = self.integral(valid.view(np.uint8))
+        seabed = valid & ((tile.mask & SATURATED) == 0)
+        self._seabed = self.integral(np.where(seabed, np.minimum(intensity, np.float32(_BACKGROUND_CLIP)), np.float32(0.0)))
+        self._seabed_weight = self._weight if (seabed == valid).all() else self.integral(seabed.view(np.uint8))
 
     def rows(self, length_m: float) -> int:
         return max(1, round(length_m / self.row_m))
@@ -99,6 +108,11 @@ class _Boxes:
 
     def sums(self, *box: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return self._intensity.box(*box), self._weight.box(*box)
+
+    def background_sums(self, *box: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Sums of intensity without saturated pixels and with bright ones bounded: an object longer than the hollow must not raise
+        its own background."""
+        return self._seabed.box(*box), self._seabed_weight.box(*box)
 
     def centred(self, size_m: tuple[float, float]) -> tuple[tuple[int, int, int, int], int]:
         """Half-open offsets of a box around a pixel, and its area in pixels."""
@@ -125,7 +139,9 @@ def score_tile(tile: Tile) -> ScoreMaps:
     large, large_area = boxes.centred(_LARGE_BOX_M)
     small_variance = _log_variance(boxes, ratio(*boxes.sums(*small)), known)
     large_variance = _log_variance(boxes, ratio(*boxes.sums(*large)), known)
-    decay = np.clip(np.log(small_variance / large_variance) / np.float32(np.log(large_area / small_area)), 0.0, 1.0).astype(np.float32)
+    # On a grid too coarse to tell the two boxes apart both variances are equal, and any growth of area will do.
+    decay = np.log(small_variance / large_variance) / np.float32(np.log(max(large_area / small_area, 2.0)))
+    decay = np.clip(decay, _MIN_DECAY, 1.0).astype(np.float32)
 
     def looks(area: NDArray[np.float32] | float) -> NDArray[np.float32]:
         scale = np.exp(-decay * np.log(np.asarray(area, dtype=np.float32) / np.float32(small_area)))
@@ -149,6 +165,7 @@ def score_tile(tile: Tile) -> ScoreMaps:
 
     combined = HIGHLIGHT_WEIGHT * _saturate(highlight, _HIGHLIGHT_KNEE) + _saturate(shadow, _SHADOW_KNEE)
     score = combined * np.float32(1.0 / np.hypot(HIGHLIGHT_WEIGHT, 1.0))
+    score = np.maximum(score, _saturate(highlight - np.float32(_GLINT_DISCOUNT), _GLINT_KNEE))
     return ScoreMaps(np.where(known, score, -np.inf).astype(np.float32), highlight, shadow, background, small_variance)
 
 
@@ -176,10 +193,12 @@ def _saturate(deviate: NDArray[np.float32], knee: float) -> NDArray[np.float32]:
 
 def _background(boxes: _Boxes) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
     rows, hollow_rows = boxes.rows(_FRAME_ROWS_M), boxes.rows(_HOLLOW_ROWS_M)
-    frame = (-rows, rows + 1, -boxes.columns(_FRAME_NEAR_M), boxes.columns(_FRAME_FAR_M))
     hollow = (-hollow_rows, hollow_rows + 1, -boxes.columns(_HOLLOW_NEAR_M), boxes.columns(_HOLLOW_FAR_M))
-    frame_sum, frame_weight = boxes.sums(*frame)
-    hollow_sum, hollow_weight = boxes.sums(*hollow)
+    # On a coarse grid the frame stays at least a pixel wide.
+    rows = max(rows, hollow_rows + 1)
+    frame = (-rows, rows + 1, min(-boxes.columns(_FRAME_NEAR_M), hollow[2] - 1), max(boxes.columns(_FRAME_FAR_M), hollow[3] + 1))
+    frame_sum, frame_weight = boxes.background_sums(*frame)
+    hollow_sum, hollow_weight = boxes.background_sums(*hollow)
     weight = frame_weight - hollow_weight
     area = (frame[1] - frame[0]) * (frame[3] - frame[2]) - (hollow[1] - hollow[0]) * (hollow[3] - hollow[2])
     mean = np.maximum(frame_sum - hollow_sum, 0.0) / np.maximum(weight, 1.0)
@@ -199,7 +218,7 @@ def _log_variance(boxes: _Boxes, ratio: NDArray[np.float32], known: NDArray[np.b
 
 def _shadow_columns(tile: Tile, height_m: float) -> NDArray[np.intp]:
     """Length in columns (n_rows, n_columns) of the shadow an object of `height_m` casts: h y / (H - h) on a flat bottom."""
-    altitude_m = tile.first_return_m[:, None]
+    altitude_m = np.maximum(tile.first_return_m, _LEAST_ALTITUDE_M)[:, None]
     ground_m = ((np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
     length_m = height_m * ground_m / np.maximum(altitude_m - height_m, 0.3 * altitude_m)
     return np.maximum(np.rint(np.clip(length_m, *_SHADOW_LENGTH_M) / tile.column_spacing_m), 1.0).astype(np.intp)

@@ -27,6 +27,7 @@ _MIN_LEVEL_SAMPLES: Final = 24
 
 LOCAL_MEAN_M: Final = 7.5
 _MIN_VALID_FRACTION: Final = 0.25
+_GLINT_LIMIT: Final = 6.0
 
 
 class AngleCurve:
@@ -132,16 +133,24 @@ def local_mean(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Masked mean over the 7.5 m x 7.5 m around each pixel, (n_rows, n_columns) float64, and where it is known, bool.
 
-    intensity, usable: (n_rows, n_columns); intensity is 0 where not usable. A box that leaves the image is clipped there.
-    Known where at least a quarter of the box is usable and not all of it is zero.
+    intensity, usable: (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable. Pixels above six
+    times the local geometric mean count as that much: one glint must not darken everything around it. A box that leaves the
+    image is clipped there. Known where at least a quarter of the box is usable and not all of it is zero.
     """
     half_rows, half_columns = (max(1, round(0.5 * LOCAL_MEAN_M / spacing_m)) for spacing_m in (row_spacing_m, column_spacing_m))
-    box = (-half_rows, half_rows + 1, -half_columns, half_columns + 1)
-    total = PaddedIntegral(intensity, half_rows + 1, half_columns + 1).box(*box)
-    count = PaddedIntegral(usable.astype(np.uint8), half_rows + 1, half_columns + 1).box(*box)
+
+    def box_sum(plane: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float64]:
+        return PaddedIntegral(plane, half_rows + 1, half_columns + 1).box(-half_rows, half_rows + 1, -half_columns, half_columns + 1)
+
+    count = box_sum(usable.view(np.uint8))
+    per_pixel = 1.0 / np.maximum(count, 1.0)
+    # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
+    log_intensity = np.log(np.clip(intensity, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))) * usable
+    limit = np.exp(box_sum(log_intensity) * per_pixel + (np.euler_gamma + math.log(_GLINT_LIMIT)))
+    mean = box_sum(np.minimum(intensity, limit.astype(np.float32))) * per_pixel
     available = np.outer(_clipped_length(usable.shape[0], half_rows), _clipped_length(usable.shape[1], half_columns))
-    known = (count >= np.maximum(_MIN_VALID_FRACTION * available, 1.0)) & (total > 0.0)
-    return total / np.maximum(count, 1.0), known
+    known = (count >= np.maximum(_MIN_VALID_FRACTION * available, 1.0)) & (mean > 0.0)
+    return mean, known
 
 
 def _clipped_length(length: int, half: int) -> NDArray[np.int64]:

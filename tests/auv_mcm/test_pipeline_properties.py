@@ -1,0 +1,164 @@
+"""The whole chain must not care about gain, side, tile boundaries, place on Earth, or how its input was cut up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from auv_mcm.config import Config, WaterfallConfig
+from auv_mcm.contacts.export import contacts_geojson
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Ping, PipelineEvent, SourceEvent
+from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+
+LENGTH_M = 44.0
+OBJECTS = (
+    SceneObject(kind="box", leg=0, along_m=14.0, across_m=9.0, azimuth_deg=20.0, length_m=0.8, width_m=0.6, height_m=0.4),
+    SceneObject(kind="box", leg=0, along_m=24.0, across_m=-12.0, azimuth_deg=70.0, length_m=1.2, width_m=0.5, height_m=0.5),
+    SceneObject(kind="sphere", leg=0, along_m=33.0, across_m=15.0, height_m=0.6),
+)
+
+
+def scene(latitude_deg: float = 50.0, longitude_deg: float = -4.0, heading_deg: float = 0.0, seed: int = 3) -> SyntheticScene:
+    turned = tuple(msgspec.structs.replace(thing, azimuth_deg=thing.azimuth_deg + heading_deg) for thing in OBJECTS)
+    leg = Leg(latitude_deg=latitude_deg, longitude_deg=longitude_deg, heading_deg=heading_deg, length_m=LENGTH_M)
+    return SyntheticScene(
+        legs=(leg,), objects=turned, seed=seed, altitude_m=4.0, range_m=22.0, n_samples=512, ping_rate_hz=12.0, samples="amplitude_float32"
+    )
+
+
+@cache
+def mission() -> tuple[SourceEvent, ...]:
+    return tuple(synthetic_mission(scene()))
+
+
+def run(events: Sequence[SourceEvent], config: Config | None = None, threads: int = 1) -> tuple[Pipeline, list[PipelineEvent]]:
+    pipeline = Pipeline(config or Config(), threads=threads)
+    out = [result for event in events for result in pipeline.feed(event)]
+    return pipeline, out + pipeline.finish()
+
+
+@cache
+def reference() -> tuple[Contact, ...]:
+    return run(mission())[0].contacts
+
+
+def with_samples(change: Callable[[np.ndarray], np.ndarray]) -> list[SourceEvent]:
+    def changed(trace: EchoTrace | None) -> EchoTrace | None:
+        return None if trace is None else msgspec.structs.replace(trace, samples=change(trace.samples))
+
+    return [
+        msgspec.structs.replace(event, port=changed(event.port), starboard=changed(event.starboard)) if isinstance(event, Ping) else event
+        for event in mission()
+    ]
+
+
+def places(contacts: Sequence[Contact]) -> list[tuple[str, float, float, float]]:
+    """Side, grid row, grid column and score of every contact's first view, in a fixed order."""
+    return sorted((c.views[0].side, c.views[0].row, c.views[0].column, c.views[0].score) for c in contacts)
+
+
+def assert_same(found: Sequence[Contact], expected: Sequence[Contact], *, pixels: float = 1e-6, score: float = 1e-5) -> None:
+    a, b = places(found), places(expected)
+    assert [p[0] for p in a] == [p[0] for p in b]
+    np.testing.assert_allclose([p[1:3] for p in a], [p[1:3] for p in b], rtol=0.0, atol=pixels)
+    np.testing.assert_allclose([p[3] for p in a], [p[3] for p in b], rtol=0.0, atol=score)
+
+
+def test_finds_every_object_of_an_easy_mission_as_mine_like() -> None:
+    for thing in OBJECTS:
+        frame = LocalFrame(latitude_deg=50.0, longitude_deg=-4.0)
+        offsets = [frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in reference() if c.p_mine >= 0.5]
+        distances = [math.hypot(east - thing.across_m, north - thing.along_m) for east, north in offsets]
+        assert min(distances) < 0.6
+
+
+@settings(max_examples=8)
+@given(exponent=st.floats(-6.0, 6.0))
+def test_gain_changes_nothing(exponent: float) -> None:
+    gain = np.float32(10.0**exponent)
+    assert_same(run(with_samples(lambda samples: samples * gain))[0].contacts, reference())
+
+
+def test_swapping_port_and_starboard_mirrors_the_contacts() -> None:
+    swapped = [
+        msgspec.structs.replace(event, port=event.starboard, starboard=event.port) if isinstance(event, Ping) else event
+        for event in mission()
+    ]
+    mirrored = run(swapped)[0].contacts
+    other = {"port": "starboard", "starboard": "port"}
+    expected = sorted((other[side], *rest) for side, *rest in places(reference()))
+    assert places(mirrored) == expected
+
+
+@pytest.mark.parametrize("tile_rows", [64, 97, 200, 333])
+def test_where_tiles_are_cut_changes_nothing(tile_rows: int) -> None:
+    config = Config(waterfall=WaterfallConfig(tile_rows=tile_rows))
+    pipeline, events = run(mission(), config)
+    assert_same(pipeline.contacts, reference())
+    covered = sum(event.covered_m2 for event in events if isinstance(event, CoveragePatch))
+    whole = sum(event.covered_m2 for event in run(mission())[1] if isinstance(event, CoveragePatch))
+    assert covered == pytest.approx(whole, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("latitude_deg", "longitude_deg", "heading_deg"),
+    [
+        (0.0, 10.0, 45.0),
+        (89.0, 100.0, 200.0),
+        (-89.0, -30.0, 10.0),
+        (12.0, 179.99999, 90.0),
+        (-45.0, -180.0, 271.0),
+        (71.0, 179.9999, 359.9),
+    ],
+)
+def test_place_and_heading_on_earth_change_nothing_relative(latitude_deg: float, longitude_deg: float, heading_deg: float) -> None:
+    moved = run(tuple(synthetic_mission(scene(latitude_deg, longitude_deg, heading_deg))))[0].contacts
+
+    def along_across(contacts: Sequence[Contact], latitude: float, longitude: float, heading: float) -> np.ndarray:
+        frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
+        direction = math.radians(heading)
+        enu = np.array([frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0) for c in contacts])
+        along = enu[:, 0] * math.sin(direction) + enu[:, 1] * math.cos(direction)
+        across = enu[:, 0] * math.cos(direction) - enu[:, 1] * math.sin(direction)
+        return np.column_stack([along, across])
+
+    found = along_across(moved, latitude_deg, longitude_deg, heading_deg)
+    expected = along_across(reference(), 50.0, -4.0, 0.0)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
+    assert all(-180.0 <= contact.longitude_deg < 180.0 for contact in moved)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_and_repetition_give_the_same_bytes(threads: int) -> None:
+    assert contacts_geojson(run(mission(), threads=threads)[0].contacts) == contacts_geojson(reference())
+
+
+def test_navigation_arriving_late_gives_the_same_bytes() -> None:
+    """Links deliver navigation and pings in bursts; only the times they carry may count."""
+    late: list[SourceEvent] = []
+    for start in range(0, len(mission()), 14):
+        burst = mission()[start : start + 14]
+        late += sorted(burst, key=lambda event: isinstance(event, NavSample))
+    assert contacts_geojson(run(late)[0].contacts) == contacts_geojson(reference())
+
+
+def test_finish_twice_adds_nothing() -> None:
+    pipeline, _ = run(mission())
+    assert pipeline.finish() == []
+
+
+def test_exhaustive_gives_the_same_contacts() -> None:
+    pipeline = Pipeline(Config(), exhaustive=True)
+    for event in mission():
+        pipeline.feed(event)
+    pipeline.finish()
+    assert contacts_geojson(pipeline.contacts) == contacts_geojson(reference())
