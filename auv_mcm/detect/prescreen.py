@@ -37,6 +37,7 @@ _HOLLOW_NEAR_M: Final = 0.4
 _HOLLOW_FAR_M: Final = 1.2
 _BACKGROUND_CLIP: Final = 6.0  # times the local mean: one speckle in 400 is brighter
 _MIN_BACKGROUND: Final = 0.3
+_NO_ECHO: Final = np.float32(1e-6)
 _MIN_SHADOW: Final = 0.6
 
 _LOOKS_ROWS_M: Final = 5.0
@@ -129,8 +130,9 @@ def score_tile(tile: Tile) -> ScoreMaps:
     """Score maps of one tile."""
     boxes = _Boxes(tile)
     background, weight, frame_area = _background(boxes)
-    known = boxes.valid & (weight >= _MIN_BACKGROUND * frame_area)
-    inverse_background = (1.0 / np.maximum(background, 1e-6)).astype(np.float32)
+    # Without any echo around, as in a stretch of dropped samples, there is no contrast to speak of.
+    known = boxes.valid & (weight >= _MIN_BACKGROUND * frame_area) & (background > _NO_ECHO)
+    inverse_background = (1.0 / background).astype(np.float32)
 
     def ratio(sums: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float32]:
         return np.asarray((sums / np.maximum(weights, 1.0)).astype(np.float32) * inverse_background)
@@ -202,7 +204,7 @@ def _background(boxes: _Boxes) -> tuple[NDArray[np.float32], NDArray[np.float64]
     weight = frame_weight - hollow_weight
     area = (frame[1] - frame[0]) * (frame[3] - frame[2]) - (hollow[1] - hollow[0]) * (hollow[3] - hollow[2])
     mean = np.maximum(frame_sum - hollow_sum, 0.0) / np.maximum(weight, 1.0)
-    return np.maximum(mean, 1e-6).astype(np.float32), weight, area
+    return np.maximum(mean, _NO_ECHO).astype(np.float32), weight, area
 
 
 def _log_variance(boxes: _Boxes, ratio: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:

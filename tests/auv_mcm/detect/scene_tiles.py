@@ -1,0 +1,91 @@
+"""Tiles made by hand for the detection tests: speckle, boxes of highlight and shadow, a straight run north."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import VALID, PoseTrack, Side, Tile
+
+ROW_M = 0.12
+COLUMN_M = 0.06
+FIRST_RETURN_M = 6.0
+SPEED_MPS = 1.8
+
+Plane = NDArray[np.float32]
+
+
+def straight_track(
+    n_rows: int, row_m: float = ROW_M, *, first_row: int = 0, latitude_deg: float = 43.7, longitude_deg: float = 10.3
+) -> PoseTrack:
+    """North at constant speed, one pose per row centre; row 0 of the mission at the given place and time 1000 s."""
+    along_m = np.asarray((first_row + np.arange(n_rows) + 0.5) * row_m, dtype=np.float64)
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    latitude, longitude, _ = frame.to_geodetic(np.stack((np.zeros(n_rows), along_m, np.zeros(n_rows)), axis=-1))
+    even: NDArray[np.float64] = np.ones(n_rows)
+    return PoseTrack(
+        time_s=1000.0 + along_m / SPEED_MPS,
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        depth_m=20.0 * even,
+        heading_rad=0.0 * even,
+        pitch_rad=0.0 * even,
+        roll_rad=0.0 * even,
+        speed_mps=SPEED_MPS * even,
+        altitude_m=FIRST_RETURN_M * even,
+        stale=np.zeros(n_rows, dtype=np.bool_),
+    )
+
+
+def make_tile(
+    intensity: Plane,
+    mask: NDArray[np.uint8] | None = None,
+    *,
+    side: Side = "starboard",
+    first_row: int = 0,
+    core: tuple[int, int] | None = None,
+    row_m: float = ROW_M,
+    column_m: float = COLUMN_M,
+    first_return_m: float = FIRST_RETURN_M,
+    pose: PoseTrack | None = None,
+) -> Tile:
+    """A tile of given intensity (0 where the mask is not VALID, as tiles are); all valid and all core unless told."""
+    n_rows = intensity.shape[0]
+    bits = np.full(intensity.shape, VALID, dtype=np.uint8) if mask is None else mask
+    core_start, core_stop = (0, n_rows) if core is None else core
+    return Tile(
+        side=side,
+        index=0,
+        first_row=first_row,
+        core_start=core_start,
+        core_stop=core_stop,
+        row_spacing_m=row_m,
+        column_spacing_m=column_m,
+        intensity=np.where((bits & VALID) != 0, intensity, 0.0).astype(np.float32),
+        mask=bits,
+        pose=straight_track(n_rows, row_m, first_row=first_row) if pose is None else pose,
+        first_return_m=np.full(n_rows, first_return_m),
+        first_return_sigma_m=np.full(n_rows, 0.1),
+        ping_number=first_row + np.arange(n_rows, dtype=np.int64),
+    )
+
+
+def speckle(seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, texture_nu: float = 0.0, texture_pixels: int = 8) -> Plane:
+    """Single-look intensity of mean 1: |complex Gaussian field|^2.
+
+    spread_pixels: 1-sigma along columns of the Gaussian point-spread function the field is smeared by. texture_nu: shape of a
+    Gamma-distributed texture in square cells (K-distributed intensity), 0 for none.
+    """
+    random = np.random.default_rng(seed)
+    reach = int(np.ceil(4.0 * spread_pixels))
+    field = random.standard_normal((2, shape[0], shape[1] + 2 * reach))
+    if spread_pixels:
+        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread_pixels) ** 2)
+        kernel /= np.sqrt((kernel**2).sum())
+        field = sum(weight * field[:, :, k : k + shape[1]] for k, weight in enumerate(kernel))
+    intensity = 0.5 * (field**2).sum(axis=0)
+    if texture_nu:
+        cells = random.gamma(texture_nu, 1.0 / texture_nu, (-(-shape[0] // texture_pixels), -(-shape[1] // texture_pixels)))
+        intensity *= np.kron(cells, np.ones((texture_pixels, texture_pixels)))[: shape[0], : shape[1]]
+    return np.asarray(intensity, dtype=np.float32)

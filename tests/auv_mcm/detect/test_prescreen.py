@@ -1,0 +1,464 @@
+"""Scores against a slow oracle that walks over pixels and adds up boxes one by one; false alarms in speckle; invariances."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from statistics import NormalDist
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
+
+from auv_mcm.detect import prescreen
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak, ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.stage import OVERLAP_M
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
+
+Values = NDArray[np.float64]
+
+
+class Slow(NamedTuple):
+    score: Values
+    highlight: Values
+    shadow: Values
+    background: Values
+    small_box_variance: Values
+
+
+def pixels(length_m: float, spacing_m: float) -> int:
+    return max(1, round(length_m / spacing_m))
+
+
+def deviate(ratio: float, looks: float, background_looks: float) -> float:
+    a, b = 1.0 / (9.0 * background_looks), 1.0 / (9.0 * looks)
+    root = math.cbrt(ratio)
+    return ((1.0 - a) * root - (1.0 - b)) / math.sqrt(a * root * root + b)
+
+
+def looks_of(log_variance: float) -> float:
+    """The root of variance = 1/L + 1/(2 L^2)."""
+    return float(np.roots([log_variance, -1.0, -0.5]).real.max())
+
+
+def bent(value: float, knee: float) -> float:
+    value = max(value, prescreen._LOWEST_DEVIATE)
+    return value if value <= knee else knee + prescreen._BEYOND_KNEE * (value - knee)
+
+
+def slow_scores(tile: Tile) -> Slow:
+    """The definition, pixel by pixel: every box is cut out, clipped at the tile's edge and summed over its valid pixels."""
+    n_rows, n_columns = tile.mask.shape
+    valid = (tile.mask & VALID) != 0
+    seabed = valid & ((tile.mask & SATURATED) == 0)
+    intensity = np.minimum(tile.intensity.astype(np.float64), prescreen._MAX_RATIO)
+    bounded = np.minimum(intensity, prescreen._BACKGROUND_CLIP)
+
+    def rows(length_m: float) -> int:
+        return pixels(length_m, tile.row_spacing_m)
+
+    def columns(length_m: float) -> int:
+        return pixels(length_m, tile.column_spacing_m)
+
+    def window(i: int, j: int, up: int, down: int, near: int, far: int) -> tuple[slice, slice]:
+        """Rows i - up .. i + down, columns j - near .. j + far, both ends included."""
+        return slice(max(i - up, 0), max(i + down + 1, 0)), slice(max(j - near, 0), max(j + far + 1, 0))
+
+    def total(plane: Values, where: NDArray[np.bool_], box: tuple[slice, slice]) -> tuple[float, int]:
+        return float(plane[box][where[box]].sum()), int(where[box].sum())
+
+    frame_rows, hollow_rows = rows(prescreen._FRAME_ROWS_M), rows(prescreen._HOLLOW_ROWS_M)
+    frame_near, hollow_near = columns(prescreen._FRAME_NEAR_M), columns(prescreen._HOLLOW_NEAR_M)
+    frame_far, hollow_far = columns(prescreen._FRAME_FAR_M) - 1, columns(prescreen._HOLLOW_FAR_M) - 1
+    frame_rows = max(frame_rows, hollow_rows + 1)
+    frame_near, frame_far = max(frame_near, hollow_near + 1), max(frame_far, hollow_far + 1)
+    frame_area = (2 * frame_rows + 1) * (frame_near + frame_far + 1) - (2 * hollow_rows + 1) * (hollow_near + hollow_far + 1)
+    background = np.empty((n_rows, n_columns))
+    known = np.zeros((n_rows, n_columns), dtype=np.bool_)
+    for i, j in np.ndindex(n_rows, n_columns):
+        ring = np.zeros((n_rows, n_columns), dtype=np.bool_)
+        ring[window(i, j, frame_rows, frame_rows, frame_near, frame_far)] = True
+        ring[window(i, j, hollow_rows, hollow_rows, hollow_near, hollow_far)] = False
+        ring &= seabed
+        count = int(ring.sum())
+        background[i, j] = max(float(bounded[ring].sum()) / max(count, 1), 1e-6)
+        known[i, j] = valid[i, j] and count >= prescreen._MIN_BACKGROUND * frame_area and background[i, j] > 1e-6
+
+    def halves(size_m: tuple[float, float]) -> tuple[int, int]:
+        return rows(size_m[0]) // 2, columns(size_m[1]) // 2
+
+    def area(size_m: tuple[float, float]) -> int:
+        half_rows, half_columns = halves(size_m)
+        return (2 * half_rows + 1) * (2 * half_columns + 1)
+
+    def ratio(i: int, j: int, size_m: tuple[float, float]) -> float:
+        half_rows, half_columns = halves(size_m)
+        value, count = total(intensity, valid, window(i, j, half_rows, half_rows, half_columns, half_columns))
+        return value / max(count, 1) / float(background[i, j])
+
+    def log_variance(size_m: tuple[float, float]) -> Values:
+        logs = np.array([[math.log(max(ratio(i, j, size_m), 1e-3)) for j in range(n_columns)] for i in range(n_rows)])
+        logs = np.clip(logs, -prescreen._LOG_CLIP, prescreen._LOG_CLIP)
+        reach = rows(prescreen._LOOKS_ROWS_M), columns(prescreen._LOOKS_COLUMNS_M)
+        result = np.empty((n_rows, n_columns))
+        for i, j in np.ndindex(n_rows, n_columns):
+            box = window(i, j, reach[0], reach[0], reach[1], reach[1])
+            inside = logs[box][known[box]]
+            result[i, j] = max(float(inside.var()) if inside.size else 0.0, prescreen._MIN_LOG_VARIANCE)
+        return result
+
+    small, large = log_variance(prescreen._SMALL_BOX_M), log_variance(prescreen._LARGE_BOX_M)
+    growth = max(area(prescreen._LARGE_BOX_M) / area(prescreen._SMALL_BOX_M), 2.0)
+    score, highlight, darkest = np.full((3, n_rows, n_columns), np.nan)
+    for i, j in np.ndindex(n_rows, n_columns):
+        decay = min(max(math.log(small[i, j] / large[i, j]) / math.log(growth), prescreen._MIN_DECAY), 1.0)
+
+        def looks(box_area: float, i: int = i, j: int = j, decay: float = decay) -> float:
+            return looks_of(small[i, j] * (box_area / area(prescreen._SMALL_BOX_M)) ** -decay)
+
+        background_looks = looks(frame_area)
+        highlight[i, j] = max(deviate(ratio(i, j, size), looks(area(size)), background_looks) for size in prescreen._HIGHLIGHTS_M)
+        found = []
+        for along_m, height_m in prescreen._SHADOWS_M:
+            altitude_m = max(float(tile.first_return_m[i]), prescreen._LEAST_ALTITUDE_M)
+            length_m = height_m * (j + 0.5) * tile.column_spacing_m / max(altitude_m - height_m, 0.3 * altitude_m)
+            length_m = min(max(length_m, prescreen._SHADOW_LENGTH_M[0]), prescreen._SHADOW_LENGTH_M[1])
+            n = max(round(length_m / tile.column_spacing_m), 1)
+            half_rows = rows(along_m) // 2
+            value, count = total(intensity, valid, window(i, j, half_rows, half_rows, 0, n - 1))
+            box_area = (2 * half_rows + 1) * n
+            enough = count > prescreen._MIN_SHADOW * box_area
+            found.append(deviate(value / max(count, 1) / float(background[i, j]), looks(box_area), background_looks) if enough else 0.0)
+        darkest[i, j] = min(found)
+
+    lag = columns(prescreen._SHADOW_LAG_M)
+    shadow = np.empty((n_rows, n_columns))
+    for i, j in np.ndindex(n_rows, n_columns):
+        starts = [(i + di, j + k) for di in (-1, 0, 1) for k in range(1, lag + 1)]
+        inside = [darkest[start] for start in starts if 0 <= start[0] < n_rows and start[1] < n_columns]
+        shadow[i, j] = -min(inside if len(inside) == len(starts) else [*inside, 0.0])
+        weight = prescreen.HIGHLIGHT_WEIGHT
+        both = weight * bent(float(highlight[i, j]), prescreen._HIGHLIGHT_KNEE) + bent(float(shadow[i, j]), prescreen._SHADOW_KNEE)
+        glint = bent(float(highlight[i, j]) - prescreen._GLINT_DISCOUNT, prescreen._GLINT_KNEE)
+        score[i, j] = max(both / math.hypot(weight, 1.0), glint) if known[i, j] else -math.inf
+    return Slow(score, highlight, shadow, background, small)
+
+
+def patchy_mask(seed: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Holes, a masked border and some saturated and low-resolution pixels."""
+    random = np.random.default_rng(seed)
+    mask = np.full(shape, VALID, dtype=np.uint8)
+    for _ in range(4):
+        i, j = random.integers(0, shape[0]), random.integers(0, shape[1])
+        mask[i : i + 4, j : j + 6] &= np.uint8(255 - VALID)
+    mask[random.random(shape) < 0.02] |= SATURATED
+    mask[:, :3] |= LOW_RESOLUTION
+    if seed % 2:
+        mask[:2] = 0
+        mask[:, -4:] = 0
+    return mask
+
+
+def assert_like(tile: Tile, slow: Slow) -> None:
+    maps = score_tile(tile)
+    known = np.isfinite(slow.score)
+    np.testing.assert_array_equal(np.isfinite(maps.score), known)
+    np.testing.assert_allclose(maps.background, slow.background, rtol=1e-5)
+    np.testing.assert_allclose(maps.small_box_variance, slow.small_box_variance, rtol=1e-4, atol=1e-6)
+    # Where nothing can be said the deviates are of no consequence.
+    np.testing.assert_allclose(maps.highlight[known], slow.highlight[known], rtol=1e-3, atol=2e-3)
+    np.testing.assert_allclose(maps.shadow[known], slow.shadow[known], rtol=1e-3, atol=2e-3)
+    np.testing.assert_allclose(maps.score[known], slow.score[known], rtol=1e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_pixel_scores_as_by_boxes_added_up_one_by_one(seed: int) -> None:
+    shape = (21 + seed, 44 - 3 * seed)
+    intensity = speckle(seed, shape, spread_pixels=0.7 * (seed % 3), texture_nu=3.0 * (seed // 2))
+    intensity[9:11, 14:18] *= 15.0
+    intensity[8:12, 18:30] *= 0.02
+    tile = make_tile(intensity, patchy_mask(seed, shape), first_return_m=(6.0, 0.41, 0.0, 25.0)[seed])
+    assert_like(tile, slow_scores(tile))
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 10_000),
+    shape=st.tuples(st.integers(1, 14), st.integers(1, 20)),
+    row_m=st.sampled_from((0.06, 0.12, 0.3, 2.0)),
+    column_m=st.sampled_from((0.03, 0.06, 0.25, 2.0)),
+)
+def test_tiles_of_any_size_and_spacing_score_as_by_boxes_added_up(seed: int, shape: tuple[int, int], row_m: float, column_m: float) -> None:
+    tile = make_tile(speckle(seed, shape), patchy_mask(seed, shape), row_m=row_m, column_m=column_m)
+    assert_like(tile, slow_scores(tile))
+
+
+# ---------------------------------------------------------------- false alarms
+
+INNER = (slice(60, -60), slice(60, -120))
+
+
+def threshold_of(p_false_alarm: float) -> float:
+    return NormalDist().inv_cdf(1.0 - p_false_alarm)
+
+
+def empty_floor(n_tiles: int, *, spread_pixels: float = 0.0, texture_nu: float = 0.0) -> list[Tile]:
+    return [make_tile(speckle(k, (200, 400), spread_pixels=spread_pixels, texture_nu=texture_nu)) for k in range(n_tiles)]
+
+
+def alarm_share(tiles: list[Tile], p_false_alarm: float) -> float:
+    """Share of pixels away from the tiles' edges that score above the threshold."""
+    return float(np.mean([(score_tile(tile).score[INNER] > threshold_of(p_false_alarm)).mean() for tile in tiles]))
+
+
+@pytest.mark.parametrize(
+    ("highlight_m", "shadow_m"), [((0.12, 0.18), (0.36, 0.1)), ((0.36, 0.48), (0.36, 0.35)), ((1.6, 0.36), (0.84, 0.7))]
+)
+@pytest.mark.parametrize("spread_pixels", [0.0, 1.4])
+def test_one_highlight_and_shadow_test_keeps_its_false_alarm_rate_in_speckle(
+    monkeypatch: pytest.MonkeyPatch, highlight_m: tuple[float, float], shadow_m: tuple[float, float], spread_pixels: float
+) -> None:
+    """One box each at one fixed distance, in white and in correlated speckle: never more alarms than 1.5 times the nominal rate."""
+    monkeypatch.setattr(prescreen, "_HIGHLIGHTS_M", (highlight_m,))
+    monkeypatch.setattr(prescreen, "_SHADOWS_M", (shadow_m,))
+    monkeypatch.setattr(prescreen, "_darkest_behind", lambda deviate, lag_columns: np.roll(deviate, -8, axis=1))
+    tiles = empty_floor(3, spread_pixels=spread_pixels)
+    for p_false_alarm in (0.05, 1e-2, 2e-3):
+        assert alarm_share(tiles, p_false_alarm) < 1.5 * p_false_alarm
+    assert alarm_share(tiles, 0.05) > 0.3 * 0.05
+
+
+def test_trying_every_size_and_distance_multiplies_the_rate_at_one_place_by_less_than_a_hundred() -> None:
+    """The best of 25 pairs of boxes and 30 places of the shadow is compared with the threshold of one. Measured: 34 times the nominal
+    rate at 1e-2 and 73 times at 5e-4 in white speckle, less in correlated speckle."""
+    white, correlated = empty_floor(5), empty_floor(5, spread_pixels=1.4)
+    assert 10.0 < alarm_share(white, 1e-2) / 1e-2 < 45.0
+    assert alarm_share(white, 5e-4) / 5e-4 < 100.0
+    assert alarm_share(correlated, 1e-2) < alarm_share(white, 1e-2)
+    assert alarm_share(correlated, 5e-4) < alarm_share(white, 5e-4)
+
+
+@pytest.mark.parametrize("texture_nu", [10.0, 2.0, 1.0])
+def test_texture_raises_no_more_alarms_than_white_speckle(texture_nu: float) -> None:
+    """K-distributed sea floor down to nu = 1, in cells of 1 m x 0.5 m."""
+    textured, white = empty_floor(4, texture_nu=texture_nu), empty_floor(4)
+    for p_false_alarm in (1e-2, 5e-4):
+        assert alarm_share(textured, p_false_alarm) < alarm_share(white, p_false_alarm)
+
+
+def test_borders_of_masked_areas_and_of_the_tile_at_most_double_the_alarms() -> None:
+    random = np.random.default_rng(5)
+    at_border, inside = [], []
+    for tile in empty_floor(6, spread_pixels=1.4):
+        mask = tile.mask.copy()
+        for _ in range(40):
+            i, j = random.integers(0, mask.shape[0]), random.integers(0, mask.shape[1])
+            mask[i : i + random.integers(1, 8), j : j + random.integers(1, 20)] = 0
+        alarm = score_tile(make_tile(tile.intensity, mask)).score > threshold_of(5e-4)
+        valid = mask == VALID
+        deep = cv2.erode(np.pad(mask, 1), np.ones((7, 7), dtype=np.uint8))[1:-1, 1:-1] == VALID
+        inside.append(alarm[deep].mean())
+        at_border.append(alarm[valid & ~deep].mean())
+    assert np.mean(at_border) < 2.0 * np.mean(inside)
+
+
+# ---------------------------------------------------------------- invariances
+
+
+@settings(max_examples=8)
+@given(exponent=st.floats(-3.0, 0.0), seed=st.integers(0, 1000))
+def test_gain_changes_no_score(exponent: float, seed: int) -> None:
+    """Below the bounds put on bright pixels, which are set for tiles of mean one."""
+    intensity = np.minimum(speckle(seed, (60, 90)), np.float32(5.0))
+    plain, louder = score_tile(make_tile(intensity)), score_tile(make_tile((intensity * 10.0**exponent).astype(np.float32)))
+    np.testing.assert_allclose(louder.score, plain.score, rtol=0, atol=1e-5)
+
+
+def test_port_and_starboard_score_alike() -> None:
+    intensity = speckle(1, (60, 90))
+    for port, starboard in zip(score_tile(make_tile(intensity, side="port")), score_tile(make_tile(intensity)), strict=True):
+        np.testing.assert_array_equal(port, starboard)
+
+
+def test_reversing_the_track_reverses_the_scores() -> None:
+    intensity = speckle(2, (60, 90), texture_nu=3.0)
+    there, back = score_tile(make_tile(intensity)), score_tile(make_tile(intensity[::-1]))
+    np.testing.assert_allclose(back.score[::-1], there.score, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("row_m", [0.05, 0.12, 0.2])
+def test_context_is_all_a_score_depends_on_along_track(row_m: float) -> None:
+    """However a strip is cut, the rows CONTEXT_M inside a piece score as in the whole strip."""
+    assert CONTEXT_M <= OVERLAP_M
+    context = round(CONTEXT_M / row_m)
+    n_rows = 2 * context + 60
+    strip = speckle(3, (n_rows, 120), texture_nu=2.0)
+    strip[context + 20 : context + 24, 50:54] *= 20.0
+    whole = score_tile(make_tile(strip, row_m=row_m))
+    for start, stop in ((0, n_rows - 40), (33, n_rows), (17, n_rows - 9)):
+        piece = score_tile(make_tile(strip[start:stop], row_m=row_m))
+        inner = slice(context if start else 0, stop - start - (context if stop < n_rows else 0))
+        for found, expected in zip(piece, whole, strict=True):
+            np.testing.assert_allclose(found[inner], expected[start:stop][inner], rtol=1e-5, atol=1e-5)
+
+
+def test_a_masked_border_is_like_a_tile_that_ends_there() -> None:
+    """Rows before the tile's first and columns beyond its last that hold nothing change nothing, apart from the least shadow."""
+    intensity = speckle(4, (50, 80))
+    mask = np.zeros((70, 110), dtype=np.uint8)
+    mask[10:60, :80] = VALID
+    wide = np.full((70, 110), 7.0, dtype=np.float32)
+    wide[10:60, :80] = intensity
+    bordered, plain = score_tile(make_tile(wide, mask)), score_tile(make_tile(intensity))
+    np.testing.assert_allclose(bordered.score[10:60, :80], plain.score, rtol=0, atol=1e-5)
+    assert (bordered.score[mask == 0] == -np.inf).all()
+
+
+# ---------------------------------------------------------------- extreme tiles
+
+
+def flat(value: float, shape: tuple[int, int] = (90, 130)) -> Plane:
+    return np.full(shape, value, dtype=np.float32)
+
+
+def peaks_of(tile: Tile, p_false_alarm: float = 5e-4) -> list[Peak]:
+    with np.errstate(all="raise", under="ignore"):
+        maps = score_tile(tile)
+        found = find_peaks(tile, maps, p_false_alarm, 0.4)
+    assert not any(np.isnan(plane).any() for plane in maps)
+    assert all(np.isfinite(plane).all() for plane in maps[1:])
+    return found
+
+
+@pytest.mark.parametrize(
+    "tile",
+    [
+        make_tile(flat(1.0), np.zeros((90, 130), dtype=np.uint8)),
+        make_tile(flat(0.0)),
+        make_tile(flat(1.0)),
+        make_tile(flat(1.0, (1, 130))),
+        make_tile(flat(1.0, (90, 1))),
+        make_tile(speckle(0, (1, 1))),
+        make_tile(speckle(0, (90, 5)), np.full((90, 5), VALID | LOW_RESOLUTION, dtype=np.uint8)),
+        make_tile(flat(1.0), row_m=2.0, column_m=2.0),
+        make_tile(flat(1.0), first_return_m=0.0),
+    ],
+    ids=[
+        "all masked",
+        "all zero",
+        "constant",
+        "one row",
+        "one column",
+        "one pixel",
+        "nadir only",
+        "coarse grid",
+        "no altitude",
+    ],
+)
+def test_an_empty_tile_gives_no_peak_and_no_nan(tile: Tile) -> None:
+    assert peaks_of(tile) == []
+
+
+@pytest.mark.parametrize("shape", [(1, 300), (4, 300), (300, 4), (300, 1)])
+def test_a_strip_too_narrow_for_a_background_claims_nothing(shape: tuple[int, int]) -> None:
+    intensity = speckle(0, shape)
+    intensity[shape[0] // 2, shape[1] // 2] = 50.0
+    assert (score_tile(make_tile(intensity)).score == -np.inf).all()
+    assert peaks_of(make_tile(intensity)) == []
+
+
+def test_inside_a_stretch_of_dropped_samples_nothing_is_claimed() -> None:
+    intensity = speckle(2, (140, 130))
+    intensity[40:100] = 0.0
+    score = score_tile(make_tile(intensity)).score
+    frame_rows = pixels(prescreen._FRAME_ROWS_M, ROW_M)
+    assert (score[40 + frame_rows : 100 - frame_rows] == -np.inf).all()
+    assert np.isfinite(score[:40]).any()
+
+
+def test_one_bright_pixel_on_an_even_floor_is_found_where_it_is() -> None:
+    intensity = flat(1.0)
+    intensity[45, 60] = 1000.0
+    found = peaks_of(make_tile(intensity))
+    assert found
+    assert max(abs(p.row - 45) for p in found) <= 0.84 / ROW_M
+    assert max(abs(p.column - 60) for p in found) <= 0.48 / COLUMN_M
+
+
+def test_values_at_the_ends_of_single_precision_do_no_harm() -> None:
+    intensity = speckle(6, (60, 90))
+    intensity[10:20] = np.float32(3e38)
+    intensity[30:40] = np.float32(1e-38)
+    peaks_of(make_tile(intensity))
+
+
+def test_a_saturated_half_is_no_background_for_the_other() -> None:
+    """An object beside clipped pixels is found as if these were not there, and their level does not matter."""
+    shape = (120, 200)
+    intensity = speckle(7, shape, spread_pixels=1.0)
+    intensity[58:62, 60:64] = 12.0
+    intensity[58:62, 64:84] *= 0.03
+    mask = np.full(shape, VALID, dtype=np.uint8)
+    mask[64:] |= SATURATED
+    scores = []
+    for level in (2.0, 50.0):
+        clipped = intensity.copy()
+        clipped[64:] = level
+        peaks = peaks_of(make_tile(clipped, mask))
+        assert min(np.hypot(p.row - 59.5, p.column - 61.5) for p in peaks) < 4.0
+        maps = score_tile(make_tile(clipped, mask))
+        scores.append(maps.background[50:62])
+    np.testing.assert_allclose(scores[0], scores[1], rtol=1e-6)
+
+
+def test_a_saturated_object_is_still_a_highlight() -> None:
+    intensity = speckle(8, (120, 200), spread_pixels=1.0)
+    intensity[58:61, 80:85] = 40.0
+    intensity[58:61, 85:105] *= 0.03
+    mask = np.full((120, 200), VALID, dtype=np.uint8)
+    mask[58:61, 80:85] |= SATURATED
+    best = peaks_of(make_tile(intensity, mask))[0]
+    assert best.score > 4.0
+    assert np.hypot(best.row - 59, best.column - 82) < 5.0
+
+
+# ---------------------------------------------------------------- peaks
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10_000), p_false_alarm=st.sampled_from((0.3, 1e-2, 5e-4)), radius_m=st.sampled_from((0.1, 0.4, 1.0)))
+def test_peaks_are_the_highest_scores_around_in_the_core(seed: int, p_false_alarm: float, radius_m: float) -> None:
+    random = np.random.default_rng(seed)
+    shape = (int(random.integers(1, 30)), int(random.integers(1, 40)))
+    start = int(random.integers(0, shape[0]))
+    core = (start, int(random.integers(start + 1, shape[0] + 1)))
+    mask = np.where(random.random(shape) < 0.1, VALID | LOW_RESOLUTION, VALID).astype(np.uint8)
+    tile = make_tile(speckle(seed, shape), mask, core=core)
+    score = (random.integers(-4, 12, shape) * 0.5).astype(np.float32)  # coarse steps, so that ties occur
+    score[random.random(shape) < 0.1] = -np.inf
+    half_rows, half_columns = pixels(radius_m, ROW_M), pixels(radius_m, COLUMN_M)
+    expected = []
+    for i, j in np.ndindex(shape):
+        around = score[max(i - half_rows, 0) : i + half_rows + 1, max(j - half_columns, 0) : j + half_columns + 1]
+        allowed = core[0] <= i < core[1] and mask[i, j] == VALID
+        if allowed and score[i, j] >= np.float32(threshold_of(p_false_alarm)) and score[i, j] == around.max():
+            expected.append((-float(score[i, j]), i, j))
+    maps = only_score(score)
+    assert [(-p.score, p.row, p.column) for p in find_peaks(tile, maps, p_false_alarm, radius_m)] == sorted(expected)
+
+
+def only_score(score: Plane) -> ScoreMaps:
+    return ScoreMaps(score, score, score, score, score)
+
+
+def test_lower_thresholds_only_add_peaks() -> None:
+    tile = make_tile(speckle(9, (100, 150)))
+    maps = score_tile(tile)
+    counts = [set(find_peaks(tile, maps, p, 0.4)) for p in (1e-6, 5e-4, 1e-2, 0.3)]
+    assert all(fewer <= more for fewer, more in pairwise(counts))
+    assert counts[3]
