@@ -23,10 +23,10 @@ SOFT: Final = 1  # condition of a pixel of low resolution
 TURNED: Final = 2  # condition of a pixel in a turn
 
 
-def snippet_picture(view: Detection, least_px: int = 0) -> Bytes:
-    """(n, m, 3) blue-green-red picture of a detection's surroundings with square pixels, oriented as in the strips.
+def snippet_picture(view: Detection) -> Bytes:
+    """(n, m, 3) blue-green-red picture of a detection's surroundings with square pixels, as seen from above with the vehicle moving up.
 
-    Enlarged by a whole factor until its width is at least `least_px`.
+    Later pings are above; range grows to the right on starboard and to the left on port.
     """
     image = np.asarray(view.snippet, dtype=np.float32)
     if image.size == 0:
@@ -37,8 +37,6 @@ def snippet_picture(view: Detection, least_px: int = 0) -> Bytes:
     image_m = image.shape[0] * view.row_spacing_m, image.shape[1] * view.column_spacing_m
     pixel_m = min(view.row_spacing_m, view.column_spacing_m)
     size = max(1, round(image_m[1] / pixel_m)), max(1, round(image_m[0] / pixel_m))
-    factor = max(1, -(-least_px // size[0]))
-    size = size[0] * factor, size[1] * factor
     smooth = np.clip(cv2.resize(levels, size, interpolation=cv2.INTER_CUBIC).round(), 1, LEVELS).astype(np.uint8)
     hole = cv2.resize(missing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
     drawn = COLOURS[np.where(hole, np.uint8(0), smooth)]
@@ -46,8 +44,8 @@ def snippet_picture(view: Detection, least_px: int = 0) -> Bytes:
 
 
 def snippet_png(view: Detection) -> bytes:
-    """The picture of `snippets/<id>.png`: at least 480 pixels wide, later pings above, port mirrored so that range grows to the left."""
-    return encoded(snippet_picture(view, 480), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    """The picture of `snippets/<id>.png`, at the resolution of the waterfall."""
+    return encoded(snippet_picture(view), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 3])
 
 
 def display_levels(intensity: NDArray[Any]) -> Bytes:

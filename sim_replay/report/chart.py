@@ -142,7 +142,8 @@ def _unbroken(points: Points) -> list[Points]:
 def _markers(contacts: Sequence[Contact], places: Points, projection: _Projection) -> tuple[Marker, ...]:
     """Least likely first, so that mines are drawn on top; labels only where they do not cover each other, most likely first."""
     order = sorted(range(len(contacts)), key=lambda number: (-contacts[number].p_mine, contacts[number].id))
-    taken: list[tuple[float, float, float, float]] = [(right - 5, down - 5, right + 5, down + 5) for right, down in places.tolist()]
+    likely = [places[number].tolist() for number in order if is_mine_like(contacts[number])]
+    taken: list[tuple[float, float, float, float]] = [(right - 5, down - 5, right + 5, down + 5) for right, down in likely]
     markers = []
     for number in order:
         contact, (right, down) = contacts[number], places[number].tolist()

@@ -444,12 +444,12 @@ def test_a_contact_picture_is_oriented_like_the_strips(side: Side) -> None:
     assert right == pytest.approx(59.0 - 10.0 if side == "port" else 10.0, abs=1.0)
 
 
-def test_contact_pictures_are_png_and_large_enough_to_judge() -> None:
+def test_contact_pictures_are_png_with_square_pixels_of_the_finer_spacing() -> None:
     data = snippet_png(detection())
     assert data.startswith(b"\x89PNG")
     picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
-    assert picture.shape[1] >= 480
+    assert picture.shape == (40, 60, 3)
     assert snippet_png(detection(snippet=np.empty((0, 0), dtype=np.float32))).startswith(b"\x89PNG")
     assert snippet_png(detection(snippet=np.full((5, 5), NAN, dtype=np.float32))).startswith(b"\x89PNG")
 
