@@ -8,7 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,7 +18,9 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame, geodetic_to_ecef
 from auv_mcm.records import NAN, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
 
-MAX_STEP_M = 100.0  # a longer step between two fixes is a jump or a gap, not distance run
+# A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
+MAX_STEP_M: Final = 100.0
+MAX_STEP_S: Final = 60.0
 
 
 class Tally:
@@ -37,6 +39,7 @@ class Tally:
         self.heading_rad = NAN
         self._course_rad = NAN
         self._ecef_m = np.full(3, np.nan)
+        self._position_s = NAN
 
     @property
     def direction_rad(self) -> float:
@@ -59,7 +62,7 @@ class Tally:
             return
         if math.isnan(self.first_s):
             self.first_s = time_s
-        elif 0.0 < (step_s := time_s - self.last_s) < 60.0:  # holes between logs are no survey time, nor are leaps of a clock
+        elif 0.0 < (step_s := time_s - self.last_s) <= MAX_STEP_S:
             self.duration_s += step_s
         self.last_s = time_s
 
@@ -73,13 +76,12 @@ class Tally:
             return
         ecef_m = geodetic_to_ecef(sample.latitude_deg, sample.longitude_deg, 0.0)
         step_m = float(np.linalg.norm(ecef_m - self._ecef_m))
-        if step_m <= MAX_STEP_M:
+        if 0.0 < step_m <= MAX_STEP_M and abs(sample.time_s - self._position_s) <= MAX_STEP_S:
             self.distance_m += step_m
-        if 0.0 < step_m <= MAX_STEP_M:
             frame = LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
             east_m, north_m, _ = frame.to_enu(sample.latitude_deg, sample.longitude_deg, 0.0)
             self._course_rad = math.atan2(east_m, north_m)
-        self._ecef_m = ecef_m
+        self._ecef_m, self._position_s = ecef_m, sample.time_s
         self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
 
     def totals(self) -> dict[str, Any]:

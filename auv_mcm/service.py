@@ -236,15 +236,18 @@ class Service:
             await queue.put(event)
 
     async def _feed(self, queue: EventQueue, perception: Perception) -> None:
-        while (event := await queue.get()) is not None:
-            try:
-                await perception.feed(event)
-            except ValueError as error:
-                self._counters["service.ping_too_large"] += 1
-                log.error("ping skipped: %s", error)
-                continue
-            self._tally.add(event)
-        await perception.finish()
+        try:
+            while (event := await queue.get()) is not None:
+                try:
+                    await perception.feed(event)
+                except ValueError as error:
+                    self._counters["service.ping_too_large"] += 1
+                    log.error("ping skipped: %s", error)
+                    continue
+                self._tally.add(event)
+            await perception.finish()
+        except AuvMcmError:
+            return  # what perception answered before it failed comes first; _publish meets the failure in its turn
 
     async def _publish(self, perception: Perception, journal: Journal) -> None:
         """Answers of perception to the journal, then to the console."""

@@ -206,7 +206,8 @@ class Perception:
         try:
             self._connection.send(message)
         except OSError:
-            self._die()
+            while self._dead is None:
+                self._receive()  # what it answered before it died
             self._raise_if_dead()
 
     def _receive(self) -> None:
@@ -312,7 +313,7 @@ def _without_tiles(events: list[PipelineEvent]) -> tuple[PipelineEvent, ...]:
 
 
 def _snippets(contacts: tuple[Contact, ...]) -> dict[str, bytes]:
-    from sim_replay.report.pictures import snippet_png
+    from auv_mcm.contacts.picture import snippet_png  # OpenCV: only in this process
 
     return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
 

@@ -17,12 +17,12 @@ from auv_mcm import __version__, kernels
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config, config_yaml
 from auv_mcm.contacts.export import best_view
+from auv_mcm.contacts.picture import snippet_png
 from auv_mcm.outputs import Tally, contact_totals, make_directory, plan_waypoints, write_file, write_json, write_results, write_snippets
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from sim_replay.recorded import CHUNK_BYTES, Pace, RecordedMission
 from sim_replay.report import MissionRecord, PictureCollector, render_report
-from sim_replay.report.pictures import snippet_png
 
 MAX_TRACK_POINTS: Final = 4000
 

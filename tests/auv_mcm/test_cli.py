@@ -1,0 +1,174 @@
+"""The command line: what scripts rely on, and what people read."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from auv_mcm import __version__
+from auv_mcm.cli import main
+from auv_mcm.config import Config, parse_config
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *(["-c", code] if code else ["-m", "auv_mcm"]), *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+
+
+def error_of(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of an error."""
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("auv-mcm: ")
+    return lines[0]
+
+
+@pytest.mark.parametrize("command", [(), ("replay",), ("run",), ("check",), ("config",), ("bench",)])
+def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--help"])
+    text = capsys.readouterr().out
+    assert ended.value.code == 0
+    assert "5 self-check failed" in text
+    assert "examples:" in text or not command
+    assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        *([], ["nonsense"], ["replay"], ["replay", "a.xtf"], ["config"], ["config", "--write", "a", "--schema"], ["bench", "everything"]),
+        ["replay", "a.xtf", "--out", "o", "--threads", "0"],
+        ["replay", "a.xtf", "--out", "o", "--chunk-bytes", "many"],
+        ["replay", "a.xtf", "--out", "o", "--speed", "warp"],
+    ],
+)
+def test_bad_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+
+
+def test_module_and_version() -> None:
+    assert run("--version").stdout == f"auv-mcm {__version__}\n"
+
+
+def test_a_log_that_is_not_there_is_exit_code_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(tmp_path / "none.xtf"), "--out", str(tmp_path / "out")]) == 3
+    assert "none.xtf does not exist" in error_of(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", [["replay", "a.xtf", "--out", "o"], ["run"]])
+@pytest.mark.parametrize(("content", "message"), [(b"sonar: {typo: 1}", "typo"), (b"\xff\xfe", "UTF-8"), (None, "No such file")])
+def test_a_bad_configuration_is_exit_code_2(
+    command: list[str], content: bytes | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.yaml"
+    if content is not None:
+        path.write_bytes(content)
+    assert main([*command, "--config", str(path)]) == 2
+    text = error_of(capsys)
+    assert message in text
+    assert "c.yaml" in text
+
+
+def test_run_without_a_source_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run"]) == 2
+    assert "service.source is empty" in error_of(capsys)
+
+
+def test_config_write_prints_or_writes_what_reads_back_and_never_overwrites(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "--write"]) == 0
+    assert parse_config(capsys.readouterr().out, "stdout") == Config()
+    path = tmp_path / "vehicle.yaml"
+    assert main(["config", "--write", str(path)]) == 0
+    capsys.readouterr()
+    before = path.read_bytes()
+    assert parse_config(before.decode(), "file") == Config()
+    assert main(["config", "--write", str(path)]) == 2
+    assert "left alone" in error_of(capsys)
+    assert path.read_bytes() == before
+    assert main(["config", "--write", str(tmp_path / "no" / "folder.yaml")]) == 2
+
+
+def test_config_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "--schema"]) == 0
+    assert "SonarConfig" in json.loads(capsys.readouterr().out)["$defs"]
+
+
+def test_check_tells_of_every_part_and_passes_here(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check"]) == 0
+    text = capsys.readouterr().out
+    for part in ("python", "numpy", "C kernels", "configuration", "output directory", "perception process", "all good"):
+        assert part in text
+
+
+def test_check_of_a_bad_configuration_is_exit_code_5_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "c.yaml").write_text("sonar: {typo: 1}")
+    assert main(["check", "--config", str(tmp_path / "c.yaml")]) == 5
+    text = capsys.readouterr().out
+    assert "typo" in text
+    assert "perception process" in text
+    assert "1 failed" in text
+
+
+def test_check_notices_kernels_that_disagree(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from auv_mcm import kernels
+    from auv_mcm.kernels import viterbi
+
+    if kernels.backend() != "c":
+        pytest.skip(f"no C kernels: {kernels.loaded().reason}")
+    right = viterbi.viterbi_forward_numpy
+    monkeypatch.setattr(viterbi, "viterbi_forward_numpy", lambda *a: (right(*a)[0] + 1e-9, right(*a)[1]))
+    assert main(["check"]) == 5
+    assert "NOT EQUAL" in capsys.readouterr().out
+
+
+def test_ctrl_c_is_one_line_and_exit_code_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sim_replay.replay.replay", interrupted)
+    assert main(["replay", "a.xtf", "--out", "o"]) == 130
+    assert error_of(capsys) == "auv-mcm: interrupted"
+
+
+def test_a_full_disk_is_one_line_and_exit_code_4(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device", "/out/report.html")
+
+    monkeypatch.setattr("sim_replay.replay.replay", full)
+    assert main(["replay", "a.xtf", "--out", "o"]) == 4
+    assert error_of(capsys) == "auv-mcm: /out/report.html: No space left on device"
+
+
+def test_without_the_bench_extra_replay_says_what_to_install() -> None:
+    code = "import sys; sys.modules['pyxtf'] = None; from auv_mcm.cli import main; sys.exit(main(['replay', 'a.xtf', '--out', 'o']))"
+    done = run(code=code)
+    assert done.returncode == 2
+    assert done.stderr == "auv-mcm: this command needs the package pyxtf: python -m pip install 'auv-mcm[bench]'\n"
+
+
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    command = f"{sys.executable} -m auv_mcm config --schema | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_process_that_serves_stays_lean() -> None:
+    code = (
+        "import sys; import auv_mcm.cli; start = set(sys.modules)\n"
+        "import auv_mcm.service, sim_replay.recorded\n"
+        "print(sorted({'numpy'} & start), sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2', 'can'} & set(sys.modules)))"
+    )
+    assert run(code=code).stdout == "[] []\n", "the command starts without numpy, the service runs without the others"

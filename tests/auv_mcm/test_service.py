@@ -1,0 +1,265 @@
+"""The service around a pipeline: nothing lost on the way, nothing announced before it is on disk, and no end that hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import fake_pipelines as fake
+import pytest
+
+from auv_mcm.config import Config, ServiceConfig
+from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
+from auv_mcm.records import NavSample, Ping, SourceEvent
+from auv_mcm.service import EventQueue, Service, parse_source_uri
+from auv_mcm.worker import MakePipeline, PerceptionError
+
+TESTS = Path(__file__).parent
+
+
+class Events:
+    """A source of given events; an exception among them is raised in its turn."""
+
+    def __init__(self, events: Sequence[SourceEvent | Exception], *, lossless: bool = True, endless: bool = False) -> None:
+        self.lossless = lossless
+        self._events = events
+        self._endless = endless
+
+    async def events(self) -> AsyncIterator[SourceEvent]:
+        for event in self._events:
+            if isinstance(event, Exception):
+                raise event
+            yield event
+        if self._endless:
+            await asyncio.Event().wait()
+
+    def counters(self) -> Counter[str]:
+        return Counter({"source.events": len(self._events)})
+
+
+def mission(n_pings: int) -> list[SourceEvent | Exception]:
+    return [event for number in range(n_pings) for event in (fake.navigation(number), fake.ping(number))]
+
+
+def serve(
+    folder: Path, source: Events, make: MakePipeline = fake.Base, console: Callable[[str], None] = lambda line: None, queue_pings: int = 512
+) -> Path:
+    config = Config(service=ServiceConfig(output_directory=str(folder), queue_pings=queue_pings, health_period_s=0.05))
+    return asyncio.run(Service(config, source, console=console, make_pipeline=make).run())
+
+
+def ids(results: Path) -> list[str]:
+    return [feature["properties"]["id"] for feature in json.loads((results / "contacts.geojson").read_bytes())["features"]]
+
+
+def summary(results: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((results / "summary.json").read_bytes())
+    return content
+
+
+def journal(results: Path) -> list[str]:
+    return [json.loads(line)["contact"]["properties"]["id"] for line in (results / "contacts.jsonl").read_text().splitlines()]
+
+
+def test_a_mission_leaves_every_result(tmp_path: Path) -> None:
+    results = serve(tmp_path, Events(mission(30)))
+    expected = [f"C{number:04d}" for number in (*range(0, 30, 3), 9999)]
+    assert ids(results) == expected
+    assert journal(results) == expected
+    assert {path.name for path in results.iterdir()} == {
+        *("contacts.geojson", "contacts.csv", "contacts.kml", "contacts.jsonl"),
+        *("coverage.geojson", "waypoints.geojson", "summary.json", "snippets"),
+    }
+    content = summary(results)
+    assert (content["pings"], content["contacts"], content["covered_km2"]) == (30, 11, 0.001)
+    assert content["counters"] == {"ping.received": 30, "source.events": 60}
+
+
+def test_a_contact_is_on_disk_before_it_is_announced(tmp_path: Path) -> None:
+    def console(line: str) -> None:
+        if line.startswith("contact"):
+            announced.append(line.split()[1])
+            assert announced[-1] in journal(tmp_path / "latest")
+
+    announced: list[str] = []
+    results = serve(tmp_path, Events(mission(30)), console=console)
+    assert announced == ids(results)
+
+
+def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    lines: list[str] = []
+    monkeypatch.setattr("auv_mcm.outputs.Journal.append", full)
+    results = serve(tmp_path, Events(mission(4)), console=lines.append)
+    assert [line.split()[1] for line in lines] == ids(results)
+    assert summary(results)["counters"]["service.journal_failed"] == 3
+
+
+def test_a_slow_pipeline_makes_a_lossless_source_wait(tmp_path: Path) -> None:
+    results = serve(tmp_path, Events(mission(300)), fake.Slow, queue_pings=1)
+    assert summary(results)["counters"]["ping.received"] == 300
+
+
+def test_a_slow_pipeline_makes_a_live_source_lose_pings_and_counts_them(tmp_path: Path) -> None:
+    results = serve(tmp_path, Events(mission(300), lossless=False), fake.Slow, queue_pings=1)
+    counters = summary(results)["counters"]
+    assert counters["ping.received"] + counters["service.ping_dropped"] == 300
+    assert counters["service.ping_dropped"] > 0
+
+
+def test_stop_works_off_what_is_queued_and_loses_no_contact(tmp_path: Path) -> None:
+    async def run() -> Path:
+        config = Config(service=ServiceConfig(output_directory=str(tmp_path)))
+
+        def console(line: str) -> None:
+            if "C0009" in line:
+                service.stop()
+
+        service = Service(config, Events(mission(30), endless=True), console=console, make_pipeline=fake.Base)
+        return await service.run()
+
+    results = asyncio.run(run())
+    pings = summary(results)["pings"]
+    assert ids(results) == [f"C{number:04d}" for number in (*range(0, pings, 3), 9999)]
+    assert pings >= 10
+
+
+@pytest.mark.parametrize(("error", "raised"), [(BadInputError("bad log"), BadInputError), (ValueError("defect"), HardwareError)])
+def test_what_came_before_a_source_failed_is_worked_off(tmp_path: Path, error: Exception, raised: type[AuvMcmError]) -> None:
+    with pytest.raises(raised, match=str(error)):
+        serve(tmp_path, Events([*mission(10), error]))
+    assert len(ids(tmp_path / "latest")) == 5
+
+
+@pytest.mark.parametrize("make", [fake.Dying, fake.Failing])
+def test_contacts_announced_before_perception_failed_are_kept(
+    tmp_path: Path, make: MakePipeline, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lines: list[str] = []
+    with pytest.raises(PerceptionError) as caught:
+        serve(tmp_path, Events(mission(300)), make, lines.append)
+    assert caught.value.exit_code == 4
+    announced = [line.split()[1] for line in lines]
+    assert announced == ids(tmp_path / "latest") == journal(tmp_path / "latest") == ["C0000", "C0003"]
+
+
+def test_every_run_has_its_own_folder_and_latest_points_to_the_last(tmp_path: Path) -> None:
+    results = [serve(tmp_path, Events(mission(1))) for _ in range(3)]
+    assert len(set(results)) == 3
+    assert (tmp_path / "latest").resolve() == results[-1].resolve()
+
+
+def test_an_output_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(UsageError, match="a file is in its place"):
+        serve(tmp_path / "file", Events(mission(1)))
+
+
+def test_the_queue_drops_the_oldest_ping_and_bounds_everything_else_too() -> None:
+    async def run() -> tuple[list[SourceEvent], Counter[str]]:
+        counters: Counter[str] = Counter()
+        queue = EventQueue(3, False, counters)
+        for number in range(5):
+            await queue.put(fake.navigation(number))
+            await queue.put(fake.ping(number))
+        for number in range(100):
+            await queue.put(fake.navigation(100 + number))
+        await queue.close()
+        events = []
+        while (event := await queue.get()) is not None:
+            events.append(event)
+        return events, counters
+
+    events, counters = asyncio.run(run())
+    assert [event.number for event in events if isinstance(event, Ping)] == [2, 3, 4]
+    navigation = [event.time_s - fake.START_S for event in events if isinstance(event, NavSample)]
+    assert navigation == [*range(152, 200)]
+    assert counters == {"service.ping_dropped": 2, "service.event_dropped": 105 - len(navigation)}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("/data/mission.xtf", "unknown scheme"),
+        ("ftp:///mission.xtf", "unknown scheme 'ftp'. Known: replay:"),
+        ("replay://mission.xtf", "three slashes"),
+        ("replay:///m.xtf?speed", "not a URI"),
+        ("replay:///m.xtf?speed=1&speed=2", "given twice"),
+        ("replay://[/m.xtf", "not a URI"),
+    ],
+)
+def test_a_source_that_cannot_be_is_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        parse_source_uri(text)
+
+
+def test_a_source_uri_may_hold_blanks_and_relative_paths() -> None:
+    assert parse_source_uri("replay:///my%20log.xtf?speed=max")[1:] == ("replay", "/my log.xtf", {"speed": "max"})
+    assert parse_source_uri("replay:logs/a.xtf").path == "logs/a.xtf"
+
+
+# A program that serves an endless mission: python -c PROGRAM FOLDER PIPELINE
+PROGRAM = """
+import logging, sys
+import fake_pipelines as fake
+import test_service as t
+from auv_mcm import cli, service
+from auv_mcm.config import Config, ServiceConfig
+
+logging.basicConfig(stream=sys.stdout, format="%(message)s", level=logging.INFO)
+service.open_source = lambda uri, config, clock: t.Events(t.mission(30), endless=True)
+config = Config(service=ServiceConfig(output_directory=sys.argv[1], source="replay:///none", health_period_s=3600))
+try:
+    service.serve(config, make_pipeline=getattr(fake, sys.argv[2]))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def program(folder: Path, pipeline: str) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parents[1])])}
+    command = [sys.executable, "-u", "-c", PROGRAM, str(folder), pipeline]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+
+
+def read_until(process: subprocess.Popen[str], word: str) -> None:
+    assert process.stdout is not None
+    seen = []
+    for line in process.stdout:
+        seen.append(line)
+        if word in line:
+            return
+    pytest.fail(f"'{word}' never came:\n{''.join(seen)}")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_the_whole_process_group_ends_in_order(tmp_path: Path, number: signal.Signals) -> None:
+    with program(tmp_path, "Base") as process:
+        read_until(process, "C0027")
+        os.killpg(process.pid, number)  # as a terminal and a service manager do: the worker gets it too
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, output
+    assert ids(tmp_path / "latest") == [f"C{number:04d}" for number in (*range(0, 30, 3), 9999)]
+    assert "leaked" not in output
+
+
+def test_a_second_signal_ends_at_once_with_the_journal_whole(tmp_path: Path) -> None:
+    with program(tmp_path, "Stuck") as process:
+        read_until(process, "C0027")
+        os.killpg(process.pid, signal.SIGTERM)
+        read_until(process, "stopping")
+        os.killpg(process.pid, signal.SIGTERM)
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, output
+    assert journal(tmp_path / "latest") == [f"C{number:04d}" for number in range(0, 30, 3)]

@@ -1,0 +1,203 @@
+"""Replays of small synthetic missions: every file, the same contacts whatever the circumstances."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.clock import ReplayClock, SystemClock
+from auv_mcm.config import Config, ServiceConfig
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import NavSample
+from auv_mcm.service import Service, open_source, parse_source_uri
+from sim_replay.recorded import Pace, RecordedMission, parse_speed
+from sim_replay.replay import replay
+from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+from sim_replay.xtf_writer import write_xtf
+
+FILES = {
+    *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
+    *("summary.json", "report.html", "snippets"),
+}
+SAME = ("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson")
+
+
+def scene(start_s: float, along_m: float) -> SyntheticScene:
+    """A leg of a few tens of metres past a sphere and a cylinder."""
+    leg = Leg(latitude_deg=43.09 + along_m / 111_000.0, longitude_deg=5.88, heading_deg=0.0, length_m=30.0)
+    things = (
+        SceneObject(kind="sphere", leg=0, along_m=12.0, across_m=10.0, height_m=0.8),
+        SceneObject(kind="cylinder", leg=0, along_m=20.0, across_m=-12.0, azimuth_deg=10.0, length_m=1.8, height_m=0.5),
+    )
+    return SyntheticScene(legs=(leg,), objects=things, start_time_s=start_s)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two logs of one mission, the earlier one second by name."""
+    folder = tmp_path_factory.mktemp("logs")
+    first, second = folder / "z.xtf", folder / "a.xtf"
+    write_xtf(first, synthetic_mission(scene(1_700_000_000.0, 0.0)))
+    write_xtf(second, synthetic_mission(scene(1_700_000_100.0, 40.0)))
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def results(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    replay(logs, folder, Config())
+    return folder
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {
+        **{name: (folder / name).read_bytes() for name in SAME},
+        **{path.name: path.read_bytes() for path in sorted((folder / "snippets").iterdir())},
+    }
+
+
+def read(path: Path) -> Any:
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(path.read_bytes(), parse_constant=refuse)
+
+
+def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, Path]) -> None:
+    assert {path.name for path in results.iterdir()} == FILES
+    summary = read(results / "summary.json")
+    assert [log["path"] for log in summary["logs"]] == [str(path) for path in logs]
+    assert [log["bytes"] for log in summary["logs"]] == [path.stat().st_size for path in logs]
+    features = read(results / "contacts.geojson")["features"]
+    assert summary["contacts"] == len(features) > 0
+    assert summary["pings"] == summary["counters"]["ping.received"] > 0
+    assert summary["distance_m"] == pytest.approx(60.0, abs=1.5)
+    assert summary["config"]["sonar"]["transfer"] == "auto"
+    assert {"read", "waterfall", "detect", "pictures"} <= set(summary["costs_s"])
+    assert summary["covered_km2"] > 0.0
+    for feature in features:
+        assert (results / feature["properties"]["snippet"]).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}, {"exhaustive": True}])
+def test_circumstances_do_not_change_a_byte(circumstances: dict[str, Any], logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
+    replay(logs, tmp_path, Config(), **circumstances)
+    assert content(tmp_path) == content(results)
+
+
+def test_the_order_in_which_logs_are_named_does_not_matter(logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
+    replay(logs[::-1], tmp_path, Config())
+    assert content(tmp_path) == content(results)
+
+
+def test_the_service_finds_what_the_replay_finds(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    replay(logs[:1], tmp_path / "replay", Config())
+    uri = f"replay://{logs[0]}?speed=max"
+    config = Config(service=ServiceConfig(source=uri, output_directory=str(tmp_path / "service")))
+    source = open_source(parse_source_uri(uri), config, SystemClock())
+    served = asyncio.run(Service(config, source, console=lambda line: None).run())
+    assert content(served) == content(tmp_path / "replay")
+
+
+def test_replaying_again_replaces_results_and_leaves_other_files_alone(logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
+    (tmp_path / "snippets").mkdir()
+    (tmp_path / "snippets" / "C9999.png").write_bytes(b"stale")
+    (tmp_path / "notes.txt").write_bytes(b"mine")
+    (tmp_path / "contacts.geojson").write_bytes(b"stale")
+    replay(logs, tmp_path, Config())
+    assert content(tmp_path) == content(results)
+    assert (tmp_path / "notes.txt").read_bytes() == b"mine"
+
+
+def test_an_interrupted_replay_leaves_no_summary_that_would_vouch_for_the_files(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    def interrupt(fraction: float) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "summary.json").write_bytes(b"{}")
+    with pytest.raises(KeyboardInterrupt):
+        replay(logs, tmp_path, Config(), progress=interrupt)
+    assert not (tmp_path / "summary.json").exists()
+
+
+def test_a_log_named_twice_is_refused(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    (tmp_path / "link.xtf").symlink_to(logs[0])
+    with pytest.raises(UsageError, match="given twice"):
+        replay([logs[0], tmp_path / "link.xtf"], tmp_path / "out", Config())
+
+
+def test_one_unusable_log_of_several_is_left_out_loudly(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    bad = tmp_path / "bad.xtf"
+    bad.write_bytes(b"")
+    summary = replay([logs[0], bad], tmp_path / "out", Config())
+    assert summary["counters"]["replay.log_unusable"] == 1
+    assert [notice["place"] for notice in summary["notices"] if notice["code"] == "log_unusable"] == [str(bad)]
+    assert len(summary["logs"]) == 1
+    (tmp_path / "other.xtf").write_bytes(b"x" * 2000)
+    with pytest.raises(BadInputError, match=r"(?s)none of the logs.*bad\.xtf.*other\.xtf"):
+        replay([bad, tmp_path / "other.xtf"], tmp_path / "out", Config())
+
+
+@pytest.mark.parametrize("place", ["file", "file/below"])
+def test_an_output_directory_that_cannot_be_is_refused(place: str, logs: tuple[Path, Path], tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(UsageError, match="a file is in its place"):
+        replay(logs, tmp_path / place, Config())
+
+
+def test_command_line_prints_figures_progress_and_where_the_report_is(
+    logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(logs[0]), "--out", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.splitlines()[-1] == f"report: {tmp_path / 'report.html'}"
+    assert "mine-like" in captured.out
+    tenths = [line for line in captured.err.splitlines() if line.startswith("replay: ")]
+    assert "replay: 50 %" in tenths
+    assert len(tenths) <= 10
+
+
+def test_fraction_done_grows_to_one(logs: tuple[Path, Path]) -> None:
+    mission = RecordedMission(logs, Config().sonar)
+    fractions = [mission.fraction_done for _ in mission.events()]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] > 0.9
+    assert mission.fraction_done == 1.0
+
+
+def paced(times_s: list[float], speed: float) -> list[float]:
+    """When events of these times are let through, the clock advancing by exactly what is waited."""
+    clock = ReplayClock()
+    pace = Pace(speed, clock)
+    came_s = []
+    for time_s in times_s:
+        clock.advance_to(clock.utc_s() + pace.wait_s(NavSample(time_s=time_s)))
+        came_s.append(clock.monotonic_s())
+    return came_s
+
+
+def test_pace_follows_the_log_and_shortens_its_holes() -> None:
+    assert paced([100.0, 100.5, 102.5], 1.0) == [0.0, 0.5, 2.5]
+    assert paced([100.0, 100.5, 102.5], 2.0) == [0.0, 0.25, 1.25]
+    assert paced([100.0, 101.0, 5000.0, 5001.0], 1.0) == [0.0, 1.0, 6.0, 7.0]
+    assert paced([100.0, 101.0, 100.5, 101.5], 1.0) == [0.0, 1.0, 1.0, 1.5], "small steps back do not add up"
+    assert paced([5000.0, 100.0, 101.0], 1.0) == [0.0, 0.0, 1.0], "a clock set back starts anew"
+    assert paced([100.0, math.nan, 101.0], 1.0) == [0.0, 0.0, 1.0]
+    assert paced([100.0, 200.0], math.inf) == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "fast", ""])
+def test_a_speed_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="speed"):
+        parse_speed(text, "--speed")
+
+
+@pytest.mark.parametrize(("uri", "message"), [("replay:///a.xtf?pace=1", "unknown option 'pace'"), ("replay:?speed=1", "names no log")])
+def test_a_replay_source_that_cannot_be_is_refused(uri: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        open_source(parse_source_uri(uri), Config(), SystemClock())
