@@ -11,8 +11,8 @@ from typing import Final
 
 from auv_mcm.detect.measure import Measurement
 
-_EVEN_SCORE: Final = 4.4
-_PER_DEVIATION: Final = 1.3
+_EVEN_SCORE: Final = 4.7
+_PER_DEVIATION: Final = 1.6
 _BOUND: Final = 4.0
 _CROWD_FREE: Final = 2
 _PER_NEIGHBOUR: Final = 0.25

@@ -22,7 +22,7 @@ OVERLAP_M: Final = 0.5 * LOCAL_MEAN_M + max(CONTEXT_M, ROWS_M) + 1.0
 
 _STALE_SIGMA_M: Final = 25.0
 _SOUND_SPEED_MPS: Final = 1500.0  # ranges are metric already; only the way made during the ping is left, millimetres per percent
-_STEP_M: Final = 0.4  # peaks closer than this are one candidate
+STEP_M: Final = 0.4  # peaks closer than this are one candidate
 
 
 class TileDetections(NamedTuple):
@@ -42,7 +42,7 @@ def worth_looking(tile: Tile) -> bool:
 def detect_tile(tile: Tile, config: Config) -> TileDetections:
     """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead."""
     maps = score_tile(tile)
-    peaks = find_peaks(tile, maps, config.detect.p_false_alarm, _STEP_M)
+    peaks = find_peaks(tile, maps, config.detect.p_false_alarm, STEP_M)
     taken = peaks[: config.detect.max_candidates_per_tile]
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     measured = [measure(tile, maps, peak, beam_width_rad) for peak in taken]
