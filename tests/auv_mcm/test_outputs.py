@@ -1,0 +1,100 @@
+"""Files that are whole or absent, and totals that a jump of the navigation does not spoil."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.config import PlanConfig
+from auv_mcm.outputs import Journal, Tally, make_directory, plan_waypoints, write_file, write_json, write_snippets
+from auv_mcm.records import NAN, NavSample, Ping
+
+METRE_DEG = 1.0 / 111_194.9  # of latitude, on the way north
+
+
+def fix(time_s: float, north_m: float, heading_rad: float = NAN) -> NavSample:
+    return NavSample(time_s=time_s, latitude_deg=north_m * METRE_DEG, longitude_deg=179.9999, heading_rad=heading_rad)
+
+
+def sailed(*samples: NavSample) -> Tally:
+    tally = Tally()
+    for sample in samples:
+        tally.add(sample)
+    return tally
+
+
+def test_distance_is_the_sum_of_steps_without_jumps_holes_and_absent_positions() -> None:
+    assert sailed(fix(0, 10), fix(1, 12), fix(2, 15)).distance_m == pytest.approx(5.0, rel=0.01)
+    assert sailed(fix(0, 10), fix(1, 5000), fix(2, 5002)).distance_m == pytest.approx(2.0, rel=0.01), "a jump"
+    assert sailed(fix(0, 10), fix(500, 60), fix(501, 62)).distance_m == pytest.approx(2.0, rel=0.01), "a hole"
+    gap = NavSample(time_s=1.0)
+    zero = NavSample(time_s=1.0, latitude_deg=0.0, longitude_deg=0.0)
+    assert sailed(fix(0, 10), gap, zero, fix(2, 12)).distance_m == pytest.approx(2.0, rel=0.01)
+
+
+def test_direction_is_the_heading_or_else_the_course() -> None:
+    assert sailed(fix(0, 10, 1.0), fix(1, 12)).direction_rad == 1.0
+    assert sailed(fix(0, 10), fix(1, 12)).direction_rad == pytest.approx(0.0, abs=1e-6)
+    assert math.isnan(sailed(fix(0, 10)).direction_rad)
+
+
+def test_duration_leaves_out_holes_and_steps_back() -> None:
+    tally = Tally()
+    for time_s in (100.0, 101.0, 100.5, 101.5, 9000.0, 9001.0, NAN):
+        tally.add(Ping(number=0, time_s=time_s, port=None, starboard=None))
+    assert tally.pings == 7
+    assert tally.duration_s == 1.0 + 1.0 + 1.0
+    assert (tally.first_s, tally.last_s) == (100.0, 9001.0)
+
+
+def test_without_a_pose_there_is_no_plan_and_it_is_counted() -> None:
+    counters: Counter[str] = Counter()
+    assert plan_waypoints([], Tally(), PlanConfig(), counters) == ()
+    assert counters == {"plan.start_pose_unknown": 1}
+
+
+def test_a_file_is_replaced_whole_and_leaves_nothing_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.bin"
+    write_file(path, b"old")
+    write_file(path, b"new")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.bin"]
+
+    def fail(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", fail)
+    with pytest.raises(OSError, match="No space"):
+        write_file(path, b"newer")
+    assert path.read_bytes() == b"new"
+
+
+def test_json_holds_null_for_what_is_not_a_number(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"a": NAN, "b": [1.0, math.inf], "c": {"d": (2, "é")}})
+    text = (tmp_path / "a.json").read_text("utf-8")
+    assert json.loads(text) == {"a": None, "b": [1.0, None], "c": {"d": [2, "é"]}}
+
+
+def test_journal_lines_survive_a_second_opening(tmp_path: Path) -> None:
+    for number in range(2):
+        journal = Journal(tmp_path / "j.jsonl")
+        journal.append([{"n": number}, {"n": NAN}])
+        journal.close()
+    lines = (tmp_path / "j.jsonl").read_text("utf-8").splitlines()
+    assert [json.loads(line)["n"] for line in lines] == [0, None, 1, None]
+
+
+def test_snippets_of_an_earlier_replay_go_and_other_files_stay(tmp_path: Path) -> None:
+    write_snippets(tmp_path, {"C1": b"1", "C2": b"2"})
+    (tmp_path / "snippets" / "notes.txt").write_bytes(b"mine")
+    write_snippets(tmp_path, {"C2": b"3"})
+    assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {"C2.png": b"3", "notes.txt": b"mine"}
+
+
+def test_a_directory_is_made_with_its_parents_and_probed(tmp_path: Path) -> None:
+    folder = make_directory(tmp_path / "a" / "b")
+    assert folder.is_dir()
+    assert list(folder.iterdir()) == []
