@@ -3,7 +3,9 @@
 Fully developed single-look speckle has exponential intensity. Then amplitude is Rayleigh (skewness +0.63, standard deviation
 0.52 of the mean), intensity exponential (skewness +2, standard deviation equal to the mean), and the logarithm Gumbel
 (skewness -1.14, standard deviation 5.57 dB whatever the mean). The sign of the skewness survives averaging of looks,
-gain, and (for the logarithm) offset, so it decides; the standard deviation of a logarithm gives its decibels per count.
+gain, and (for the logarithm) offset, so it tells the logarithm from the others; its standard deviation gives the decibels per
+count if looks were not averaged. Intensity of several averaged looks cannot be told from amplitude over a textured sea floor:
+only single-look intensity is recognised, the rest is taken as amplitude.
 """
 
 from __future__ import annotations
@@ -21,6 +23,10 @@ from auv_mcm.records import NAN, EchoTrace, Notice
 SINGLE_LOOK_STD_DB: Final = 10.0 / math.log(10.0) * math.pi / math.sqrt(6.0)
 _WINDOW: Final = 64
 _MIN_WINDOWS: Final = 16
+_USUAL_DB_PER_COUNT: Final = 0.35  # 8 bits over 90 dB, where speckle cannot tell
+_SKEWED: Final = 1.3  # skewness over relative deviation: amplitude at most 1.2, intensity 2, less 0.4 in windows of 64 samples
+_MAX_AMPLITUDE: Final = np.float64(1e19)  # in double precision, so that half-precision samples compare too
+_MAX_INTENSITY: Final = np.float64(1e38)
 
 TransferKind = Literal["amplitude", "intensity", "log"]
 
@@ -33,7 +39,7 @@ class Transfer(NamedTuple):
 
 
 class SpeckleEvidence(NamedTuple):
-    """Medians over short windows of the brighter half of the samples: skewness, standard deviation over mean, and in counts."""
+    """Medians over short windows: skewness, standard deviation over the mean's magnitude, and standard deviation in counts."""
 
     skewness: float
     relative_std: float
@@ -44,21 +50,20 @@ class SpeckleEvidence(NamedTuple):
 def to_intensity(samples: NDArray[Any], transfer: Transfer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Linear intensity (n_samples,) float32 and its validity (n_samples,) bool of recorded samples.
 
-    Non-finite samples, and negative ones unless logarithmic, are invalid and zero in the result.
+    Non-finite samples, absurdly large ones, and negative ones unless logarithmic, are invalid and zero in the result.
     """
-    if samples.dtype.kind == "u":
-        valid = np.ones(samples.shape, dtype=np.bool_)
+    if samples.dtype.kind == "f":
+        # Numbers beyond what float32 holds, once squared if need be, were never measured.
+        valid = np.abs(samples) <= (_MAX_AMPLITUDE if transfer.kind == "amplitude" else _MAX_INTENSITY)
     else:
-        valid = np.isfinite(samples) if samples.dtype.kind == "f" else np.ones(samples.shape, dtype=np.bool_)
-        if transfer.kind != "log":
-            valid &= samples >= 0
-    counts = samples.astype(np.float32)
-    if not valid.all():
-        counts[~valid] = 0.0
+        valid = np.ones(samples.shape, dtype=np.bool_)
+    if samples.dtype.kind != "u" and transfer.kind != "log":
+        valid &= samples >= 0
+    counts = (samples if valid.all() else np.where(valid, samples, 0)).astype(np.float32)
     if transfer.kind == "amplitude":
         np.multiply(counts, counts, out=counts)
     elif transfer.kind == "log":
-        # Referred to 100 dB so that 16 bits of a tenth of a decibel stay far from the ends of float32.
+        # Referred to 100 dB, where 8-bit recorders have their sea floor, and bounded to what float32 holds.
         exponent = np.clip(counts * np.float32(transfer.db_per_count / 10.0) - np.float32(10.0), -30.0, 30.0)
         np.power(np.float32(10.0), exponent, out=counts)
         if not valid.all():
@@ -69,42 +74,50 @@ def to_intensity(samples: NDArray[Any], transfer: Transfer) -> tuple[NDArray[np.
 def speckle_evidence(traces: Sequence[EchoTrace]) -> SpeckleEvidence:
     """Speckle statistics of recorded samples over windows of 64 samples with the linear trend removed.
 
-    The brighter half of the windows is used, which is sea floor rather than water column. NaN with no usable window.
+    The windows with the brighter neighbours are used, which lie on the sea floor rather than in the water column: choosing by
+    their own mean would favour those that happen to hold no deep fade. NaN with too few usable windows.
     """
-    windows = []
+    windows, surroundings = [], []
     for trace in traces:
-        samples = np.asarray(trace.samples, dtype=np.float64)
-        start = samples.shape[0] // 8
-        n_windows = (samples.shape[0] - start) // _WINDOW
-        if n_windows > 0:
-            windows.append(samples[start : start + n_windows * _WINDOW].reshape(n_windows, _WINDOW))
+        start = trace.samples.shape[0] // 8
+        n_windows = (trace.samples.shape[0] - start) // _WINDOW
+        if n_windows < 2:
+            continue
+        window = trace.samples[start : start + n_windows * _WINDOW].reshape(n_windows, _WINDOW).astype(np.float64)
+        window[~(np.abs(window) <= _MAX_AMPLITUDE).all(axis=1)] = NAN
+        mean = window.mean(axis=1)
+        windows.append(window)
+        surroundings.append(0.5 * (np.concatenate([mean[1:2], mean[:-1]]) + np.concatenate([mean[1:], mean[-2:-1]])))
     if not windows:
         return SpeckleEvidence(NAN, NAN, NAN, 0)
-    stack = np.concatenate(windows)
-    stack = stack[np.isfinite(stack).all(axis=1)]
+    stack, brightness = np.concatenate(windows), np.concatenate(surroundings)
+    finite = np.isfinite(stack[:, 0]) & np.isfinite(brightness)
     # A clipped window has no tail left to judge.
-    if stack.size:
-        clipped = (stack == stack.max()).sum(axis=1) > 2
-        stack = stack[~clipped]
-    mean = stack.mean(axis=1) if stack.size else np.empty(0)
+    clipped = (stack == np.max(stack[finite], initial=-math.inf)).sum(axis=1) > 2
+    stack, brightness = stack[finite & ~clipped], brightness[finite & ~clipped]
+    mean = stack.mean(axis=1, keepdims=True)
     ramp = np.arange(_WINDOW) - (_WINDOW - 1) / 2.0
-    residual = stack - mean[:, None] - ramp * ((stack @ ramp) / (ramp @ ramp))[:, None]
-    std = np.sqrt((residual**2).mean(axis=1))
-    good = std > 0.0
-    if good.sum() < _MIN_WINDOWS:
-        return SpeckleEvidence(NAN, NAN, NAN, int(good.sum()))
-    mean, std, residual = mean[good], std[good], residual[good]
-    bright = mean >= np.median(mean)
-    skewness = ((residual[bright] / std[bright, None]) ** 3).mean(axis=1)
-    ratio = std[bright] / np.maximum(np.abs(mean[bright]), 1e-300)
-    return SpeckleEvidence(float(np.median(skewness)), float(np.median(ratio)), float(np.median(std[bright])), int(good.sum()))
+    residual = stack - mean - ramp * (stack @ ramp / (ramp @ ramp))[:, None]
+    std = np.sqrt((residual**2).sum(axis=1) / (_WINDOW - 2))
+    # A constant window leaves rounding errors only.
+    good = std > 1e-9 * np.abs(stack).max(axis=1, initial=0.0)
+    n_good = int(np.count_nonzero(good))
+    if n_good < _MIN_WINDOWS:
+        return SpeckleEvidence(NAN, NAN, NAN, n_good)
+    bright = good & (brightness >= np.median(brightness[good]))
+    mean, std, residual = mean[bright, 0], std[bright], residual[bright]
+    skewness = ((residual / std[:, None]) ** 3).mean(axis=1)
+    relative_std = std / np.maximum(np.abs(mean), 1e-9 * std)
+    return SpeckleEvidence(float(np.median(skewness)), float(np.median(relative_std)), float(np.median(std)), n_good)
 
 
 def kind_from_speckle(evidence: SpeckleEvidence) -> TransferKind:
     """The transfer that fits the evidence best; amplitude, the commonest, where there is none."""
     if evidence.n_windows < _MIN_WINDOWS:
         return "amplitude"
-    if evidence.skewness < 0.05 and evidence.relative_std < 0.4:
+    # Averaged looks bring the skewness of all three near zero, but only a logarithm's spread is then small against its mean
+    # and its skewness negative; around 0 dB the mean says nothing and the skewness must be plain.
+    if evidence.skewness < -0.3 or (evidence.skewness < 0.05 and evidence.relative_std < 0.4):
         return "log"
     return "intensity" if evidence.relative_std > 0.75 else "amplitude"
 
@@ -122,7 +135,7 @@ def resolve_transfer(sonar: SonarConfig, traces: Sequence[EchoTrace]) -> tuple[T
     if kind == "log":
         db_per_count = sonar.db_per_count if sonar.db_per_count is not None else estimated_db
         if not math.isfinite(db_per_count):
-            db_per_count = 0.35
+            db_per_count = _USUAL_DB_PER_COUNT
     notices = []
     measured = f"speckle skewness {evidence.skewness:+.2f}, standard deviation {evidence.relative_std:.2f} of the mean"
     if evidence.n_windows < _MIN_WINDOWS:
@@ -136,7 +149,7 @@ def resolve_transfer(sonar: SonarConfig, traces: Sequence[EchoTrace]) -> tuple[T
                 text=f"samples are taken as '{kind}'{detail} ({measured}). Set sonar.transfer if the recorder's manual says otherwise.",
             )
         )
-    elif kind != likely:
+    elif kind != likely and not (kind == "intensity" and likely == "amplitude" and evidence.skewness > _SKEWED * evidence.relative_std):
         notices.append(
             Notice(
                 code="transfer.disagrees",
