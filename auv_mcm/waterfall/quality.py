@@ -77,11 +77,10 @@ class TraceChecker:
     def _dead(self, samples: NDArray[Any], intensity: NDArray[np.float32]) -> str | None:
         if samples.size == 0:
             return "no_samples"
-        if self._previous is not None and self._previous.shape == samples.shape and np.array_equal(samples, self._previous):
-            return "stuck"
-        highest = float(intensity.max())
-        if highest <= 0.0:
-            return "dead"
+        highest = intensity.max()
         # Any level step across the trace clears this; only a constant or nearly constant trace does not.
-        log_intensity = np.log(np.maximum(intensity, np.float32(1e-6 * highest)))
-        return "dead" if float(log_intensity.var()) < _FLAT_LOG_VARIANCE else None
+        if highest <= 0.0 or np.log(np.maximum(intensity / highest, np.float32(1e-6))).var() < _FLAT_LOG_VARIANCE:
+            return "dead"
+        if self._previous is not None and np.array_equal(samples, self._previous, equal_nan=samples.dtype.kind == "f"):
+            return "stuck"
+        return None
