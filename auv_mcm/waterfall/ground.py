@@ -67,7 +67,7 @@ def mean_between(traces: Traces, edges_m: NDArray[np.float64]) -> RangeMeans:
     """Mean intensity between neighbouring slant ranges.
 
     edges_m: (n_pings, n_columns + 1) or (1, n_columns + 1) float64 slant range, non-decreasing along columns.
-    A column is valid when at least half of it was sampled and half of what was sampled is valid.
+    A column is valid when valid samples cover at least half of it, and saturated when clipped ones are a quarter of those.
     """
     n_pings, n_samples = traces.sum_intensity.shape[0], traces.n_samples
     position = (edges_m - traces.first_range_m) * (1.0 / traces.spacing_m) + 0.5
