@@ -24,7 +24,7 @@ def test_what_is_left_out_or_left_empty_keeps_its_default(text: str) -> None:
 def test_defaults_written_out_read_back_as_defaults() -> None:
     text = config_yaml(Config())
     assert parse_config(text, "f.yaml") == Config()
-    assert yaml.safe_load(text)["detect"]["p_highlight"] == 1e-4  # a YAML 1.1 reader sees the same number
+    assert yaml.safe_load(text)["detect"]["p_false_alarm"] == 5e-4  # a YAML 1.1 reader sees the same number
 
 
 @given(
@@ -38,7 +38,7 @@ def test_any_configuration_survives_the_file(
     mission: str, probability: float, lever: tuple[float, float, float], full_scale: float | None
 ) -> None:
     config = Config(
-        mission=mission, sonar=SonarConfig(lever_arm_m=lever, full_scale=full_scale), detect=DetectConfig(p_highlight=probability)
+        mission=mission, sonar=SonarConfig(lever_arm_m=lever, full_scale=full_scale), detect=DetectConfig(p_false_alarm=probability)
     )
     assert parse_config(config_yaml(config), "f.yaml") == config
 
@@ -95,7 +95,7 @@ def test_mistakes_are_refused_by_place_and_key(text: str, message: str) -> None:
 
 
 def test_numbers_and_words_mean_what_they_say() -> None:
-    assert parse_config("detect: {p_highlight: 1e-4}", "f.yaml").detect.p_highlight == 1e-4
+    assert parse_config("detect: {p_false_alarm: 1e-4}", "f.yaml").detect.p_false_alarm == 1e-4
     assert parse_config("sonar: {blank_m: 2}", "f.yaml").sonar.blank_m == 2.0
     assert parse_config("plan: {max_contacts: 010}", "f.yaml").plan.max_contacts == 10
     for word in ("no", "2024-99-99", "off"):
