@@ -14,6 +14,7 @@ import msgspec
 
 from auv_mcm.config import DetectConfig
 from auv_mcm.detect.belief import crowding, odds_of, probability
+from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import Detection
 
 _SURROUNDINGS_M: Final = 8.0
@@ -21,7 +22,7 @@ _MAX_SHADOW_M: Final = 4.0
 _ALIKE: Final = 0.5
 _CROWDED: Final = 6
 
-_STRUCTURE_LINK_M: Final = 2.5
+_LINK_M: Final = 2.5
 _STRUCTURE_MEMBERS: Final = 6
 _STRUCTURE_LARGE: Final = 2
 _STRUCTURE_P: Final = 0.02
@@ -31,16 +32,21 @@ _BESIDE_STRUCTURE_ODDS: Final = 0.7
 
 
 class Suppressor:
-    """Settles the detections of one side in the order of rows; feed every tile's detections with the row it is complete up to."""
+    """Settles the detections of one side in the order of rows; feed every tile's detections with the row where its core stops."""
 
     def __init__(self, config: DetectConfig, counters: Counter[str]) -> None:
         self._config = config
         self._counters = counters
+        self._link_m = max(_LINK_M, config.suppression_m)
         self._waiting: list[Detection] = []
-        self._recent: list[Detection] = []  # settled, but still surroundings of waiting ones
+        self._recent: list[Detection] = []  # as they came; settled, but still surroundings of waiting ones or of those to come
 
     def add(self, detections: tuple[Detection, ...], complete_to_row: float) -> list[Detection]:
-        """Take a tile's detections; return those that are final now, in order of rows."""
+        """Take a tile's detections; return those that are final now, in order of rows.
+
+        complete_to_row: mission grid row before which no later tile has a score peak; the object a peak belongs to may have its
+        centre up to ROWS_M before it.
+        """
         self._waiting = sorted([*self._waiting, *detections], key=_order)
         return self._settle(complete_to_row)
 
@@ -54,23 +60,25 @@ class Suppressor:
         if not self._waiting:
             return []
         row_m = self._waiting[0].row_spacing_m
-        horizon = complete_to_row - _SURROUNDINGS_M / row_m
+        surroundings = _SURROUNDINGS_M / row_m
+        known_to = complete_to_row - ROWS_M / row_m
+        horizon = known_to - max(_SURROUNDINGS_M, self._link_m) / row_m
         known = [*self._recent, *self._waiting]
         settled: list[Detection] = []
         waiting: list[Detection] = []
-        for chain in _chains(self._waiting, _STRUCTURE_LINK_M):
+        for chain in _chains(self._waiting, self._link_m):
             if max(d.row for d in chain) >= horizon:
                 waiting += chain
                 continue
+            best = self._best_of(chain, self._config.suppression_m)
             if _is_structure(chain, self._config.max_object_m):
-                best = _outline(self._best_of(chain, self._config.suppression_m), chain)
-            else:
-                best = self._best_of(chain, self._config.suppression_m)
+                best = _outline(best, chain)
             self._counters["detect.suppressed"] += len(chain) - len(best)
             settled += [self._in_surroundings(detection, known) for detection in best]
         self._waiting = sorted(waiting, key=_order)
-        oldest = min((d.row for d in waiting), default=horizon) - _SURROUNDINGS_M / row_m
-        self._recent = [d for d in [*self._recent, *settled] if d.row >= min(oldest, horizon - _SURROUNDINGS_M / row_m)]
+        first_needed = min([known_to, *(d.row for d in waiting)]) - surroundings
+        still_waiting = {id(d) for d in waiting}
+        self._recent = [d for d in known if d.row >= first_needed and id(d) not in still_waiting]
         return sorted(settled, key=_order)
 
     def _best_of(self, chain: list[Detection], reach_m: float) -> list[Detection]:
