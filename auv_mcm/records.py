@@ -126,9 +126,9 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
     height_m from the shadow's length, NaN if no shadow was seen. score: evidence of highlight and shadow together, in
-    standard deviations of the sea floor around. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m)
-    float32 normalised intensity around the object, near range left, earlier pings on top; snippet_row, snippet_column: the
-    centroid inside it.
+    standard deviations of the sea floor around. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
+    codes of `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
+    snippet_column: the centroid inside it.
     covariance_m2: (2, 2) float64 east/north.
     """
 
@@ -154,7 +154,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     shadow_length_m: float
     p_mine: float
     reasons: tuple[str, ...]
-    snippet: NDArray[np.float32]
+    snippet: NDArray[np.uint8]
     snippet_row: float
     snippet_column: float
     row_spacing_m: float

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import Detection
+from auv_mcm.snippet import unpack_snippet
 
 Bytes: TypeAlias = NDArray[np.uint8]
 
@@ -28,7 +29,7 @@ def snippet_picture(view: Detection) -> Bytes:
 
     Later pings are above; range grows to the right on starboard and to the left on port.
     """
-    image = np.asarray(view.snippet, dtype=np.float32)
+    image = unpack_snippet(view.snippet)
     if image.size == 0:
         return np.full((8, 8, 3), COLOURS[0], dtype=np.uint8)
     levels = display_levels(image).astype(np.float32)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect.prescreen import Peak, ScoreMaps
 from auv_mcm.records import NAN, SATURATED, TURN, VALID, Tile
+from auv_mcm.snippet import pack_snippet
 
 ROWS_M: Final = 4.0
 _NEAR_M: Final = 3.0
@@ -19,6 +20,7 @@ _FAR_M: Final = 8.0
 _BRIGHT_STEP: Final = 0.7  # nats above the background at least (3 dB)
 _DARK_STEP: Final = -1.0  # nats below it
 _STEP_DEVIATIONS: Final = 2.0
+_SNIPPET_M: Final = 2.5
 _SEARCH_M: Final = 0.45
 _MAX_GAP_M: Final = 0.9  # between highlight and shadow: bright surroundings of scour lie there
 _CENTRE_ROWS_M: Final = 0.3
@@ -45,7 +47,7 @@ class Measurement(NamedTuple):
     touches_border: bool
     in_turn: bool
     saturated: bool
-    snippet: NDArray[np.float32]
+    snippet: NDArray[np.uint8]
     snippet_row: float
     snippet_column: float
 
@@ -95,6 +97,7 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
     footprint_m = math.hypot(ground_m, float(tile.first_return_m[peak.row])) * beam_width_rad
     along_m = _without_footprint(max(highlight_rows, shadow_rows, 1) * row_m, footprint_m)
     border = any(part is not None and (part[0].any() or part[-1].any()) for part in (highlight, shadow))
+    cut = _snippet_cut(row, column, shadow_length_m, row_m, column_m)
     around = tile.mask[rows, columns][max(roi.row - 2, 0) : roi.row + 3, max(roi.column - 4, 0) : roi.column + 5]
     return Measurement(
         row=rows.start + row + 0.5,
@@ -110,10 +113,18 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
         touches_border=border,
         in_turn=bool((around & TURN).any()),
         saturated=bool((around & SATURATED).any()),
-        snippet=np.ascontiguousarray(tile.intensity[rows, columns]),
-        snippet_row=row + 0.5,
-        snippet_column=column + 0.5,
+        snippet=pack_snippet(tile.intensity[rows, columns][cut]),
+        snippet_row=row + 0.5 - cut[0].start,
+        snippet_column=column + 0.5 - cut[1].start,
     )
+
+
+def _snippet_cut(row: float, column: float, shadow_length_m: float, row_m: float, column_m: float) -> tuple[slice, slice]:
+    """The part of the region worth keeping as a picture: the object, its shadow and some of the sea floor around."""
+    half_rows, near = round(_SNIPPET_M / row_m), round(_SNIPPET_M / column_m)
+    behind = near + (0 if math.isnan(shadow_length_m) else round(shadow_length_m / column_m))
+    middle, centre = round(row), round(column)
+    return slice(max(0, middle - half_rows), middle + half_rows + 1), slice(max(0, centre - near), centre + behind + 1)
 
 
 def _region(tile: Tile, maps: ScoreMaps, peak: Peak, rows: slice, columns: slice) -> _Roi:

@@ -30,6 +30,7 @@ from auv_mcm.contacts.export import (
     waypoints_geojson,
 )
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
+from auv_mcm.snippet import pack_snippet
 
 KML = "{http://www.opengis.net/kml/2.2}"
 
@@ -58,7 +59,7 @@ def detection(**changes: Any) -> Detection:
         shadow_length_m=1.9,
         p_mine=0.8,
         reasons=("bright",),
-        snippet=np.ones((8, 16), dtype=np.float32),
+        snippet=pack_snippet(np.ones((8, 16))),
         snippet_row=4.0,
         snippet_column=8.0,
         row_spacing_m=0.12,

@@ -32,6 +32,7 @@ from auv_mcm.records import (
     Tile,
     Waypoint,
 )
+from auv_mcm.snippet import pack_snippet
 from sim_replay.report import MissionRecord, PictureCollector, render_report, write_report
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.words import area, degrees_minutes, distance, duration, explained, is_loss, nice_step
@@ -139,7 +140,7 @@ def detection(side: Side = "port", row: float = 30.0, column: float = 100.0, **c
         shadow_length_m=NAN,
         p_mine=0.8,
         reasons=("saturated",),
-        snippet=np.ones((20, 60), dtype=np.float32),
+        snippet=pack_snippet(np.ones((20, 60))),
         snippet_row=4.0,
         snippet_column=10.0,
         row_spacing_m=ROW_M,
@@ -437,7 +438,7 @@ def test_tiles_without_rows_times_or_pings_do_no_harm() -> None:
 def test_a_contact_picture_is_oriented_like_the_strips(side: Side) -> None:
     snippet = np.full((20, 60), 0.05, dtype=np.float32)
     snippet[3:6, 8:13] = 30.0
-    picture = snippet_picture(detection(side, snippet=snippet)).astype(np.int64).sum(axis=2)
+    picture = snippet_picture(detection(side, snippet=pack_snippet(snippet))).astype(np.int64).sum(axis=2)
     assert picture.shape == (40, 60), "pixels are made square"
     down, right = np.argwhere(picture > 0.8 * picture.max()).mean(axis=0)
     assert down == pytest.approx(39.0 - 8.5, abs=1.0)
@@ -450,13 +451,13 @@ def test_contact_pictures_are_png_with_square_pixels_of_the_finer_spacing() -> N
     picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     assert picture.shape == (40, 60, 3)
-    assert snippet_png(detection(snippet=np.empty((0, 0), dtype=np.float32))).startswith(b"\x89PNG")
-    assert snippet_png(detection(snippet=np.full((5, 5), NAN, dtype=np.float32))).startswith(b"\x89PNG")
+    assert snippet_png(detection(snippet=np.empty((0, 0), dtype=np.uint8))).startswith(b"\x89PNG")
+    assert snippet_png(detection(snippet=pack_snippet(np.full((5, 5), NAN)))).startswith(b"\x89PNG")
 
 
 def test_pictures_of_very_many_contacts_stop_before_the_page_is_too_big() -> None:
     noise = np.random.default_rng(2).gamma(1.0, 1.0, (160, 320)).astype(np.float32)
-    many = [contact(f"C{number:04d}", 0.9, views=(detection(snippet=noise),)) for number in range(120)]
+    many = [contact(f"C{number:04d}", 0.9, views=(detection(snippet=pack_snippet(noise)),)) for number in range(120)]
     text = render_report(mission(), many, [], [], [], {}, PictureCollector())
     assert len(text) < 9_000_000
     assert "see snippets/C0119.png" in text

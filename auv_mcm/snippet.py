@@ -1,0 +1,30 @@
+"""Snippets of sonar picture small enough to keep one with every contact of a long mission: a byte per pixel, logarithmic.
+
+Code 0 is no echo; code n >= 1 is -40 dB + (n - 1) / 4 dB about the local seabed mean, up to +23.5 dB.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_FLOOR_DB: Final = -40.0
+_PER_DB: Final = 4.0
+
+
+def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:
+    """Linear intensity (n, m) in units of the seabed mean as codes, rounded to an eighth of a decibel; not positive or NaN is no echo."""
+    values = np.asarray(intensity, dtype=np.float32)
+    echo = values > 0.0
+    level_db = 10.0 * np.log10(values, out=np.full(values.shape, _FLOOR_DB / 10.0, dtype=np.float32), where=echo)
+    return np.where(echo, np.clip(np.rint((level_db - _FLOOR_DB) * _PER_DB) + 1.0, 1.0, 255.0), 0.0).astype(np.uint8)
+
+
+def unpack_snippet(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Linear intensity (n, m) float32 of codes; 0 where there was no echo."""
+    return np.asarray(_INTENSITY[codes])
+
+
+_INTENSITY: Final = np.concatenate([[0.0], 10.0 ** ((_FLOOR_DB + np.arange(255) / _PER_DB) / 10.0)]).astype(np.float32)
