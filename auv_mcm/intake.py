@@ -38,6 +38,7 @@ class Intake:
         self._navigation = NavBuffer(config.navigation)
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
+        self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
         self._newest_s = -math.inf
         self._previous_time_s = math.nan
         self._previous_speed_mps = math.nan
@@ -97,28 +98,30 @@ class Intake:
                 self._pending.popleft()
                 released.append(SegmentEnd())
                 continue
-            pings, complete = self._next_run()
-            if not (complete or everything):
+            run = self._next_run(everything=everything)
+            if not run:
                 break
-            last_s = pings[-1].time_s
+            last_s = run[-1].time_s
             ready = self._navigation.ready_until_s >= last_s + _RATE_HALF_SPAN_S or self._newest_s >= last_s + self._max_wait_s
             if not (ready or everything):
                 break
-            for _ in pings:
+            for _ in run:
                 self._pending.popleft()
-            released.append(self._block(pings))
+            self._run = []
+            released.append(self._block(run))
         return released
 
-    def _next_run(self) -> tuple[list[Ping], bool]:
-        """The next block's pings, and whether no later ping can join them."""
+    def _next_run(self, *, everything: bool) -> list[Ping]:
+        """The next block's pings; empty while later pings may still join them, unless `everything` has to go."""
+        if self._run or (len(self._pending) < BLOCK_PINGS and not everything):
+            return self._run
         run: list[Ping] = []
         for item in self._pending:
-            if isinstance(item, SegmentEnd) or (run and _layout(item) != _layout(run[0])):
-                return run, True
+            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS or (run and _layout(item) != _layout(run[0])):
+                break
             run.append(item)
-            if len(run) == BLOCK_PINGS:
-                return run, True
-        return run, False
+        self._run = run
+        return run
 
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])

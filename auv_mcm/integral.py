@@ -24,7 +24,9 @@ class PaddedIntegral:
         self._shape = plane.shape
         self._pad = (pad_rows, pad_columns)
         total = np.asarray(cv2.integral(np.ascontiguousarray(plane), sdepth=cv2.CV_64F), dtype=np.float64)
-        self._sum: NDArray[np.float64] = np.pad(total, ((pad_rows, pad_rows), (pad_columns, pad_columns)), mode="edge")
+        self._sum: NDArray[np.float64] = np.asarray(
+            cv2.copyMakeBorder(total, pad_rows, pad_rows, pad_columns, pad_columns, cv2.BORDER_REPLICATE), dtype=np.float64
+        )
 
     def box(self, row_start: int, row_stop: int, column_start: int, column_stop: int) -> NDArray[np.float64]:
         """Sum over the box around every pixel, (n_rows, n_columns) float64."""

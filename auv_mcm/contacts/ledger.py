@@ -8,6 +8,7 @@ a new one.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -47,6 +48,7 @@ class Ledger:
             first = detections[0]
             self._frame = LocalFrame(latitude_deg=first.latitude_deg, longitude_deg=first.longitude_deg, height_m=0.0)
         changed: set[int] = set()
+        n_known = len(self._contacts)
         for detection, match in zip(detections, self._assign(detections), strict=True):
             if match is None:
                 self._contacts.append(_contact(f"C{len(self._contacts) + 1:04d}", (detection,)))
@@ -56,20 +58,24 @@ class Ledger:
                 contact = self._contacts[index]
                 self._contacts[index] = _contact(contact.id, tuple(sorted([*contact.views, detection], key=lambda d: d.time_s)))
             changed.add(index)
-        self._positions_m = np.array([self._east_north(c.latitude_deg, c.longitude_deg) for c in self._contacts])
-        return [self._contacts[index] for index in sorted(changed)]
+        moved = sorted(changed)
+        self._positions_m = np.concatenate([self._positions_m, np.zeros((len(self._contacts) - n_known, 2))])
+        self._positions_m[moved] = self._east_north([self._contacts[index] for index in moved])
+        return [self._contacts[index] for index in moved]
 
-    def _east_north(self, latitude_deg: float, longitude_deg: float) -> NDArray[np.float64]:
+    def _east_north(self, placed: Sequence[Contact | Detection]) -> NDArray[np.float64]:
         assert self._frame is not None
-        return np.asarray(self._frame.to_enu(latitude_deg, longitude_deg, 0.0)[..., :2])
+        latitude = np.array([item.latitude_deg for item in placed])
+        longitude = np.array([item.longitude_deg for item in placed])
+        return np.asarray(self._frame.to_enu(latitude, longitude, 0.0)[..., :2])
 
     def _assign(self, detections: list[Detection]) -> list[int | None]:
         """Per detection the contact it belongs to, or None for a new one."""
         if not self._contacts:
             return [None] * len(detections)
         cost = np.full((len(detections), len(self._contacts)), _IMPOSSIBLE)
-        for row, detection in enumerate(detections):
-            offset = self._positions_m - self._east_north(detection.latitude_deg, detection.longitude_deg)
+        for row, (detection, place) in enumerate(zip(detections, self._east_north(detections), strict=True)):
+            offset = self._positions_m - place
             near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m)
             for column in near:
                 contact = self._contacts[column]
@@ -96,19 +102,14 @@ def _same_look(a: Detection, b: Detection) -> bool:
 
 
 def _contact(contact_id: str, views: tuple[Detection, ...]) -> Contact:
-    frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
-    positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
-    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]))
-    covariance = np.linalg.inv(information.sum(axis=0))
-    east_north = covariance @ np.einsum("nij,nj->i", information, positions)
-    latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))
+    latitude, longitude, covariance = _fused_position(views)
     p_mine = _fused_probability(views)
     best = max(views, key=lambda v: (v.score, -v.time_s))
     return Contact(
         id=contact_id,
         time_s=views[0].time_s,
-        latitude_deg=float(latitude),
-        longitude_deg=float(longitude),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
         covariance_m2=covariance,
         p_mine=p_mine,
         classification=_classification(p_mine),
@@ -120,6 +121,19 @@ def _contact(contact_id: str, views: tuple[Detection, ...]) -> Contact:
         reasons=tuple(dict.fromkeys(reason for view in views for reason in view.reasons)),
         views=views,
     )
+
+
+def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
+    """Latitude, longitude and east/north covariance of the views' positions, weighted by their inverse covariances."""
+    if len(views) == 1:
+        return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
+    frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
+    positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
+    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]))
+    covariance = np.linalg.inv(information.sum(axis=0))
+    east_north = covariance @ np.einsum("nij,nj->i", information, positions)
+    latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))
+    return float(latitude), float(longitude), covariance
 
 
 def _fused_probability(views: tuple[Detection, ...]) -> float:

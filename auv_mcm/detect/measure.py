@@ -25,6 +25,8 @@ _SEARCH_M: Final = 0.45
 _MAX_GAP_M: Final = 0.9  # between highlight and shadow: bright surroundings of scour lie there
 _CENTRE_ROWS_M: Final = 0.3
 _BRIDGE_M: Final = 0.3  # speckle peaks inside a shadow
+_FULL_ROW: Final = 0.3
+_LEVEL_QUANTILE: Final = 0.9
 
 
 class Measurement(NamedTuple):
@@ -64,11 +66,13 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
     """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content."""
     n_rows, n_columns = tile.mask.shape
     row_m, column_m = tile.row_spacing_m, tile.column_spacing_m
-    rows = slice(max(0, peak.row - round(ROWS_M / row_m)), min(n_rows, peak.row + round(ROWS_M / row_m) + 1))
+    reach_rows = round(ROWS_M / row_m)
+    rows = slice(max(0, peak.row - reach_rows), min(n_rows, peak.row + reach_rows + 1))
     columns = slice(max(0, peak.column - round(_NEAR_M / column_m)), min(n_columns, peak.column + round(_FAR_M / column_m) + 1))
     roi = _region(tile, maps, peak, rows, columns)
     spread = math.sqrt(float(maps.small_box_variance[peak.row, peak.column]))
-    bright = roi.contrast > max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
+    bright_step = max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
+    bright = roi.contrast > bright_step
     dark = _bridged((roi.contrast < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m))
 
     highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
@@ -78,7 +82,7 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
     row, column, across_m, highlight_rows = float(anchor_row), float(anchor_column), column_m, 0
     highlight_db = NAN
     if highlight is not None:
-        row, column, highlight_rows, highlight_columns = _weighted_extent(roi, highlight)
+        row, column, highlight_rows, highlight_columns = _weighted_extent(roi, highlight, bright_step)
         across_m = highlight_columns * column_m
         highlight_db = _decibels(roi, highlight)
     shadow_length_m, height_m, shadow_db, shadow_rows = NAN, NAN, NAN, 0
@@ -86,7 +90,7 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
         start, stop = _shadow_interval(shadow, round(row), round(_CENTRE_ROWS_M / row_m))
         if highlight is None:
             column = start - 0.5
-        shadow_rows = int(np.ptp(np.nonzero(shadow)[0])) + 1
+        shadow_rows = _full_rows(shadow)
         shadow_db = _decibels(roi, shadow)
         object_m = (columns.start + min(column, start - 0.5) + 0.5) * column_m
         far_m = (columns.start + stop) * column_m
@@ -96,7 +100,9 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
     ground_m = (columns.start + column + 0.5) * column_m
     footprint_m = math.hypot(ground_m, float(tile.first_return_m[peak.row])) * beam_width_rad
     along_m = _without_footprint(max(highlight_rows, shadow_rows, 1) * row_m, footprint_m)
-    border = any(part is not None and (part[0].any() or part[-1].any()) for part in (highlight, shadow))
+    # At the end of a track the tile cuts an object off, which says nothing about its length.
+    edges = [edge for edge, cut in ((0, peak.row - reach_rows < 0), (-1, peak.row + reach_rows >= n_rows)) if not cut]
+    border = any(part is not None and part[edge].any() for part in (highlight, shadow) for edge in edges)
     cut = _snippet_cut(row, column, shadow_length_m, row_m, column_m)
     around = tile.mask[rows, columns][max(roi.row - 2, 0) : roi.row + 3, max(roi.column - 4, 0) : roi.column + 5]
     return Measurement(
@@ -141,8 +147,11 @@ def _region(tile: Tile, maps: ScoreMaps, peak: Peak, rows: slice, columns: slice
 
 def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
     """The mask with holes of up to `gap` columns between its pixels of a row filled."""
-    closed = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, np.ones((1, gap + 1), dtype=np.uint8))
-    return np.asarray(closed.astype(np.bool_))
+    padded = np.pad(mask.view(np.uint8), ((0, 0), (0, gap)))
+    kernel = np.ones((1, gap + 1), dtype=np.uint8)
+    # Opposite anchors: with one in the middle a kernel of even length would shift the mask.
+    closed = cv2.erode(cv2.dilate(padded, kernel, anchor=(gap, 0)), kernel, anchor=(0, 0))
+    return np.asarray(closed[:, : mask.shape[1]].astype(np.bool_))
 
 
 def _component_near(mask: NDArray[np.bool_], row: int, column: int, half_rows: int, half_columns: int) -> NDArray[np.bool_] | None:
@@ -168,19 +177,31 @@ def _shadow_behind(
 
 
 def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
-    """The brightest pixel of a part among those within the search window of the peak, smoothed contrast, first on ties."""
-    distance = np.hypot(*(np.indices(part.shape) - np.array([roi.row, roi.column])[:, None, None]))
+    """The pixel of a part where contrast is highest, less 0.05 nats for every pixel away from the peak; the first on ties."""
+    distance = np.hypot((np.arange(part.shape[0]) - roi.row)[:, None], (np.arange(part.shape[1]) - roi.column)[None, :])
     value = np.where(part, roi.contrast - 0.05 * distance, -np.inf)
     row, column = np.unravel_index(int(np.argmax(value)), part.shape)
     return int(row), int(column)
 
 
-def _weighted_extent(roi: _Roi, part: NDArray[np.bool_]) -> tuple[float, float, int, int]:
+def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> tuple[float, float, int, int]:
+    """Centre of a highlight in rows and columns, and its extent in them."""
     rows, columns = np.nonzero(part)
+    contrast = roi.contrast[rows, columns].astype(np.float64)
     # Weights bounded in dB terms: one glint must not pull the centre of a long object to itself.
-    weight = np.maximum(roi.contrast[rows, columns].astype(np.float64), 0.1)
+    weight = np.maximum(contrast, 0.1)
     total = weight.sum()
-    return float(rows @ weight / total), float(columns @ weight / total), int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
+    # The 3 x 3 mean just outside a wide object still holds a third of its echo: strong ones look a pixel larger on every side.
+    level = math.exp(float(np.quantile(contrast, _LEVEL_QUANTILE)))
+    seam = 2 if math.log((level - 1.0) / 3.0 + 1.0) > bright_step else 0
+    n_rows, n_columns = max(int(np.ptp(rows)) + 1 - seam, 1), max(int(np.ptp(columns)) + 1 - seam, 1)
+    return float(rows @ weight / total), float(columns @ weight / total), n_rows, n_columns
+
+
+def _full_rows(shadow: NDArray[np.bool_]) -> int:
+    """Extent in rows of a shadow's body: rows that only hold a dark speckle or two at its side do not count."""
+    count = shadow.sum(axis=1)
+    return int(np.ptp(np.flatnonzero(count > _FULL_ROW * count.max()))) + 1
 
 
 def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tuple[float, float]:
