@@ -22,18 +22,19 @@ BIN_M: Final = 0.05
 _WINDOW_M: Final = 0.5
 _LOG_VARIANCE: Final = math.pi**2 / 6.0
 _MIN_STEP: Final = math.log(2.0)
-_PING_VOTE: Final = 20.0
+_SIDE_VOTE: Final = 10.0
 _ALTITUDE_RATIO: Final = 1.6
 _OUTSIDE_GATE: Final = 8.0
 _MAX_SLOPE_BINS: Final = 8
 _STEP_COST: Final = 0.5
 _EVIDENCE: Final = 6.0
 _SMOOTHING_PINGS: Final = 8
+_SEEN_PINGS: Final = 4
 
 
 class BottomTrack(NamedTuple):
     """first_return_m, sigma_m: (n_pings,) float64 slant range of the first bottom return and its 1-sigma.
-    seen: (n_pings,) bool, whether the ping itself showed it."""
+    seen: (n_pings,) bool, whether this ping and those around it showed it."""
 
     first_return_m: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
@@ -73,6 +74,16 @@ def change_point_scores(log_intensity: NDArray[np.float64], valid: NDArray[np.bo
     return score
 
 
+class _Path(NamedTuple):
+    """bins: (n_pings,) int64; evidence: (n_pings,) float64 score of the best of the bin and its neighbours."""
+
+    bins: NDArray[np.int64]
+    evidence: NDArray[np.float64]
+
+
+_NO_PATH: Final = _Path(np.empty(0, dtype=np.int64), np.empty(0))
+
+
 class BottomTracker:
     """Fixed-lag best-path tracker; feed blocks of pings in order, each block's path is returned with the next call."""
 
@@ -80,7 +91,7 @@ class BottomTracker:
         self._blank_bins = max(1, round(blank_m / BIN_M))
         self._cost: NDArray[np.float64] | None = None
         self._held: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
-        self._before: NDArray[np.int64] = np.empty(0, dtype=np.int64)  # path just before the held block
+        self._before = _NO_PATH  # just before the held block
 
     def add(self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float) -> BottomTrack | None:
         """Score a block; return the path of the block before it, None for the first.
@@ -97,8 +108,8 @@ class BottomTracker:
             score = np.pad(score, ((0, 0), (0, self._cost.shape[0] - n_bins)))
         self._cost, back = viterbi_forward(self._cost, score, _MAX_SLOPE_BINS, _STEP_COST)
         end = int(self._cost.argmax())
-        path = backtrack(end, back)
-        done = self._finish_held(int(back[0, path[0]]), path[:_SMOOTHING_PINGS]) if self._held is not None else None
+        path = _path(end, score, back)
+        done = self._finish_held(int(back[0, path.bins[0]]), path) if self._held is not None else None
         self._held = (score, back)
         return done
 
@@ -106,20 +117,23 @@ class BottomTracker:
         """Path of the last block, and forget the mission so far."""
         done = None
         if self._held is not None and self._cost is not None:
-            done = self._finish_held(int(self._cost.argmax()), np.empty(0, dtype=np.int64))
-        self._cost, self._held, self._before = None, None, np.empty(0, dtype=np.int64)
+            done = self._finish_held(int(self._cost.argmax()), _NO_PATH)
+        self._cost, self._held, self._before = None, None, _NO_PATH
         return done
 
-    def _finish_held(self, end: int, after: NDArray[np.int64]) -> BottomTrack:
+    def _finish_held(self, end: int, after: _Path) -> BottomTrack:
         assert self._held is not None
         score, back = self._held
-        path = backtrack(min(end, back.shape[1] - 1), back)
-        pings = np.arange(path.shape[0])
-        evidence = np.maximum.reduce([score[pings, np.clip(path + offset, 0, score.shape[1] - 1)] for offset in (-1, 0, 1)])
-        seen = evidence >= _EVIDENCE
-        smooth = _running_median(self._before, path, after)
-        self._before = path[-_SMOOTHING_PINGS:]
-        roughness = np.abs(path - smooth)
+        path = _path(min(end, back.shape[1] - 1), score, back)
+        start, stop = self._before.bins.shape[0], self._before.bins.shape[0] + path.bins.shape[0]
+        bins = np.concatenate([self._before.bins, path.bins, after.bins])
+        evidence = np.concatenate([self._before.evidence, path.evidence, after.evidence])
+        # In noise single pings look convincing, in weak contrast single pings do not: a few together tell.
+        means = [evidence[max(ping - _SEEN_PINGS, 0) : ping + _SEEN_PINGS + 1].mean() for ping in range(start, stop)]
+        seen = np.array(means) >= _EVIDENCE
+        smooth = _running_median(bins)[start:stop]
+        self._before = _Path(bins[:stop][-_SMOOTHING_PINGS:], evidence[:stop][-_SMOOTHING_PINGS:])
+        roughness = np.abs(path.bins - smooth)
         sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, 0.1 * np.maximum(smooth * BIN_M, 1.0))
         return BottomTrack(smooth * BIN_M, sigma, seen)
 
@@ -132,9 +146,10 @@ class BottomTracker:
                 continue
             means = mean_between(traces, edges_m)
             floor = 1e-6 * means.intensity.mean(axis=1, keepdims=True) + 1e-300
-            score += change_point_scores(np.log(np.maximum(means.intensity, floor)), means.valid, self._blank_bins)
-        # Every ping has the same say: one with a loud fish must not outvote its neighbours.
-        score *= _PING_VOTE / np.maximum(score.max(axis=1, keepdims=True), 2.0 * _EVIDENCE)
+            independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
+            side = independent * change_point_scores(np.log(np.maximum(means.intensity, floor)), means.valid, self._blank_bins)
+            # Every side of every ping has the same say: a loud fish, on one side, must not outvote the other and its neighbours.
+            score += side * (_SIDE_VOTE / np.maximum(side.max(axis=1, keepdims=True), _EVIDENCE))
         known = np.isfinite(altitude_m) & (altitude_m > 0.0)
         if known.any():
             centre_m = (np.arange(n_bins) * BIN_M)[None, :]
@@ -144,15 +159,19 @@ class BottomTracker:
         return score
 
 
-def _running_median(before: NDArray[np.int64], path: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.float64]:
+def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Path:
+    """The best path that ends in bin `end` of the block's last ping."""
+    bins = backtrack(end, back)
+    pings = np.arange(bins.shape[0])
+    evidence = np.maximum.reduce([score[pings, np.clip(bins + offset, 0, score.shape[1] - 1)] for offset in (-1, 0, 1)])
+    return _Path(bins, evidence)
+
+
+def _running_median(bins: NDArray[np.int64]) -> NDArray[np.float64]:
     """Median over eight pings to either side, (n_pings,) float64: a rock under the array is not the bottom everything else lies on.
 
-    At the ends of a segment the window shrinks evenly, so that a steady dive is not bent.
+    At the ends the window shrinks evenly, so that a steady dive is not bent.
     """
-    whole = np.concatenate([before, path, after])
-    medians = np.empty(path.shape[0])
-    for ping in range(path.shape[0]):
-        centre = before.shape[0] + ping
-        half = min(_SMOOTHING_PINGS, centre, whole.shape[0] - 1 - centre)
-        medians[ping] = np.median(whole[centre - half : centre + half + 1])
-    return medians
+    last = bins.shape[0] - 1
+    halves = [min(_SMOOTHING_PINGS, ping, last - ping) for ping in range(last + 1)]
+    return np.array([np.median(bins[ping - half : ping + half + 1]) for ping, half in enumerate(halves)])
