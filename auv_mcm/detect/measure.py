@@ -26,7 +26,6 @@ _MAX_GAP_M: Final = 0.9  # between highlight and shadow: bright surroundings of 
 _CENTRE_ROWS_M: Final = 0.3
 _BRIDGE_M: Final = 0.3  # speckle peaks inside a shadow
 _FULL_ROW: Final = 0.3
-_LEVEL_QUANTILE: Final = 0.9
 
 
 class Measurement(NamedTuple):
@@ -92,11 +91,13 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
             column = start - 0.5
         shadow_rows = _full_rows(shadow)
         shadow_db = _decibels(roi, shadow)
-        object_m = (columns.start + min(column, start - 0.5) + 0.5) * column_m
+        top = start if highlight is None else min(_far_edge(highlight, round(row)), start)
+        top_m = (columns.start + top) * column_m
         far_m = (columns.start + stop) * column_m
         shadow_length_m = (stop - start) * column_m
         altitude_m = float(tile.first_return_m[peak.row])
-        height_m = altitude_m * (far_m - object_m) / far_m if far_m > 0.0 else NAN
+        # The ray that grazes the last lit point goes on to the shadow's end: heights are to ranges as the triangle says.
+        height_m = altitude_m * (1.0 - math.hypot(top_m, altitude_m) / math.hypot(far_m, altitude_m))
     ground_m = (columns.start + column + 0.5) * column_m
     footprint_m = math.hypot(ground_m, float(tile.first_return_m[peak.row])) * beam_width_rad
     along_m = _without_footprint(max(highlight_rows, shadow_rows, 1) * row_m, footprint_m)
@@ -192,10 +193,16 @@ def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> 
     weight = np.maximum(contrast, 0.1)
     total = weight.sum()
     # The 3 x 3 mean just outside a wide object still holds a third of its echo: strong ones look a pixel larger on every side.
-    level = math.exp(float(np.quantile(contrast, _LEVEL_QUANTILE)))
-    seam = 2 if math.log((level - 1.0) / 3.0 + 1.0) > bright_step else 0
+    seam = 2 if math.log((math.exp(float(contrast.max())) - 1.0) / 3.0 + 1.0) > bright_step else 0
     n_rows, n_columns = max(int(np.ptp(rows)) + 1 - seam, 1), max(int(np.ptp(columns)) + 1 - seam, 1)
     return float(rows @ weight / total), float(columns @ weight / total), n_rows, n_columns
+
+
+def _far_edge(part: NDArray[np.bool_], row: int) -> float:
+    """One past the farthest column of a part in the row nearest to `row` that has any."""
+    rows = np.flatnonzero(part.any(axis=1))
+    nearest = rows[int(np.argmin(np.abs(rows - row)))]
+    return float(part.shape[1] - part[nearest, ::-1].argmax())
 
 
 def _full_rows(shadow: NDArray[np.bool_]) -> int:
