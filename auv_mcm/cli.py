@@ -269,9 +269,9 @@ def _config(arguments: argparse.Namespace) -> int:
 
 
 def _bench(arguments: argparse.Namespace) -> int:
-    from sim_replay import bench
+    from sim_replay.bench import main as bench
 
-    return bench.main([arguments.bench, *arguments.arguments])
+    return bench([arguments.bench, *arguments.arguments])
 
 
 class _Progress:
