@@ -45,7 +45,8 @@ class AngleCurve:
 
         usable: pixels to learn from. tangent: of the grazing angle per pixel, same shape.
         """
-        angle_bin = np.minimum((np.arctan(tangent) * (1.0 / _BIN_RAD)).astype(np.intp), N_ANGLE_BINS - 1)
+        angle = np.arctan(tangent) * (1.0 / _BIN_RAD)
+        angle_bin = np.minimum(angle.astype(np.intp), N_ANGLE_BINS - 1)
         bins, values = angle_bin[usable], log_intensity[usable]
         count = np.bincount(bins, minlength=N_ANGLE_BINS)
         mean = np.bincount(bins, weights=values, minlength=N_ANGLE_BINS) / np.maximum(count, 1)
@@ -58,14 +59,11 @@ class AngleCurve:
         share = n_pings / np.minimum(self._weight + n_pings, _TIME_CONSTANT_PINGS)
         self._level = np.where(enough, centre + np.minimum(share, 1.0) * innovation, self._level)
         self._weight += np.where(enough, n_pings, 0)
-        curve: NDArray[np.float64] = self._curve()[angle_bin]
-        return curve
-
-    def _curve(self) -> NDArray[np.float64]:
         known = np.flatnonzero(np.isfinite(self._level))
         if known.size == 0:
-            return np.zeros(N_ANGLE_BINS)
-        return np.asarray(np.interp(np.arange(N_ANGLE_BINS), known, self._level[known]))
+            return np.zeros_like(angle)
+        # Between bin centres, because at long range half a degree is metres of sea floor and a decibel of spreading.
+        return np.asarray(np.interp(angle, known + 0.5, self._level[known]))
 
 
 class GainStepFilter:
@@ -82,8 +80,8 @@ class GainStepFilter:
     def corrections(self, seabed_level: NDArray[np.float64], water_level: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Correction in nats to subtract from ln I per ping, (n_pings,) float64, and the number of gain steps found.
 
-        seabed_level, water_level: (n_pings,) float64 median ln I of sea floor (angle curve removed) and of the water column, NaN
-        where there are too few samples.
+        seabed_level, water_level: (n_pings,) float64 median ln I of sea floor and of the water column as recorded, NaN where there
+        are too few samples.
         """
         n_pings = seabed_level.shape[0]
         out = np.empty(n_pings)
@@ -95,7 +93,7 @@ class GainStepFilter:
                 water_jump = water - float(np.median(self._water))
                 both = min(abs(seabed_jump), abs(water_jump))
                 if both > _GAIN_STEP_NATS and seabed_jump * water_jump > 0 and abs(seabed_jump - water_jump) < 0.5 * both:
-                    step = self._step_size(seabed_level[ping:] - self._correction, water_level[ping:] - self._correction, seabed_jump)
+                    step = self._step_size(seabed_level[ping:] - self._correction, seabed_jump)
                     self._correction += step
                     seabed, water = seabed - step, water - step
                     n_steps += 1
@@ -104,11 +102,10 @@ class GainStepFilter:
             _remember(self._water, water)
         return out, n_steps
 
-    def _step_size(self, seabed: NDArray[np.float64], water: NDArray[np.float64], first_jump: float) -> float:
+    def _step_size(self, seabed: NDArray[np.float64], first_jump: float) -> float:
         """Mean jump of the following pings that share it: a single ping's median is known to a tenth of a neper only."""
         jumps = seabed[:_GAIN_HISTORY] - float(np.median(self._seabed))
-        alike = np.isfinite(jumps) & (np.abs(jumps - first_jump) < _GAIN_STEP_NATS)
-        return float(jumps[alike].mean()) if alike.any() else first_jump
+        return float(jumps[np.abs(jumps - first_jump) < _GAIN_STEP_NATS].mean())
 
 
 def _remember(history: list[float], value: float) -> None:

@@ -126,12 +126,12 @@ class Waterfall:
         positive = ground.valid & (ground.intensity > 0.0)
         log_intensity = np.log(ground.intensity, out=np.zeros_like(ground.intensity), where=positive)
         learnable = positive & ~ground.saturated
-        curve = self._curves[side].learn(log_intensity, learnable, tangent)
-        seabed_level = row_medians(log_intensity - curve, learnable)
-        steps, n_steps = self._gains[side].corrections(seabed_level, self._water_level(traces, first_return_m))
+        seabed_level = row_medians(log_intensity, learnable)
+        gain, n_steps = self._gains[side].corrections(seabed_level, self._water_level(traces, first_return_m))
         self._counters[f"radiometry.{side}_gain_step"] += n_steps
-        curve += steps[:, None]
-        intensity = ground.intensity * np.exp(-curve)
+        log_intensity -= gain[:, None]
+        curve = self._curves[side].learn(log_intensity, learnable, tangent)
+        intensity = ground.intensity * np.exp(-gain[:, None] - curve)
 
         mask = np.where(ground.valid, np.uint8(VALID), np.uint8(0))
         mask |= np.where(ground.saturated, np.uint8(SATURATED), np.uint8(0))
