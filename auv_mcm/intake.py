@@ -39,7 +39,8 @@ class Intake:
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
-        self._newest_s = -math.inf
+        self._newest_s = self._newest_navigation_s = -math.inf
+        self._oldest_navigation_s = math.inf
         self._previous_time_s = math.nan
         self._previous_speed_mps = math.nan
         self._along_m = config.waterfall.max_ping_gap_m  # the first ping stands for half a gap of track before it
@@ -54,6 +55,8 @@ class Intake:
         self._navigation.add(sample)
         if math.isfinite(sample.time_s):
             self._newest_s = max(self._newest_s, sample.time_s)
+            self._newest_navigation_s = max(self._newest_navigation_s, sample.time_s)
+            self._oldest_navigation_s = min(self._oldest_navigation_s, sample.time_s)
 
     def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         """Queue a ping; return what became ready."""
@@ -73,7 +76,8 @@ class Intake:
             done = self.flush()
             self._refused += self._navigation.counters
             self._navigation = NavBuffer(self._config.navigation)
-            self._newest_s = -math.inf
+            self._newest_s = self._newest_navigation_s = -math.inf
+            self._oldest_navigation_s = math.inf
         elif step_s > max(_MIN_SEGMENT_GAP_S, self._config.navigation.max_gap_s):
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
@@ -126,16 +130,20 @@ class Intake:
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])
         poses = self._navigation.interpolate(times)
-        before = self._navigation.interpolate(times - _RATE_HALF_SPAN_S)
-        after = self._navigation.interpolate(times + _RATE_HALF_SPAN_S)
+        before_s, after_s = times - _RATE_HALF_SPAN_S, times + _RATE_HALF_SPAN_S
+        if math.isfinite(self._oldest_navigation_s):  # beyond its ends navigation has a heading, but no turning
+            before_s = np.maximum(before_s, self._oldest_navigation_s)
+            after_s = np.minimum(after_s, self._newest_navigation_s)
+        span_s = after_s - before_s
+        before, after = self._navigation.interpolate(before_s), self._navigation.interpolate(after_s)
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
         self._counters["navigation.ping_stale"] += int(np.count_nonzero(poses.stale))
         return PingBlock(
             pings,
             poses,
             np.zeros(len(pings)),
-            (after.heading_rad - before.heading_rad) / (2.0 * _RATE_HALF_SPAN_S),
-            (after.pitch_rad - before.pitch_rad) / (2.0 * _RATE_HALF_SPAN_S),
+            _rate(after.heading_rad - before.heading_rad, span_s),
+            _rate(after.pitch_rad - before.pitch_rad, span_s),
         )
 
     def place_along_track(self, block: PingBlock) -> PingBlock:
@@ -154,6 +162,11 @@ class Intake:
         along[1:] = along[0] + np.cumsum(steps)
         self._along_m, self._previous_speed_mps, self._last_time_s = float(along[-1]), float(speed[-1]), float(times[-1])
         return block._replace(along_m=along)
+
+
+def _rate(change: NDArray[np.float64], span_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Change per second; zero where there is hardly any time to see one, as with navigation that came and went."""
+    return np.divide(change, span_s, out=np.zeros(change.shape), where=span_s > 0.5 * _RATE_HALF_SPAN_S)
 
 
 def _layout(ping: Ping) -> tuple[object, ...]:

@@ -1,8 +1,8 @@
 """The ledger of contacts: which detections are views of the same object, and what they say together.
 
-Two detections of one look (same side, same passage) are two objects: suppression has already merged echoes of one. A detection
-of another look joins the contact it fits by Mahalanobis distance of positions, one-to-one over what arrives together, or opens
-a new one.
+Two detections of one passage are two objects: suppression has already merged echoes of one, and nothing lies to port and to
+starboard at once. A detection of another passage joins the contact it fits by Mahalanobis distance of positions, one-to-one over
+what arrives together, or opens a new one.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Ledger:
 
 def _same_look(a: Detection, b: Detection) -> bool:
     turned = abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
-    return a.side == b.side and abs(a.time_s - b.time_s) < _SAME_LOOK_S and turned < _SAME_LOOK_RAD
+    return abs(a.time_s - b.time_s) < _SAME_LOOK_S and turned < _SAME_LOOK_RAD
 
 
 def _contact(contact_id: str, views: tuple[Detection, ...]) -> Contact:
