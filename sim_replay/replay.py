@@ -66,7 +66,10 @@ def replay(
             costs_s["pictures"] += clock.monotonic_s() - fed_s
         progress(mission.fraction_done)
         read_s = clock.monotonic_s()
-    gathered.add(pipeline.finish())
+    events = pipeline.finish()
+    fed_s = clock.monotonic_s()
+    gathered.add(events)
+    costs_s["pictures"] += clock.monotonic_s() - fed_s
     processing_s = clock.monotonic_s() - started_s
     costs_s = {"read": costs_s.pop("read"), **pipeline.costs_s, **costs_s}
 
