@@ -29,14 +29,17 @@ _MAX_SLOPE_BINS: Final = 8
 _STEP_COST: Final = 0.5
 _EVIDENCE: Final = 6.0
 _SMOOTHING_PINGS: Final = 8
+_LEVEL_PINGS: Final = 32
 _SEEN_PINGS: Final = 4
 
 
 class BottomTrack(NamedTuple):
     """first_return_m, sigma_m: (n_pings,) float64 slant range of the first bottom return and its 1-sigma.
+    level_return_m: (n_pings,) float64, the same without what rises from the bottom for a few metres of track.
     seen: (n_pings,) bool, whether this ping and those around it showed it."""
 
     first_return_m: NDArray[np.float64]
+    level_return_m: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
     seen: NDArray[np.bool_]
 
@@ -131,11 +134,12 @@ class BottomTracker:
         # In noise single pings look convincing, in weak contrast single pings do not: a few together tell.
         means = [evidence[max(ping - _SEEN_PINGS, 0) : ping + _SEEN_PINGS + 1].mean() for ping in range(start, stop)]
         seen = np.array(means) >= _EVIDENCE
-        smooth = _running_median(bins)[start:stop]
-        self._before = _Path(bins[:stop][-_SMOOTHING_PINGS:], evidence[:stop][-_SMOOTHING_PINGS:])
+        smooth = _running_median(bins, _SMOOTHING_PINGS)[start:stop]
+        level = _running_median(bins, _LEVEL_PINGS)[start:stop]
+        self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
         roughness = np.abs(path.bins - smooth)
         sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, 0.1 * np.maximum(smooth * BIN_M, 1.0))
-        return BottomTrack(smooth * BIN_M, sigma, seen)
+        return BottomTrack(smooth * BIN_M, level * BIN_M, sigma, seen)
 
     def _score(self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float) -> NDArray[np.float64]:
         n_bins = max(int(0.95 * max_range_m / BIN_M), 2)
@@ -167,11 +171,11 @@ def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Pat
     return _Path(bins, evidence)
 
 
-def _running_median(bins: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Median over eight pings to either side, (n_pings,) float64: a rock under the array is not the bottom everything else lies on.
+def _running_median(bins: NDArray[np.int64], reach: int) -> NDArray[np.float64]:
+    """Median over `reach` pings to either side, (n_pings,) float64: a rock under the array is not the bottom everything else lies on.
 
     At the ends the window shrinks evenly, so that a steady dive is not bent.
     """
     last = bins.shape[0] - 1
-    halves = [min(_SMOOTHING_PINGS, ping, last - ping) for ping in range(last + 1)]
+    halves = [min(reach, ping, last - ping) for ping in range(last + 1)]
     return np.array([np.median(bins[ping - half : ping + half + 1]) for ping, half in enumerate(halves)])

@@ -122,7 +122,9 @@ class Waterfall:
         first_return_m = np.maximum(track.first_return_m, 0.05)
         ground = mean_between(traces, ground_edges_m(first_return_m, n_columns, waterfall.column_spacing_m))
         ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * waterfall.column_spacing_m
-        tangent = first_return_m[:, None] / ground_m[None, :]
+        # The angle response must not jump with every rock below the array; geometry follows the smoothed first return itself.
+        level_m = np.maximum(track.level_return_m, 0.05)
+        tangent = level_m[:, None] / ground_m[None, :]
         positive = ground.valid & (ground.intensity > 0.0)
         log_intensity = np.log(ground.intensity, out=np.zeros_like(ground.intensity), where=positive)
         learnable = positive & ~ground.saturated
