@@ -25,6 +25,7 @@ _DEPENDENT_ASPECT_DEG: Final = 15.0
 _CLUTTER_P: Final = 0.2
 _MAX_ODDS: Final = 5.0
 _IMPOSSIBLE: Final = 1e6
+_LEAST_COVARIANCE_M2: Final = 1e-4 * np.eye(2)  # no centroid is known better than to a centimetre, whatever the errors configured
 
 
 class Ledger:
@@ -41,12 +42,17 @@ class Ledger:
         return tuple(self._contacts)
 
     def add(self, detections: list[Detection]) -> list[Contact]:
-        """Take the detections that became final together; return the contacts opened or changed, by id."""
+        """Take the detections that became final together, in any order; return the contacts opened or changed, by id."""
         if not detections:
             return []
         if self._frame is None:
             first = detections[0]
             self._frame = LocalFrame(latitude_deg=first.latitude_deg, longitude_deg=first.longitude_deg, height_m=0.0)
+        moved = sorted({index for passage in _passages(detections) for index in self._take(passage)})
+        return [self._contacts[index] for index in moved]
+
+    def _take(self, detections: list[Detection]) -> set[int]:
+        """Join the detections of one passage to contacts; return the numbers of those opened or changed."""
         changed: set[int] = set()
         n_known = len(self._contacts)
         for detection, match in zip(detections, self._assign(detections), strict=True):
@@ -61,7 +67,7 @@ class Ledger:
         moved = sorted(changed)
         self._positions_m = np.concatenate([self._positions_m, np.zeros((len(self._contacts) - n_known, 2))])
         self._positions_m[moved] = self._east_north([self._contacts[index] for index in moved])
-        return [self._contacts[index] for index in moved]
+        return changed
 
     def _east_north(self, placed: Sequence[Contact | Detection]) -> NDArray[np.float64]:
         assert self._frame is not None
@@ -81,24 +87,42 @@ class Ledger:
                 contact = self._contacts[column]
                 if any(_same_look(detection, view) for view in contact.views):
                     continue
-                spread = detection.covariance_m2 + contact.covariance_m2
+                spread = detection.covariance_m2 + contact.covariance_m2 + _LEAST_COVARIANCE_M2
                 distance2 = float(offset[column] @ np.linalg.solve(spread, offset[column]))
                 if distance2 <= self._config.gate_chi2:
                     cost[row, column] = distance2
-        if not (cost < _IMPOSSIBLE).any():
-            return [None] * len(detections)
+        possible = np.flatnonzero((cost < _IMPOSSIBLE).any(axis=0))
+        matches: list[int | None] = [None] * len(detections)
+        if possible.size == 0:
+            return matches
         from scipy.optimize import linear_sum_assignment
 
-        matches: list[int | None] = [None] * len(detections)
-        for row, column in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[row, column] < _IMPOSSIBLE:
-                matches[int(row)] = int(column)
+        # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
+        opening = np.full((len(detections), len(detections)), self._config.gate_chi2)
+        for row, column in zip(*linear_sum_assignment(np.concatenate([cost[:, possible], opening], axis=1)), strict=True):
+            if column < possible.size:
+                matches[int(row)] = int(possible[column])
         return matches
 
 
+def _passages(detections: list[Detection]) -> list[list[Detection]]:
+    """Detections in order of time, split where the vehicle turned away or was silent: what follows may show the same objects again."""
+    passages: list[list[Detection]] = []
+    for detection in sorted(detections, key=lambda d: (d.time_s, d.side, d.column)):
+        passage = passages[-1] if passages else []
+        if passage and detection.time_s - passage[-1].time_s < _SAME_LOOK_S and _turned_rad(detection, passage[0]) < _SAME_LOOK_RAD:
+            passage.append(detection)
+        else:
+            passages.append([detection])
+    return passages
+
+
 def _same_look(a: Detection, b: Detection) -> bool:
-    turned = abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
-    return abs(a.time_s - b.time_s) < _SAME_LOOK_S and turned < _SAME_LOOK_RAD
+    return abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
+
+
+def _turned_rad(a: Detection, b: Detection) -> float:
+    return abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
 
 
 def _contact(contact_id: str, views: tuple[Detection, ...]) -> Contact:
@@ -129,7 +153,7 @@ def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
     positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
-    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]))
+    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + _LEAST_COVARIANCE_M2)
     covariance = np.linalg.inv(information.sum(axis=0))
     east_north = covariance @ np.einsum("nij,nj->i", information, positions)
     latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))

@@ -1,0 +1,332 @@
+"""Which views become one contact, anywhere on Earth, and what they say together."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.config import ContactsConfig
+from auv_mcm.contacts.ledger import Ledger
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import NAN, Contact, Detection
+
+HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
+FIRST_LEG: dict[str, Any] = {"heading_rad": 0.0, "side": "starboard", "aspect_deg": 90.0}
+SECOND_LEG: dict[str, Any] = {"heading_rad": math.pi, "side": "port", "aspect_deg": 90.0}
+
+
+def view(east_m: float, north_m: float, time_s: float, *, frame: LocalFrame = HOME, sigma_m: float = 1.0, **values: Any) -> Detection:
+    """A detection at a place in a local frame."""
+    latitude, longitude, _ = frame.to_geodetic(np.array([east_m, north_m, 0.0]))
+    known: dict[str, Any] = {
+        "row": time_s * 15.0,
+        "column": 200.0,
+        "time_s": time_s,
+        "ping_number": int(time_s * 15.0),
+        "latitude_deg": float(latitude),
+        "longitude_deg": float(longitude),
+        "covariance_m2": sigma_m**2 * np.eye(2),
+        "ground_range_m": 12.0,
+        "slant_range_m": 13.0,
+        "altitude_m": 5.0,
+        "score": 5.0,
+        "highlight_db": 6.0,
+        "shadow_db": -9.0,
+        "length_m": 0.8,
+        "width_m": 0.4,
+        "height_m": 0.3,
+        "shadow_length_m": 1.0,
+        "p_mine": 0.7,
+        "reasons": ("highlight_and_shadow",),
+        "snippet": np.zeros((1, 1), dtype=np.uint8),
+        "snippet_row": 0.5,
+        "snippet_column": 0.5,
+        "row_spacing_m": 0.12,
+        "column_spacing_m": 0.06,
+    }
+    return Detection(**{**known, **FIRST_LEG, **values})
+
+
+def ledger() -> Ledger:
+    return Ledger(ContactsConfig())
+
+
+def place(contact: Contact, frame: LocalFrame = HOME) -> NDArray[np.float64]:
+    return frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0)[:2]
+
+
+def objects_in(contacts: tuple[Contact, ...]) -> list[set[float]]:
+    """Which objects (told by their score) each contact is made of."""
+    return [{v.score for v in contact.views} for contact in contacts]
+
+
+# ---------------------------------------------------------------- association
+
+
+@pytest.mark.parametrize("offset_m", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-0.9, 0.9), (0.0, -1.4)])
+@pytest.mark.parametrize("spacing_m", [1.5, 3.0])
+def test_two_passes_over_a_row_of_objects_join_one_to_one_though_navigation_is_off(offset_m: tuple[float, float], spacing_m: float) -> None:
+    """The navigation offset is common to all objects of a pass and may be nearly the distance between them."""
+    objects = [(10.0, spacing_m * k) for k in range(8)]
+    book = ledger()
+    book.add([view(e, n, 100.0 + n, score=float(k)) for k, (e, n) in enumerate(objects)])
+    assert len(book.contacts) == 8
+    book.add([view(e + offset_m[0], n + offset_m[1], 900.0 - n, score=float(k), **SECOND_LEG) for k, (e, n) in enumerate(objects)])
+    assert len(book.contacts) == 8
+    assert objects_in(book.contacts) == [{float(k)} for k in range(8)]
+
+
+def test_detections_of_one_passage_never_join_even_at_one_place() -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0), view(0.0, 0.1, 100.1)])
+    book.add([view(0.0, 0.05, 101.0)])
+    assert len(book.contacts) == 3
+
+
+def test_port_and_starboard_of_one_passage_never_join() -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, side="port"), view(0.3, 0.0, 100.0, side="starboard")])
+    assert len(book.contacts) == 2
+
+
+def test_views_before_and_after_a_turn_join_though_they_become_final_together() -> None:
+    """Short legs: both passes fall into one tile, hence into one batch."""
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, score=1.0), view(0.0, 5.0, 103.0, score=2.0)])
+    before = len(book.contacts)
+    together = ledger()
+    together.add(
+        [
+            view(0.0, 0.0, 100.0, score=1.0),
+            view(0.0, 5.0, 103.0, score=2.0),
+            view(0.2, 5.1, 125.0, score=2.0, heading_rad=math.pi, aspect_deg=270.0),
+            view(0.2, 0.1, 128.0, score=1.0, heading_rad=math.pi, aspect_deg=270.0),
+        ]
+    )
+    assert before == len(together.contacts) == 2
+    assert objects_in(together.contacts) == [{1.0}, {2.0}]
+
+
+def test_the_same_leg_again_is_another_look() -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0)])
+    book.add([view(0.3, 0.0, 2000.0)])
+    assert [len(c.views) for c in book.contacts] == [2]
+
+
+def test_views_too_far_apart_open_a_new_contact() -> None:
+    config = ContactsConfig()
+    far = ledger()
+    far.add([view(0.0, 0.0, 100.0, sigma_m=25.0)])
+    far.add([view(config.max_gate_m + 0.01, 0.0, 900.0, sigma_m=25.0, **SECOND_LEG)])
+    assert len(far.contacts) == 2
+    sharp = ledger()
+    sharp.add([view(0.0, 0.0, 100.0, sigma_m=0.1)])
+    sharp.add([view(0.1 * math.sqrt(2.0 * config.gate_chi2) + 0.01, 0.0, 900.0, sigma_m=0.1, **SECOND_LEG)])
+    assert len(sharp.contacts) == 2
+
+
+def test_the_gate_follows_the_shape_of_the_covariance() -> None:
+    """Sure along east, unsure along north: two metres north is the same object, two metres east is another."""
+    covariance = np.diag([0.05, 4.0])
+    for offset, n_contacts in (((0.0, 2.0), 1), ((2.0, 0.0), 2)):
+        book = ledger()
+        book.add([view(0.0, 0.0, 100.0, covariance_m2=covariance)])
+        book.add([view(*offset, 900.0, covariance_m2=covariance, **SECOND_LEG)])
+        assert len(book.contacts) == n_contacts
+
+
+def test_a_perfect_match_is_not_given_up_for_two_bad_ones() -> None:
+    """One object is seen again where it was; another turns up beyond it, within the gate of the first alone."""
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, score=1.0, sigma_m=0.6), view(0.0, -2.5, 101.0, score=9.0, sigma_m=0.6)])
+    book.add([view(0.0, 0.0, 900.0, score=1.0, sigma_m=0.6, **SECOND_LEG), view(0.0, 2.3, 902.0, score=3.0, sigma_m=0.6, **SECOND_LEG)])
+    assert objects_in(book.contacts) == [{1.0}, {9.0}, {3.0}]
+
+
+def everything_said(contacts: tuple[Contact, ...]) -> list[tuple[Any, ...]]:
+    return [
+        (c.id, c.time_s, c.latitude_deg, c.longitude_deg, c.covariance_m2.tolist(), c.p_mine, c.length_m, c.height_m, c.aspects_deg)
+        for c in contacts
+    ]
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10_000))
+def test_order_within_a_batch_changes_nothing(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    here, there = ledger(), ledger()
+    for passage in range(3):
+        leg = (FIRST_LEG, SECOND_LEG)[passage % 2]
+        batch = [
+            view(
+                float(random.uniform(0, 8)),
+                float(random.uniform(0, 8)),
+                1000.0 * passage + k,
+                score=float(random.uniform(3, 7)),
+                p_mine=float(random.uniform(0.01, 0.99)),
+                **leg,
+            )
+            for k in range(int(random.integers(1, 9)))
+        ]
+        here.add(batch)
+        there.add([batch[k] for k in random.permutation(len(batch))])
+    assert everything_said(here.contacts) == everything_said(there.contacts)
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 10_000))
+def test_every_view_is_in_exactly_one_contact_and_no_passage_is_in_a_contact_twice(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    book = ledger()
+    n_views = 0
+    for passage in range(4):
+        leg = (FIRST_LEG, SECOND_LEG)[passage % 2]
+        places = random.uniform(0, 10, (int(random.integers(0, 10)), 2)).tolist()
+        batch = [view(e, n, 1000.0 * passage + k, **leg) for k, (e, n) in enumerate(places)]
+        known = {c.id: c for c in book.contacts}
+        told = book.add(batch)
+        n_views += len(batch)
+        assert {c.id for c in told} == {c.id for c in book.contacts if c is not known.get(c.id)}
+        assert [c.id for c in told] == sorted(c.id for c in told)
+        assert all(c is known[c.id] for c in book.contacts if c.id in known and c.id not in {t.id for t in told})
+        assert list(known) == [c.id for c in book.contacts][: len(known)]
+    assert sum(len(c.views) for c in book.contacts) == n_views
+    for contact in book.contacts:
+        times = [v.time_s for v in contact.views]
+        assert times == sorted(times)
+        assert len({int(t // 1000) for t in times}) == len(times)
+        assert contact.time_s == times[0]
+        assert contact.aspects_deg == tuple(v.aspect_deg for v in contact.views)
+
+
+# ---------------------------------------------------------------- fusion
+
+
+def two_views(frame: LocalFrame = HOME) -> tuple[Contact, Detection, Detection]:
+    a = view(0.3, -0.2, 100.0, frame=frame, covariance_m2=np.array([[1.0, 0.4], [0.4, 2.0]]))
+    b = view(-0.5, 0.6, 900.0, frame=frame, covariance_m2=np.array([[0.5, -0.2], [-0.2, 0.7]]), **SECOND_LEG)
+    book = Ledger(ContactsConfig())
+    book.add([a])
+    (contact,) = book.add([b])
+    return contact, a, b
+
+
+def test_the_fused_position_is_the_best_linear_estimate_and_surer_than_each_view() -> None:
+    """Against weighted least squares, solved as such."""
+    contact, a, b = two_views()
+    assert len(contact.views) == 2
+    whitener = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) for d in (a, b)])
+    seen = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) @ place(c) for d, c in ((a, a), (b, b))])  # type: ignore[arg-type]
+    expected, *_ = np.linalg.lstsq(whitener, seen)
+    np.testing.assert_allclose(place(contact), expected, atol=1e-3)
+    np.testing.assert_allclose(contact.covariance_m2, np.linalg.inv(whitener.T @ whitener), rtol=1e-3)
+    for d in (a, b):
+        assert np.linalg.eigvalsh(d.covariance_m2 - contact.covariance_m2).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        LocalFrame(latitude_deg=10.0, longitude_deg=180.0),
+        LocalFrame(latitude_deg=10.0, longitude_deg=-179.999999),
+        LocalFrame(latitude_deg=89.0, longitude_deg=33.0),
+        LocalFrame(latitude_deg=-89.99, longitude_deg=-120.0),
+        LocalFrame(latitude_deg=0.0, longitude_deg=0.0),
+    ],
+    ids=["antimeridian", "just east of it", "far north", "a kilometre from the south pole", "null island"],
+)
+def test_association_and_fusion_are_the_same_anywhere_on_earth(frame: LocalFrame) -> None:
+    here, *_ = two_views()
+    there, *_ = two_views(frame)
+    np.testing.assert_allclose(place(there, frame), place(here), atol=1e-3)
+    np.testing.assert_allclose(there.covariance_m2, here.covariance_m2, rtol=1e-9)
+    assert -180.0 <= there.longitude_deg < 180.0
+    book = ledger()
+    book.add([view(e, 0.0, 100.0 + e, frame=frame, score=e) for e in (-3.0, -1.5, 0.0, 1.5, 3.0)])
+    book.add([view(e + 0.7, 0.2, 900.0 + e, frame=frame, score=e, **SECOND_LEG) for e in (-3.0, -1.5, 0.0, 1.5, 3.0)])
+    assert sorted(map(tuple, objects_in(book.contacts))) == [(-3.0,), (-1.5,), (0.0,), (1.5,), (3.0,)]
+
+
+def test_sixty_views_stay_numerically_fine() -> None:
+    random = np.random.default_rng(1)
+    book = ledger()
+    for k in range(60):
+        e, n = random.normal(0.0, 0.5, 2)
+        aspect = float(k * 6.0)
+        book.add([view(float(e), float(n), 1000.0 * k, heading_rad=math.radians(aspect), aspect_deg=aspect, p_mine=0.99)])
+    (contact,) = book.contacts
+    assert len(contact.views) == 60
+    np.testing.assert_allclose(contact.covariance_m2, np.eye(2) / 60.0, rtol=1e-3, atol=1e-9)
+    assert np.hypot(*place(contact)) < 4.0 * math.sqrt(1.0 / 60.0)
+    assert 0.98 < contact.p_mine < 1.0
+    assert sum(contact.belief.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 1e-9, 1e4])
+def test_covariances_configured_to_nothing_or_to_everything_break_nothing(sigma_m: float) -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, sigma_m=sigma_m)])
+    (contact,) = book.add([view(0.005, 0.0, 900.0, sigma_m=sigma_m, **SECOND_LEG)])
+    assert len(contact.views) == 2
+    assert np.isfinite(contact.covariance_m2).all()
+    assert np.hypot(*(place(contact) - [0.0025, 0.0])) < 1e-3
+
+
+def test_views_from_other_directions_add_up_and_views_from_the_same_do_not() -> None:
+    def fused(aspect_deg: float, p_mine: float = 0.7) -> float:
+        book = ledger()
+        book.add([view(0.0, 0.0, 100.0, p_mine=0.7, aspect_deg=10.0)])
+        (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=p_mine, heading_rad=math.pi, aspect_deg=aspect_deg)])
+        return contact.p_mine
+
+    odds = 0.7 / 0.3
+    assert fused(100.0) == pytest.approx(odds**2 / (1.0 + odds**2))
+    assert fused(10.0) == pytest.approx(0.7)
+    assert fused(358.0) == pytest.approx(0.7)  # 12 degrees across north
+    assert fused(100.0, 0.3) == pytest.approx(0.5)
+    assert fused(100.0, 0.001) < 0.05
+
+
+def test_one_view_is_told_as_it_is() -> None:
+    only = view(3.0, 4.0, 100.0, height_m=NAN)
+    (contact,) = ledger().add([only])
+    assert contact.id == "C0001"
+    assert (contact.latitude_deg, contact.longitude_deg) == (only.latitude_deg, only.longitude_deg)
+    assert contact.p_mine == only.p_mine
+    assert math.isnan(contact.height_m)
+    assert contact.views == (only,)
+
+
+def test_sizes_reasons_and_class_come_from_all_views() -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, length_m=0.5, width_m=0.2, height_m=NAN, p_mine=0.05, reasons=("no_shadow",))])
+    (contact,) = book.add([view(0.0, 0.0, 900.0, length_m=1.5, width_m=0.4, height_m=0.4, score=7.0, p_mine=0.1, **SECOND_LEG)])
+    assert contact.length_m == 1.5
+    assert contact.width_m == 0.4
+    assert contact.height_m == 0.4
+    assert contact.reasons == ("no_shadow", "highlight_and_shadow")
+    assert contact.classification == "clutter"
+
+
+def test_nothing_in_nothing_out() -> None:
+    book = ledger()
+    assert book.add([]) == []
+    assert book.contacts == ()
+
+
+def test_records_handed_out_before_do_not_change() -> None:
+    book = ledger()
+    (first,) = book.add([view(0.0, 0.0, 100.0)])
+    copy = msgspec.structs.astuple(first)
+    (again,) = book.add([view(0.4, 0.0, 900.0, **SECOND_LEG)])
+    assert again.id == first.id
+    assert again is not first
+    assert msgspec.structs.astuple(first) == copy
