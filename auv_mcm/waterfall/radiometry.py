@@ -33,7 +33,7 @@ _GLINT_LIMIT: Final = 6.0
 class AngleCurve:
     """Recursive mean of ln I per half degree of grazing angle for one side.
 
-    Samples are clipped to +-3 nats around the curve, so neither targets nor shadows drag it.
+    Samples are clipped to +-3 nats around the curve, so that neither targets nor shadows drag it far.
     """
 
     def __init__(self) -> None:
@@ -41,8 +41,9 @@ class AngleCurve:
         self._weight = np.zeros(N_ANGLE_BINS)
 
     def learn(self, log_intensity: NDArray[np.float64], usable: NDArray[np.bool_], tangent: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Learn from a block of pings, then return the curve at each of its pixels, (n_pings, n_columns) float64, nats.
+        """Learn from a block of pings; the curve at each of its pixels, (n_pings, n_columns) float64, nats.
 
+        That is the curve as it was before this block, for angles already known, so that a shadow does not brighten itself.
         usable: pixels to learn from. tangent: of the grazing angle per pixel, same shape.
         """
         angle = np.arctan(tangent) * (1.0 / _BIN_RAD)
@@ -57,13 +58,15 @@ class AngleCurve:
         enough = count >= _MIN_BIN_SAMPLES
         n_pings = log_intensity.shape[0]
         share = n_pings / np.minimum(self._weight + n_pings, _TIME_CONSTANT_PINGS)
-        self._level = np.where(enough, centre + np.minimum(share, 1.0) * innovation, self._level)
+        learnt = np.where(enough, centre + np.minimum(share, 1.0) * innovation, self._level)
+        level = np.where(np.isnan(self._level), learnt, self._level)
+        self._level = learnt
         self._weight += np.where(enough, n_pings, 0)
-        known = np.flatnonzero(np.isfinite(self._level))
+        known = np.flatnonzero(np.isfinite(level))
         if known.size == 0:
             return np.zeros_like(angle)
         # Between bin centres, because at long range half a degree is metres of sea floor and a decibel of spreading.
-        return np.asarray(np.interp(angle, known + 0.5, self._level[known]))
+        return np.asarray(np.interp(angle, known + 0.5, level[known]))
 
 
 class GainStepFilter:
@@ -74,8 +77,10 @@ class GainStepFilter:
 
     def __init__(self) -> None:
         self._correction = 0.0
-        self._seabed: list[float] = []
+        self._seabed: list[float] = []  # corrected levels of the last pings
         self._water: list[float] = []
+        self._baseline = math.nan  # corrected level of the sea floor before the last step
+        self._since_step: list[float] = []  # its recorded levels after it
 
     def corrections(self, seabed_level: NDArray[np.float64], water_level: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Correction in nats to subtract from ln I per ping, (n_pings,) float64, and the number of gain steps found.
@@ -93,19 +98,19 @@ class GainStepFilter:
                 water_jump = water - float(np.median(self._water))
                 both = min(abs(seabed_jump), abs(water_jump))
                 if both > _GAIN_STEP_NATS and seabed_jump * water_jump > 0 and abs(seabed_jump - water_jump) < 0.5 * both:
-                    step = self._step_size(seabed_level[ping:] - self._correction, seabed_jump)
-                    self._correction += step
-                    seabed, water = seabed - step, water - step
+                    self._baseline = float(np.median(self._seabed))
+                    self._since_step = []
                     n_steps += 1
+            if math.isfinite(self._baseline) and len(self._since_step) < _GAIN_HISTORY:
+                # Over the following pings too: a single ping's median is known to a tenth of a neper only.
+                self._since_step.append(float(seabed_level[ping]))
+                following = seabed_level[ping + 1 : ping + 1 + _GAIN_HISTORY - len(self._since_step)]
+                levels = np.concatenate([self._since_step, following])
+                self._correction = float(levels[np.abs(levels - levels[0]) < _GAIN_STEP_NATS].mean()) - self._baseline
             out[ping] = self._correction
-            _remember(self._seabed, seabed)
-            _remember(self._water, water)
+            _remember(self._seabed, seabed_level[ping] - self._correction)
+            _remember(self._water, water_level[ping] - self._correction)
         return out, n_steps
-
-    def _step_size(self, seabed: NDArray[np.float64], first_jump: float) -> float:
-        """Mean jump of the following pings that share it: a single ping's median is known to a tenth of a neper only."""
-        jumps = seabed[:_GAIN_HISTORY] - float(np.median(self._seabed))
-        return float(jumps[np.abs(jumps - first_jump) < _GAIN_STEP_NATS].mean())
 
 
 def _remember(history: list[float], value: float) -> None:
