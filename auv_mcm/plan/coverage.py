@@ -10,28 +10,32 @@ from numpy.typing import NDArray
 from auv_mcm.config import SonarConfig
 from auv_mcm.georeference import EchoGeometry, locate
 from auv_mcm.navigation import interpolate_track
-from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, CoveragePatch, Tile
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, Tile
 
 _STRIP_M: Final = 5.0
-_MIN_STRIP_COVER: Final = 0.2
+_MIN_ROW_COVER: Final = 0.2
+_MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
 _SOUND_SPEED_MPS: Final = 1500.0
 
 
 def cover_tile(tile: Tile, sonar: SonarConfig) -> CoveragePatch:
-    """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, and its row's navigation is fresh.
+    """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh,
+    and it is not saturated: among clipped echoes no highlight stands out.
 
-    The outline follows strips of five metres along track; strips that cover less than a fifth break it.
+    The outlines follow the near and far end of the covered range in strips of five metres along track; they end where rows that
+    cover less than a fifth of the range lie for more than half a metre.
     """
     core = slice(tile.core_start, tile.core_stop)
     mask = tile.mask[core]
-    stale = (tile.pose.stale[core] | ~np.isfinite(tile.pose.latitude_deg[core]))[:, None]
+    stale = (tile.pose.stale | ~_placed(tile))[core, None]
     valid = (mask & VALID) != 0
     coarse = valid & ((mask & LOW_RESOLUTION) != 0)
     turn = valid & ~coarse & ((mask & TURN) != 0)
     lost_position = valid & ~coarse & ~turn & stale
-    covered = valid & ~coarse & ~turn & ~stale
+    clipped = valid & ~coarse & ~turn & ~stale & ((mask & SATURATED) != 0)
+    covered = valid & ~coarse & ~turn & ~stale & ~clipped
     pixel_m2 = tile.row_spacing_m * tile.column_spacing_m
-    lost = {"invalid": ~valid, "low_resolution": coarse, "turn": turn, "stale_navigation": lost_position}
+    lost = {"invalid": ~valid, "low_resolution": coarse, "turn": turn, "stale_navigation": lost_position, "saturated": clipped}
     return CoveragePatch(
         side=tile.side,
         tile_index=tile.index,
@@ -43,31 +47,46 @@ def cover_tile(tile: Tile, sonar: SonarConfig) -> CoveragePatch:
     )
 
 
+def _placed(tile: Tile) -> NDArray[np.bool_]:
+    """Rows whose echoes can be placed on Earth, (n_rows,)."""
+    pose = tile.pose
+    known = np.isfinite([pose.latitude_deg, pose.longitude_deg, pose.heading_rad, pose.pitch_rad, pose.roll_rad, tile.first_return_m])
+    return np.asarray(known.all(axis=0))
+
+
 def _outlines(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig) -> tuple[NDArray[np.float64], ...]:
     strip_rows = max(1, round(_STRIP_M / tile.row_spacing_m))
     rings: list[NDArray[np.float64]] = []
-    run: list[tuple[int, int, int, int]] = []  # first row, stop row, near column, far column
-    for start in range(0, covered.shape[0], strip_rows):
-        strip = covered[start : start + strip_rows]
-        any_row = strip.any(axis=1)
-        share = float(strip.mean())
-        if share < _MIN_STRIP_COVER or not any_row.any():
-            rings += _ring(tile, run, sonar)
-            run = []
-            continue
-        near = int(np.median(strip[any_row].argmax(axis=1)))
-        far = int(np.median(strip.shape[1] - strip[any_row][:, ::-1].argmax(axis=1)))
-        run.append((start, start + strip.shape[0], near, far))
-    return tuple(rings + _ring(tile, run, sonar))
+    for first, stop in _runs(covered.mean(axis=1) >= _MIN_ROW_COVER, round(_MAX_GAP_M / tile.row_spacing_m)):
+        run = []
+        for start in range(first, stop, strip_rows):
+            strip = covered[start : min(start + strip_rows, stop)]
+            rows = strip[strip.any(axis=1)]
+            near = int(np.median(rows.argmax(axis=1)))
+            far = int(np.median(rows.shape[1] - rows[:, ::-1].argmax(axis=1)))
+            run.append((start, start + strip.shape[0], near, far))
+        rings += _ring(tile, run, sonar)
+    return tuple(rings)
+
+
+def _runs(covers: NDArray[np.bool_], max_gap: int) -> list[tuple[int, int]]:
+    """Stretches [first, stop) of rows that cover, across gaps of up to `max_gap` rows."""
+    runs: list[tuple[int, int]] = []
+    for row in np.flatnonzero(covers).tolist():
+        if runs and row - runs[-1][1] <= max_gap:
+            runs[-1] = (runs[-1][0], row + 1)
+        else:
+            runs.append((row, row + 1))
+    return runs
 
 
 def _ring(tile: Tile, run: list[tuple[int, int, int, int]], sonar: SonarConfig) -> list[NDArray[np.float64]]:
-    if not run:
-        return []
-    rows = [float(run[0][0])] + [0.5 * (first + stop) for first, stop, _, _ in run] + [float(run[-1][1] - 1)]
+    """The outline of strips given as first row, stop row, near and far column."""
+    edges = [float(run[0][0]), *(0.5 * (first + stop) for first, stop, _, _ in run), float(run[-1][1])]
     near = [run[0][2]] + [strip[2] for strip in run] + [run[-1][2]]
     far = [run[0][3]] + [strip[3] for strip in run] + [run[-1][3]]
-    position = tile.core_start + np.array(rows + rows[::-1])
+    # Rows count from the upper edge of row 0, poses stand at row centres.
+    position = np.clip(tile.core_start + np.array(edges + edges[::-1]) - 0.5, 0.0, len(tile.pose) - 1.0)
     ground_m = np.array(near + far[::-1]) * tile.column_spacing_m
     first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
     echoes = EchoGeometry(
@@ -80,7 +99,7 @@ def _ring(tile: Tile, run: list[tuple[int, int, int, int]], sonar: SonarConfig) 
     latitude, longitude, _ = locate(echoes, sonar)
     ring = np.column_stack([longitude, latitude])
     ring = ring[np.isfinite(ring).all(axis=1)]
-    if ring.shape[0] < 3:
+    if ring.shape[0] < 3 or position.min() == position.max():
         return []
     # Seen from above, up the near edge and back down the far one is counter-clockwise to port, clockwise to starboard.
     ring = ring if tile.side == "port" else ring[::-1]
