@@ -41,7 +41,8 @@ class Swath(NamedTuple):
     ping_number: NDArray[np.int64]
     sides: Mapping[Side, SideImage]
 
-    def __len__(self) -> int:
+    @property
+    def n_rows(self) -> int:
         return int(self.along_m.shape[0])
 
 
@@ -72,7 +73,7 @@ def concatenate_swaths(swaths: list[Swath]) -> Swath:
     sides: dict[Side, SideImage] = {}
     for side in dict.fromkeys(side for swath in swaths for side in swath.sides):
         n_columns = max(swath.sides[side].mask.shape[1] for swath in swaths if side in swath.sides)
-        pieces = [_widened(swath.sides.get(side), len(swath), n_columns) for swath in swaths]
+        pieces = [_widened(swath.sides.get(side), swath.n_rows, n_columns) for swath in swaths]
         sides[side] = SideImage(np.concatenate([p.intensity for p in pieces]), np.concatenate([p.mask for p in pieces]))
     return Swath(
         np.concatenate([swath.along_m for swath in swaths]),
@@ -131,7 +132,7 @@ class AlongTrackGrid:
         rows = _average_rows(held, start, stop, first_row, stop_row, spacing)
         if not last:
             keep = int(np.searchsorted(stop, stop_row * spacing, side="right"))
-            keep = min(keep, len(held) - 1)
+            keep = min(keep, held.n_rows - 1)
             # The ping before the kept ones bounds their stretch and carries interpolation of poses.
             keep = max(keep - 1, 0)
             if keep > 0:
@@ -153,22 +154,34 @@ def _average_rows(
     overlap = np.zeros((n_rows, max(span, 1)), dtype=np.float64)
     source = np.zeros((n_rows, max(span, 1)), dtype=np.intp)
     for step in range(span):
-        ping = np.minimum(lowest + step, len(pings) - 1)
+        ping = np.minimum(lowest + step, pings.n_rows - 1)
         length = np.minimum(stop_m[ping], edges[1:]) - np.maximum(start_m[ping], edges[:-1])
         overlap[:, step] = np.where(lowest + step < highest, np.maximum(length, 0.0), 0.0)
         source[:, step] = ping
     centre = 0.5 * (edges[:-1] + edges[1:])
-    position = np.interp(centre, pings.along_m, np.arange(len(pings), dtype=np.float64))
-    nearest = np.rint(position).astype(np.intp)
+    below, fraction = _place_between(pings.along_m, centre)
+    nearest = below + (fraction >= 0.5)
     covered = overlap.sum(axis=1) > 0.0
     return Swath(
         centre,
-        interpolate_track(pings.pose, position),
+        interpolate_track(pings.pose, below + fraction),
         np.interp(centre, pings.along_m, pings.first_return_m),
         np.interp(centre, pings.along_m, pings.first_return_sigma_m),
         np.where(covered, pings.ping_number[nearest], -1),
         {side: _average_side(image, source, overlap, spacing_m) for side, image in pings.sides.items()},
     )
+
+
+def _place_between(along_m: NDArray[np.float64], wanted_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Index of the ping before each wanted distance and the fraction of the way to the next, ends for what lies beyond them.
+
+    Fractions are multiples of 2^-30, so that index plus fraction is exact and does not depend on how many pings went before.
+    """
+    if along_m.shape[0] == 1:
+        return np.zeros(wanted_m.shape, dtype=np.intp), np.zeros(wanted_m.shape)
+    below = np.clip(np.searchsorted(along_m, wanted_m, side="right") - 1, 0, along_m.shape[0] - 2)
+    fraction = np.clip((wanted_m - along_m[below]) / (along_m[below + 1] - along_m[below]), 0.0, 1.0)
+    return below, np.rint(fraction * 2.0**30) * 2.0**-30
 
 
 def _average_side(image: SideImage, source: NDArray[np.intp], overlap: NDArray[np.float64], spacing_m: float) -> SideImage:

@@ -53,7 +53,7 @@ class TileCutter:
 
     @property
     def _stop_row(self) -> int:
-        return self._first_row + (0 if self._rows is None else len(self._rows))
+        return self._first_row + (0 if self._rows is None else self._rows.n_rows)
 
     def _next_boundary(self) -> int:
         tile_rows = self._config.tile_rows
