@@ -15,9 +15,9 @@ from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
 from auv_mcm.georeference import EchoGeometry, aspect_deg, locate, position_covariance
 from auv_mcm.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Tile
-from auv_mcm.waterfall.radiometry import LOCAL_MEAN_M
+from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 
-OVERLAP_M: Final = 0.5 * LOCAL_MEAN_M + max(CONTEXT_M, ROWS_M) + 1.0
+OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
 """Along-track context a tile needs beyond its core for detections there to be independent of where it was cut."""
 
 _STALE_SIGMA_M: Final = 25.0

@@ -26,6 +26,7 @@ _GAIN_HISTORY: Final = 8
 _MIN_LEVEL_SAMPLES: Final = 24
 
 LOCAL_MEAN_M: Final = 7.5
+LOCAL_MEAN_REACH_M: Final = LOCAL_MEAN_M  # how far away a pixel still matters: half a box to the mean's edge, half around what lies there
 _MIN_VALID_FRACTION: Final = 0.25
 _GLINT_LIMIT: Final = 6.0
 
