@@ -149,7 +149,8 @@ class BottomTracker:
             if traces is None:
                 continue
             means = mean_between(traces, edges_m)
-            floor = 1e-6 * means.intensity.mean(axis=1, keepdims=True) + 1e-300
+            # A median, because ring-down may stand a hundred decibels above everything that follows.
+            floor = 1e-6 * np.median(means.intensity, axis=1, keepdims=True) + 1e-300
             independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
             side = independent * change_point_scores(np.log(np.maximum(means.intensity, floor)), means.valid, self._blank_bins)
             # Every side of every ping has the same say: a loud fish, on one side, must not outvote the other and its neighbours.
