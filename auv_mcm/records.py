@@ -191,8 +191,8 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Sea floor that one side of one tile really covered.
 
     rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
-    covered_m2: area of pixels that earned coverage; claimed_fraction: covered pixels over pixels of the polygons.
-    lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`, `stale_navigation`, ...).
+    covered_m2: area of pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
+    `stale_navigation`, `saturated`).
     """
 
     side: Side
