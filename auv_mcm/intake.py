@@ -39,9 +39,7 @@ class Intake:
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
-        self._newest_s = self._newest_navigation_s = -math.inf
-        self._oldest_navigation_s = math.inf
-        self._previous_time_s = math.nan
+        self._newest_s = math.nan  # of the pings: one wrong stamp of navigation must not end all waiting for it
         self._previous_speed_mps = math.nan
         self._along_m = config.waterfall.max_ping_gap_m  # the first ping stands for half a gap of track before it
         self._last_time_s = math.nan
@@ -53,10 +51,6 @@ class Intake:
 
     def add_navigation(self, sample: NavSample) -> None:
         self._navigation.add(sample)
-        if math.isfinite(sample.time_s):
-            self._newest_s = max(self._newest_s, sample.time_s)
-            self._newest_navigation_s = max(self._newest_navigation_s, sample.time_s)
-            self._oldest_navigation_s = min(self._oldest_navigation_s, sample.time_s)
 
     def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         """Queue a ping; return what became ready."""
@@ -66,7 +60,7 @@ class Intake:
         if not math.isfinite(ping.time_s):
             self._counters["ping.time_not_finite"] += 1
             return []
-        step_s = ping.time_s - self._previous_time_s
+        step_s = ping.time_s - self._newest_s
         if -_CLOCK_STEP_S < step_s <= 0.0:
             self._counters["ping.time_repeated" if step_s == 0.0 else "ping.time_backwards"] += 1
             return []
@@ -76,13 +70,10 @@ class Intake:
             done = self.flush()
             self._refused += self._navigation.counters
             self._navigation = NavBuffer(self._config.navigation)
-            self._newest_s = self._newest_navigation_s = -math.inf
-            self._oldest_navigation_s = math.inf
         elif step_s > max(_MIN_SEGMENT_GAP_S, self._config.navigation.max_gap_s):
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
-        self._previous_time_s = ping.time_s
-        self._newest_s = max(self._newest_s, ping.time_s)
+        self._newest_s = ping.time_s
         self._pending.append(ping)
         return done + self._release(everything=False)
 
@@ -130,10 +121,10 @@ class Intake:
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])
         poses = self._navigation.interpolate(times)
-        before_s, after_s = times - _RATE_HALF_SPAN_S, times + _RATE_HALF_SPAN_S
-        if math.isfinite(self._oldest_navigation_s):  # beyond its ends navigation has a heading, but no turning
-            before_s = np.maximum(before_s, self._oldest_navigation_s)
-            after_s = np.minimum(after_s, self._newest_navigation_s)
+        # Beyond its ends navigation has a heading, but no turning.
+        oldest_s, newest_s = self._navigation.span_s
+        before_s = np.maximum(times - _RATE_HALF_SPAN_S, oldest_s)
+        after_s = np.minimum(times + _RATE_HALF_SPAN_S, newest_s)
         span_s = after_s - before_s
         before, after = self._navigation.interpolate(before_s), self._navigation.interpolate(after_s)
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
@@ -149,7 +140,7 @@ class Intake:
     def place_along_track(self, block: PingBlock) -> PingBlock:
         """The block with its along-track distances: speed over ground integrated over time, strictly increasing."""
         times, speed = block.poses.time_s, block.poses.speed_mps.copy()
-        unknown = ~np.isfinite(speed)
+        unknown = ~(np.isfinite(speed) & (speed >= 0.0))
         self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
         speed[unknown] = _UNKNOWN_SPEED_MPS
         along: NDArray[np.float64] = np.empty(len(times))
@@ -173,4 +164,4 @@ def _layout(ping: Ping) -> tuple[object, ...]:
     def of(trace: EchoTrace | None) -> tuple[object, ...] | None:
         return None if trace is None else (trace.samples.shape[0], trace.first_range_m, trace.spacing_m)
 
-    return of(ping.port), of(ping.starboard), ping.sound_speed_mps
+    return of(ping.port), of(ping.starboard)
