@@ -109,6 +109,11 @@ class NavBuffer:
         self._store(sample)
 
     @property
+    def span_s(self) -> tuple[float, float]:
+        """Times of the oldest and the newest sample believed; both -inf before the first one."""
+        return self._oldest_s, self._newest_s
+
+    @property
     def ready_until_s(self) -> float:
         """Poses at this time and before are final; -inf before the first sample.
 

@@ -1,0 +1,292 @@
+"""From events to blocks: order, gaps, clocks, layouts, and navigation that is late, wrong or missing."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+from numpy.typing import NDArray
+
+from auv_mcm.config import Config
+from auv_mcm.intake import BLOCK_PINGS, Intake, SegmentEnd
+from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
+from auv_mcm.waterfall.stage import PingBlock
+
+START_S = 1.7e9
+PING_S, NAV_S = 0.1, 0.2
+SAMPLES = np.arange(8, dtype=np.uint16)
+TRACE = EchoTrace(samples=SAMPLES, first_range_m=0.05, spacing_m=0.1)
+OTHER_TRACE = structs.replace(TRACE, samples=SAMPLES[:6])
+
+
+def ping(number: int, time_s: float | None = None, trace: EchoTrace | None = TRACE) -> Ping:
+    return Ping(number=number, time_s=START_S + PING_S * number if time_s is None else time_s, port=trace, starboard=TRACE)
+
+
+def navigation(index: int, shift_s: float = 0.0) -> NavSample:
+    since_s = NAV_S * index
+    return NavSample(
+        time_s=START_S + since_s + shift_s,
+        latitude_deg=43.0 + 1.8e-5 * since_s,
+        longitude_deg=5.0,
+        heading_rad=0.1 + 0.01 * since_s,
+        pitch_rad=0.002 * since_s,
+        depth_m=10.0,
+        speed_mps=2.0,
+    )
+
+
+def mission(n_pings: int, nav_delay_s: float = 0.0) -> list[Ping | NavSample]:
+    """In order of arrival: pings at once, navigation after a delay."""
+    pings: list[tuple[float, Ping | NavSample]] = [(PING_S * i, ping(i)) for i in range(n_pings)]
+    fixes: list[tuple[float, Ping | NavSample]] = [
+        (NAV_S * i + nav_delay_s - 1e-6, navigation(i)) for i in range(math.ceil(n_pings * PING_S / NAV_S) + 1)
+    ]
+    return [event for _, event in sorted(pings + fixes, key=lambda item: item[0])]
+
+
+class Fed:
+    """An intake and what it released so far."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.counters: Counter[str] = Counter()
+        self.intake = Intake(config or Config(), self.counters)
+        self.released: list[PingBlock | SegmentEnd] = []
+
+    def feed(self, events: Iterable[Ping | NavSample]) -> Fed:
+        for event in events:
+            if isinstance(event, NavSample):
+                self.intake.add_navigation(event)
+            else:
+                self.released += self.intake.add_ping(event)
+        return self
+
+    def flush(self) -> Fed:
+        self.released += self.intake.flush()
+        return self
+
+    @property
+    def blocks(self) -> list[PingBlock]:
+        return [item for item in self.released if isinstance(item, PingBlock)]
+
+    @property
+    def segments(self) -> list[list[int]]:
+        """Numbers of the pings between segment ends."""
+        found: list[list[int]] = [[]]
+        for item in self.released:
+            if isinstance(item, SegmentEnd):
+                found.append([])
+            else:
+                found[-1] += [p.number for p in item.pings]
+        return [numbers for numbers in found if numbers]
+
+
+def assert_same_blocks(one: Fed, other: Fed) -> None:
+    assert [type(item) for item in one.released] == [type(item) for item in other.released]
+    for a, b in zip(one.blocks, other.blocks, strict=True):
+        assert [p.number for p in a.pings] == [p.number for p in b.pings]
+        for name in PoseTrack.__struct_fields__:
+            np.testing.assert_array_equal(getattr(a.poses, name), getattr(b.poses, name), err_msg=name)
+        np.testing.assert_array_equal(a.yaw_rate_rad_s, b.yaw_rate_rad_s)
+        np.testing.assert_array_equal(a.pitch_rate_rad_s, b.pitch_rate_rad_s)
+
+
+def test_every_ping_comes_out_once_in_order_with_its_pose() -> None:
+    fed = Fed().feed(mission(200)).flush()
+    assert fed.segments == [list(range(200))]
+    assert [len(block.pings) for block in fed.blocks] == [BLOCK_PINGS] * 6 + [8]
+    assert fed.counters["navigation.ping_stale"] == 0
+    for block in fed.blocks:
+        since_s = np.array([PING_S * p.number for p in block.pings])
+        np.testing.assert_allclose(block.poses.time_s, START_S + since_s)
+        np.testing.assert_allclose(block.poses.heading_rad, 0.1 + 0.01 * since_s, atol=1e-6)
+        np.testing.assert_allclose(block.poses.latitude_deg, 43.0 + 1.8e-5 * since_s, atol=1e-10)
+        assert len(block.poses) == block.along_m.shape[0] == len(block.pings)
+    middle = fed.blocks[2]
+    np.testing.assert_allclose(middle.yaw_rate_rad_s, 0.01, rtol=1e-5)
+    np.testing.assert_allclose(middle.pitch_rate_rad_s, 0.002, rtol=1e-5)
+
+
+@pytest.mark.parametrize("delay_s", [-30.0, -1.0, 0.05, 0.3, 1.0])
+def test_blocks_do_not_depend_on_when_navigation_arrived(delay_s: float) -> None:
+    """Within the time that is waited for it."""
+    assert_same_blocks(Fed().feed(mission(200, delay_s)).flush(), Fed().feed(mission(200)).flush())
+
+
+@given(order=st.lists(st.booleans(), min_size=150, max_size=150))
+@settings(max_examples=20)
+def test_any_interleaving_gives_the_same_blocks(order: list[bool]) -> None:
+    """Navigation up to 2 s ahead of or behind the pings, by the toss of a coin."""
+    pings, fixes = [ping(i) for i in range(100)], [navigation(i) for i in range(51)]
+    events: list[Ping | NavSample] = []
+    for heads in order:
+        lead_s = NAV_S * (51 - len(fixes)) - PING_S * (100 - len(pings))
+        take_fix = fixes and (not pings or lead_s < -2.0 or (heads and lead_s < 2.0))
+        events.append(fixes.pop(0) if take_fix else pings.pop(0) if pings else fixes.pop(0))
+        if not pings and not fixes:
+            break
+    assert_same_blocks(Fed().feed([*events, *pings, *fixes]).flush(), Fed().feed(mission(100)).flush())
+
+
+def test_without_navigation_pings_wait_a_bounded_time() -> None:
+    fed = Fed()
+    most = 0
+    for number in range(2000):
+        fed.feed([ping(number)])
+        most = max(most, number + 1 - sum(len(block.pings) for block in fed.blocks))
+    # Waited for: one second of rates and twice the longest hole of two seconds.
+    assert most <= BLOCK_PINGS + math.ceil(5.0 / PING_S) + 1
+    assert fed.flush().segments == [list(range(2000))]
+    assert fed.counters["navigation.ping_stale"] == 2000
+    assert all(np.isnan(block.poses.latitude_deg).all() for block in fed.blocks)
+
+
+def test_navigation_that_stops_holds_nothing_up() -> None:
+    fed = Fed()
+    for event in mission(1000):
+        if isinstance(event, Ping) or event.time_s < START_S + 30.0:
+            fed.feed([event])
+    waiting = 1000 - sum(len(block.pings) for block in fed.blocks)
+    assert waiting <= BLOCK_PINGS + math.ceil(5.0 / PING_S) + 1
+    assert fed.flush().segments == [list(range(1000))]
+    assert 1000 - 300 - 6 <= fed.counters["navigation.ping_stale"] <= 1000 - 300 + 10
+
+
+@pytest.mark.parametrize("wrong_s", [START_S + 1e6, START_S + 3600.0, math.inf, math.nan, 0.0, -1e9])
+def test_one_wrong_stamp_of_navigation_changes_no_pose(wrong_s: float) -> None:
+    """Navigation arrives half a second late, so who stops waiting for it gets worse poses."""
+    events = mission(300, 0.5)
+    spoilt = Fed().feed([*events[:100], structs.replace(navigation(20), time_s=wrong_s), *events[100:]]).flush()
+    assert_same_blocks(spoilt, Fed().feed(events).flush())
+
+
+def test_repeated_and_slightly_older_times_are_dropped_and_counted() -> None:
+    pings = [ping(0), ping(1), ping(100, START_S + PING_S), ping(2), ping(101, START_S + 0.15), ping(3), ping(102, START_S - 0.6), ping(4)]
+    fed = Fed().feed(pings).flush()
+    assert fed.segments == [[0, 1, 2, 3, 4]]
+    assert fed.counters["ping.time_repeated"] == 1
+    assert fed.counters["ping.time_backwards"] == 2
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, -1.5])
+def test_a_clock_set_back_ends_the_segment_and_goes_on(step_s: float) -> None:
+    before = mission(100)
+    after = [structs.replace(event, time_s=event.time_s + step_s + 10.0) for event in mission(100)]
+    numbered = [structs.replace(event, number=event.number + 100) if isinstance(event, Ping) else event for event in after]
+    fed = Fed().feed([*before, *numbered]).flush()
+    assert fed.counters["ping.clock_stepped_back"] == 1
+    assert fed.segments == [list(range(100)), list(range(100, 200))]
+    assert fed.counters["navigation.ping_stale"] <= 10
+    last = fed.blocks[-1]
+    np.testing.assert_allclose(
+        last.poses.heading_rad[:-10], 0.1 + 0.01 * (PING_S * (np.array([p.number for p in last.pings[:-10]]) - 100)), atol=1e-6
+    )
+
+
+def test_a_clock_set_forward_an_hour_ends_the_segment_and_goes_on() -> None:
+    after = [structs.replace(event, time_s=event.time_s + 3600.0) for event in mission(100)]
+    numbered = [structs.replace(event, number=event.number + 100) if isinstance(event, Ping) else event for event in after]
+    fed = Fed().feed([*mission(100), *numbered]).flush()
+    assert fed.counters["ping.gap"] == 1
+    assert fed.segments == [list(range(100)), list(range(100, 200))]
+    assert fed.counters["navigation.ping_stale"] <= 10
+
+
+def test_a_single_ping_from_the_future_costs_two_segment_ends_and_no_other_ping() -> None:
+    pings = [ping(i) for i in range(40)]
+    fed = Fed().feed([*pings[:20], ping(1000, START_S + 86400.0), *pings[20:]]).flush()
+    assert fed.segments == [list(range(20)), [1000], list(range(20, 40))]
+
+
+def test_holes_in_time_end_segments() -> None:
+    """Longer than two seconds, or than the longest bridged hole of navigation, whichever is more."""
+    for hole_s, n_segments in ((1.9, 1), (2.3, 2), (600.0, 2)):
+        pings = [ping(i) for i in range(40)] + [ping(i, START_S + PING_S * i + hole_s) for i in range(40, 80)]
+        fed = Fed().feed(pings).flush()
+        assert len(fed.segments) == n_segments
+        assert fed.counters["ping.gap"] == n_segments - 1
+        assert [number for numbers in fed.segments for number in numbers] == list(range(80))
+
+
+@given(layouts=st.lists(st.integers(0, 2), min_size=1, max_size=150))
+def test_a_block_never_mixes_layouts(layouts: list[int]) -> None:
+    traces = (TRACE, OTHER_TRACE, None)
+    fed = Fed().feed([ping(i, trace=traces[layout]) for i, layout in enumerate(layouts)]).flush()
+    assert fed.segments == [list(range(len(layouts)))]
+    for block in fed.blocks:
+        assert len({layouts[p.number] for p in block.pings}) == 1
+    longest = [len(block.pings) for block in fed.blocks]
+    joined = [
+        len(a.pings) for a, b in zip(fed.blocks, fed.blocks[1:], strict=False) if layouts[a.pings[0].number] == layouts[b.pings[0].number]
+    ]
+    assert max(longest) <= BLOCK_PINGS
+    assert all(length == BLOCK_PINGS for length in joined)
+
+
+def test_sample_type_and_sound_speed_split_no_block() -> None:
+    pings = [structs.replace(ping(i), sound_speed_mps=1500.0 + 0.1 * i) for i in range(32)]
+    pings[7] = structs.replace(pings[7], port=structs.replace(TRACE, samples=SAMPLES.astype(np.float32)))
+    assert [len(block.pings) for block in Fed().feed(pings).flush().blocks] == [32]
+
+
+def test_pings_without_channel_or_time_are_counted_and_left_out() -> None:
+    silent = Ping(number=7, time_s=START_S + 0.05, port=None, starboard=None)
+    fed = Fed().feed([ping(0), silent, ping(8, math.nan), ping(9, math.inf), ping(1)]).flush()
+    assert fed.segments == [[0, 1]]
+    assert fed.counters["ping.no_side_scan_channel"] == 1
+    assert fed.counters["ping.time_not_finite"] == 2
+
+
+def test_flush_of_nothing_is_the_end_of_a_segment() -> None:
+    assert Fed().flush().released == [SegmentEnd()]
+
+
+def test_refusals_of_navigation_stay_counted_after_a_clock_step() -> None:
+    fed = Fed().feed([structs.replace(navigation(0), time_s=math.nan), *mission(50)])
+    fed.feed([ping(100, START_S - 3600.0)])
+    assert fed.intake.navigation_counters["navigation.time_not_finite"] == 1
+
+
+def along(fed: Fed) -> list[NDArray[np.float64]]:
+    """Along-track distances per block, as the pipeline asks for them."""
+    found: list[NDArray[np.float64]] = []
+    for item in fed.released:
+        if isinstance(item, SegmentEnd):
+            fed.intake.start_segment(float(found[-1][-1]) if found else 0.0)
+        else:
+            found.append(fed.intake.place_along_track(item).along_m)
+    return found
+
+
+def test_distance_is_speed_integrated_over_time_across_blocks() -> None:
+    fed = Fed().feed(mission(200)).flush()
+    distance = np.concatenate(along(fed))
+    np.testing.assert_allclose(np.diff(distance), 2.0 * PING_S, rtol=1e-5)
+    assert distance[0] == Config().waterfall.max_ping_gap_m
+
+
+@given(speeds=st.lists(st.floats(-30.0, 30.0) | st.just(math.nan), min_size=2, max_size=60), seed=st.integers(0, 99))
+@settings(max_examples=30)
+def test_distance_always_grows(speeds: list[float], seed: int) -> None:
+    steps = np.random.default_rng(seed).choice([1e-6, 0.01, 0.1, 3.0], len(speeds))
+    times = START_S + np.cumsum(steps)
+    fed = Fed()
+    for number, (speed, time_s) in enumerate(zip(speeds, times.tolist(), strict=True)):
+        sample = NavSample(time_s=time_s, latitude_deg=43.0, longitude_deg=5.0, heading_rad=0.0, speed_mps=speed)
+        fed.feed([sample, ping(number, time_s)])
+    distance = np.concatenate(along(fed.flush()))
+    assert np.isfinite(distance).all()
+    assert (np.diff(distance) > 0.0).all()
+
+
+def test_unknown_speed_is_counted_and_guessed() -> None:
+    fed = Fed().feed([ping(i) for i in range(10)]).flush()
+    distance = np.concatenate(along(fed))
+    assert fed.counters["navigation.speed_unknown"] == 10
+    np.testing.assert_allclose(np.diff(distance), 1.5 * PING_S, rtol=1e-5)
