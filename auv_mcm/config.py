@@ -97,7 +97,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 
     p_false_alarm: Annotated[
         float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one highlight-and-shadow test in pure speckle")
-    ] = 5e-4
+    ] = 1e-4
     max_candidates_per_tile: Annotated[
         int, Meta(ge=0, le=100_000, description="candidates measured per tile and side at most, best first; the rest is counted")
     ] = 256

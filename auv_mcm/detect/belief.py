@@ -11,7 +11,7 @@ from typing import Final
 
 from auv_mcm.detect.measure import Measurement
 
-_EVEN_SCORE: Final = 4.7
+_EVEN_SCORE: Final = 4.9
 _PER_DEVIATION: Final = 1.6
 _BOUND: Final = 4.0
 _CROWD_FREE: Final = 2

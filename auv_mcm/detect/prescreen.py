@@ -23,7 +23,7 @@ from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 # Along track, across track, metres.
 _HIGHLIGHTS_M: Final = ((0.12, 0.18), (0.36, 0.24), (0.36, 0.48), (0.84, 0.36), (1.6, 0.36))
 # Along track and height of the object that casts it, metres.
-_SHADOWS_M: Final = ((0.36, 0.1), (0.36, 0.2), (0.36, 0.35), (0.84, 0.35), (0.84, 0.7))
+_SHADOWS_M: Final = ((0.12, 0.1), (0.12, 0.2), (0.36, 0.1), (0.36, 0.2), (0.36, 0.35), (0.84, 0.35), (0.84, 0.7))
 _SHADOW_LENGTH_M: Final = (0.18, 6.0)
 _LEAST_ALTITUDE_M: Final = 0.05
 _SHADOW_LAG_M: Final = 0.6  # from the highlight's centre to where the shadow starts, at most
@@ -43,6 +43,7 @@ _MIN_SHADOW: Final = 0.6
 _LOOKS_ROWS_M: Final = 5.0
 _LOOKS_COLUMNS_M: Final = 4.0
 _SMALL_BOX_M: Final = (0.36, 0.24)
+_THIN_BOX_M: Final = (0.12, 0.24)
 _LARGE_BOX_M: Final = (0.84, 0.84)
 _LOG_CLIP: Final = 1.2  # bright objects and shadows must not pass for texture
 _MIN_DECAY: Final = 0.3  # less is measured where a structure, not texture, spans the large boxes
@@ -145,23 +146,28 @@ def score_tile(tile: Tile) -> ScoreMaps:
     decay = np.log(small_variance / large_variance) / np.float32(np.log(max(large_area / small_area, 2.0)))
     decay = np.clip(decay, _MIN_DECAY, 1.0).astype(np.float32)
 
-    def looks(area: NDArray[np.float32] | float) -> NDArray[np.float32]:
-        scale = np.exp(-decay * np.log(np.asarray(area, dtype=np.float32) / np.float32(small_area)))
-        return equivalent_looks(small_variance * scale)
+    thin, thin_area = boxes.centred(_THIN_BOX_M)
+    thin_variance = _log_variance(boxes, ratio(*boxes.sums(*thin)), known)
 
-    background_looks = looks(float(frame_area))
+    def looks(n_rows: int, area: NDArray[np.float32] | float) -> NDArray[np.float32]:
+        """Equivalent looks of the mean over a box; what is smaller than the boxes measured holds speckle alone, which falls with area."""
+        variance, measured_area = (thin_variance, thin_area) if n_rows == 1 else (small_variance, small_area)
+        growth = np.log(np.asarray(area, dtype=np.float32) / np.float32(measured_area))
+        return equivalent_looks(variance * np.exp(-np.where(growth < 0.0, np.float32(1.0), decay) * growth))
+
+    background_looks = looks(2, float(frame_area))
 
     highlight = np.full(known.shape, -np.inf, dtype=np.float32)
     for size_m in _HIGHLIGHTS_M:
         box, area = boxes.centred(size_m)
-        np.maximum(highlight, f_deviate(ratio(*boxes.sums(*box)), looks(float(area)), background_looks), out=highlight)
+        np.maximum(highlight, f_deviate(ratio(*boxes.sums(*box)), looks(box[1] - box[0], float(area)), background_looks), out=highlight)
 
     darkest = np.full(known.shape, np.inf, dtype=np.float32)
     for along_m, height_m in _SHADOWS_M:
         lengths = _shadow_columns(tile, height_m)
         sums, weights, n_rows = boxes.shadow_sums(along_m, lengths)
         areas = (n_rows * lengths).astype(np.float32)
-        deviate = f_deviate(ratio(sums, weights), looks(areas), background_looks)
+        deviate = f_deviate(ratio(sums, weights), looks(n_rows, areas), background_looks)
         np.minimum(darkest, np.where(weights > _MIN_SHADOW * areas, deviate, np.float32(0.0)), out=darkest)
     shadow = -_darkest_behind(darkest, boxes.columns(_SHADOW_LAG_M))
 

@@ -1,7 +1,8 @@
 """Non-maximum suppression in metres over a whole pass, independent of where tiles were cut.
 
 Detections close together are one object seen more than once: the best one stays. Greedy suppression spreads along chains, so a
-chain of neighbours is settled at once, when no later row can add to it or to its surroundings.
+chain of neighbours is settled at once, when no later row can add to it or to its surroundings. Where clutter is so dense that
+chains would never end, borders fixed on the mission grid end them; across a border the stronger of two hides the weaker.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _ALIKE: Final = 0.5
 _CROWDED: Final = 6
 
 _LINK_M: Final = 2.5
+_BORDER_M: Final = 60.0
 _STRUCTURE_MEMBERS: Final = 6
 _STRUCTURE_LARGE: Final = 2
 _STRUCTURE_P: Final = 0.02
@@ -60,9 +62,9 @@ class Suppressor:
         if not self._waiting:
             return []
         row_m = self._waiting[0].row_spacing_m
-        surroundings = _SURROUNDINGS_M / row_m
+        surroundings = max(_SURROUNDINGS_M, self._link_m) / row_m
         known_to = complete_to_row - ROWS_M / row_m
-        horizon = known_to - max(_SURROUNDINGS_M, self._link_m) / row_m
+        horizon = known_to - surroundings
         known = [*self._recent, *self._waiting]
         settled: list[Detection] = []
         waiting: list[Detection] = []
@@ -70,7 +72,7 @@ class Suppressor:
             if max(d.row for d in chain) >= horizon:
                 waiting += chain
                 continue
-            best = self._best_of(chain, self._config.suppression_m)
+            best = [d for d in self._best_of(chain, self._config.suppression_m) if not self._hidden_across_border(d, known)]
             if _is_structure(chain, self._config.max_object_m):
                 best = _outline(best, chain)
             self._counters["detect.suppressed"] += len(chain) - len(best)
@@ -88,6 +90,14 @@ class Suppressor:
                 kept.append(detection)
         return kept
 
+    def _hidden_across_border(self, detection: Detection, known: list[Detection]) -> bool:
+        return any(
+            _stretch(other) != _stretch(detection)
+            and _strongest_first(other) < _strongest_first(detection)
+            and _same_object(detection, other, self._config.suppression_m)
+            for other in known
+        )
+
     def _in_surroundings(self, detection: Detection, known: list[Detection]) -> Detection:
         """The detection with its odds lowered by others about as strong within a few metres."""
         n_alike = 0
@@ -96,6 +106,11 @@ class Suppressor:
             n_alike += self._config.suppression_m < distance_m < _SURROUNDINGS_M and other.score >= detection.score - _ALIKE
         reasons = (*detection.reasons, "crowded") if n_alike >= _CROWDED else detection.reasons
         return msgspec.structs.replace(detection, p_mine=probability(odds_of(detection.p_mine) - crowding(n_alike)), reasons=reasons)
+
+
+def _stretch(detection: Detection) -> int:
+    """Number of the stretch of track between two borders."""
+    return math.floor(detection.row * detection.row_spacing_m / _BORDER_M)
 
 
 def _strongest_first(detection: Detection) -> tuple[float, float, float]:
@@ -143,7 +158,7 @@ def _order(detection: Detection) -> tuple[float, float, float]:
 
 
 def _chains(detections: list[Detection], link_m: float) -> list[list[Detection]]:
-    """Groups in which each member is within `link_m` of another; `detections` sorted by row, groups and members stay so."""
+    """Groups in which each member is within `link_m` of another on the same stretch; sorted by row as `detections` are."""
     parent = list(range(len(detections)))
 
     def root(index: int) -> int:
@@ -155,7 +170,7 @@ def _chains(detections: list[Detection], link_m: float) -> list[list[Detection]]
     for index, detection in enumerate(detections):
         for other in range(index - 1, -1, -1):
             along_m = (detection.row - detections[other].row) * detection.row_spacing_m
-            if along_m > link_m:
+            if along_m > link_m or _stretch(detection) != _stretch(detections[other]):
                 break
             across_m = (detection.column - detections[other].column) * detection.column_spacing_m
             if math.hypot(along_m, across_m) <= link_m:

@@ -1,8 +1,9 @@
 """Pings onto the mission-fixed along-track grid.
 
 Grid row k covers along-track distance [k, k + 1) * row_spacing_m from mission start, so tile boundaries never move a sample.
-A ping stands for the stretch half-way to its neighbours, but no farther than half the permitted gap: a row is the mean of the
-pings it overlaps, weighted by overlap, and a stretch without pings stays without data.
+A ping stands for the stretch half-way to its neighbours; beside a longer gap than permitted, and at the ends of a segment, for as
+much as on its other side. A row is the mean of the pings it overlaps, weighted by overlap, and a stretch without pings stays
+without data.
 """
 
 from __future__ import annotations
@@ -120,19 +121,19 @@ class AlongTrackGrid:
         assert self._held is not None
         held, spacing = self._held, self._row_spacing_m
         along = held.along_m
-        middle = 0.5 * (along[:-1] + along[1:])
-        start = np.maximum(np.concatenate([[0.5 * (self._previous_along_m + along[0])], middle]), along - self._half_gap_m)
-        stop = np.minimum(np.concatenate([middle, [np.inf]]), along + self._half_gap_m)
+        start, stop = self._stretches(along)
+        # The newest ping's stretch, and where its neighbour's ends, are known only with the next.
+        known = along.shape[0] - (1 if last else 2)
+        if known < 0:
+            return None
         first_row = math.floor(start[0] / spacing) if self._next_row is None else self._next_row
-        # Without the next ping, the last one's stretch is known only up to itself.
-        known_m = stop[-1] if last else along[-1]
-        stop_row = math.ceil(known_m / spacing) if last else math.floor(known_m / spacing)
+        stop_row = math.ceil(stop[-1] / spacing) if last else math.floor(along[known] / spacing)
         if stop_row <= first_row:
             return None
         rows = _average_rows(held, start, stop, first_row, stop_row, spacing)
         if not last:
             keep = int(np.searchsorted(stop, stop_row * spacing, side="right"))
-            keep = min(keep, held.n_rows - 1)
+            keep = min(keep, known)
             # The ping before the kept ones bounds their stretch and carries interpolation of poses.
             keep = max(keep - 1, 0)
             if keep > 0:
@@ -140,6 +141,15 @@ class AlongTrackGrid:
                 self._held = slice_swath(held, slice(keep, None))
             self._next_row = stop_row
         return first_row, rows
+
+    def _stretches(self, along_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Start and end of the track every held ping stands for, (n,) each."""
+        step = np.diff(along_m, prepend=self._previous_along_m, append=np.inf)
+        half = np.where(step <= 2.0 * self._half_gap_m, 0.5 * step, np.inf)
+        before, after = half[:-1], half[1:]
+        # Beside a gap a ping reaches no farther than on its other side: one ping's speckle, drawn out, looks like an object.
+        before, after = np.where(np.isinf(before), after, before), np.where(np.isinf(after), before, after)
+        return along_m - np.minimum(before, self._half_gap_m), along_m + np.minimum(after, self._half_gap_m)
 
 
 def _average_rows(

@@ -24,7 +24,7 @@ def test_what_is_left_out_or_left_empty_keeps_its_default(text: str) -> None:
 def test_defaults_written_out_read_back_as_defaults() -> None:
     text = config_yaml(Config())
     assert parse_config(text, "f.yaml") == Config()
-    assert yaml.safe_load(text)["detect"]["p_false_alarm"] == 5e-4  # a YAML 1.1 reader sees the same number
+    assert yaml.safe_load(text)["detect"]["p_false_alarm"] == 1e-4  # a YAML 1.1 reader sees the same number
 
 
 @given(

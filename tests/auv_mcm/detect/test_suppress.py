@@ -80,7 +80,7 @@ def slow_pass(detections: list[Detection], config: DetectConfig) -> list[Detecti
         chain = [loose.pop()]
         grown = True
         while grown:
-            near = [d for d in loose if any(apart_m(d, member) <= link_m for member in chain)]
+            near = [d for d in loose if any(apart_m(d, member) <= link_m and stretch(d) == stretch(member) for member in chain)]
             loose = [d for d in loose if not any(d is other for other in near)]
             chain += near
             grown = bool(near)
@@ -88,6 +88,7 @@ def slow_pass(detections: list[Detection], config: DetectConfig) -> list[Detecti
         for d in sorted(chain, key=lambda d: (-d.score, d.row, d.column)):
             if not any(hides(better, d, config.suppression_m) for better in kept):
                 kept.append(d)
+        kept = [d for d in kept if not any(across_border(e, d) and hides(e, d, config.suppression_m) for e in detections)]
         rows, columns = [d.row * ROW_M for d in chain], [d.column * COLUMN_M for d in chain]
         extents = (max(rows) - min(rows), max(columns) - min(columns))
         n_large = sum("too_large" in d.reasons for d in chain)
@@ -99,6 +100,14 @@ def slow_pass(detections: list[Detection], config: DetectConfig) -> list[Detecti
             kept = outline(kept, extents)
         result += kept
     return [surrounded(d, detections, config) for d in result]
+
+
+def stretch(d: Detection) -> float:
+    return d.row * ROW_M // suppress._BORDER_M
+
+
+def across_border(better: Detection, d: Detection) -> bool:
+    return stretch(better) != stretch(d) and (-better.score, better.row, better.column) < (-d.score, d.row, d.column)
 
 
 def outline(kept: list[Detection], extents: tuple[float, float]) -> list[Detection]:
@@ -251,6 +260,19 @@ def wreck() -> list[Detection]:
         seen(40.0 + 1.5 * k, 10.0 + 0.1 * k, length_m=4.5, reasons=("highlight_and_shadow", "too_large"), score=4.0 + 0.1 * k, p_mine=0.05)
         for k in range(10)
     ]
+
+
+def test_endless_clutter_comes_out_as_it_goes() -> None:
+    """A field where every detection has a neighbour: nothing may wait for its end."""
+    field = [seen(0.9 * step, 5.0 + step % 3, score=3.5 + (step * 7 % 11) / 10.0) for step in range(400)]
+    suppressor = Suppressor(DetectConfig(), Counter())
+    longest_wait_m = 0.0
+    for stop_m in range(20, 361, 20):
+        stop = stop_m / ROW_M
+        suppressor.add(tuple(d for d in field if stop_m - 20.0 <= d.row * ROW_M < stop_m), stop)
+        waiting = [d.row for d in suppressor._waiting]
+        longest_wait_m = max(longest_wait_m, (stop - min(waiting)) * ROW_M if waiting else 0.0)
+    assert longest_wait_m < suppress._BORDER_M + suppress._SURROUNDINGS_M + ROWS_M + 20.0
 
 
 def test_a_structure_is_told_by_its_outline_and_its_whole_size() -> None:
