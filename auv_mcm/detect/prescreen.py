@@ -9,6 +9,7 @@ height casts at that range and altitude.
 
 from __future__ import annotations
 
+import copy
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
@@ -60,6 +61,7 @@ _GLINT_DISCOUNT: Final = 4.0
 _GLINT_KNEE: Final = 5.0
 _BEYOND_KNEE: Final = 0.05
 _MAX_RATIO: Final = 100.0
+_BAND_ROWS: Final = 48
 
 CONTEXT_M: Final = _LOOKS_ROWS_M + _FRAME_ROWS_M + 1.0
 """Along-track reach of a score: a pixel this far inside a tile is scored as it would be anywhere else."""
@@ -85,19 +87,28 @@ class Peak(NamedTuple):
 
 
 class _Boxes:
-    """Masked box means on one tile, in whole pixels around each pixel."""
+    """Masked box means on some rows of a tile, in whole pixels around each pixel."""
 
     def __init__(self, tile: Tile) -> None:
         valid = (tile.mask & VALID) != 0
         self.row_m, self.column_m = tile.row_spacing_m, tile.column_spacing_m
         intensity = np.where(valid, np.minimum(tile.intensity, np.float32(_MAX_RATIO)), np.float32(0.0))
-        self._pad = (self.rows(_LOOKS_ROWS_M) + 2, self.columns(max(_SHADOW_LENGTH_M[1], _LOOKS_COLUMNS_M)) + 4)
-        self.valid = valid
-        self._intensity = self.integral(intensity)
-        self._weight = self.integral(valid.view(np.uint8))
+        pad = (self.rows(_FRAME_ROWS_M) + 2, self.columns(_SHADOW_LENGTH_M[1]) + 4)
+        self._intensity = PaddedIntegral(intensity, *pad)
+        self._weight = PaddedIntegral(valid.view(np.uint8), *pad)
         seabed = valid & ((tile.mask & SATURATED) == 0)
-        self._seabed = self.integral(np.where(seabed, np.minimum(intensity, np.float32(_BACKGROUND_CLIP)), np.float32(0.0)))
-        self._seabed_weight = self._weight if (seabed == valid).all() else self.integral(seabed.view(np.uint8))
+        bounded = np.where(seabed, np.minimum(intensity, np.float32(_BACKGROUND_CLIP)), np.float32(0.0))
+        self._seabed = PaddedIntegral(bounded, *pad)
+        self._seabed_weight = self._weight if (seabed == valid).all() else PaddedIntegral(seabed.view(np.uint8), *pad)
+
+    def band(self, rows: slice) -> _Boxes:
+        """The same on rows [start, stop) of the tile alone."""
+        part = copy.copy(self)
+        part._intensity = self._intensity.band(rows.start, rows.stop)
+        part._weight = self._weight.band(rows.start, rows.stop)
+        part._seabed = self._seabed.band(rows.start, rows.stop)
+        part._seabed_weight = self._seabed_weight.band(rows.start, rows.stop)
+        return part
 
     def rows(self, length_m: float) -> int:
         return max(1, round(length_m / self.row_m))
@@ -105,76 +116,113 @@ class _Boxes:
     def columns(self, length_m: float) -> int:
         return max(1, round(length_m / self.column_m))
 
-    def integral(self, plane: NDArray[np.float32] | NDArray[np.uint8]) -> PaddedIntegral:
-        return PaddedIntegral(plane, *self._pad)
-
-    def sums(self, *box: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return self._intensity.box(*box), self._weight.box(*box)
-
-    def background_sums(self, *box: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Sums of intensity without saturated pixels and with bright ones bounded: an object longer than the hollow must not raise
-        its own background."""
-        return self._seabed.box(*box), self._seabed_weight.box(*box)
-
     def centred(self, size_m: tuple[float, float]) -> tuple[tuple[int, int, int, int], int]:
         """Half-open offsets of a box around a pixel, and its area in pixels."""
         half_row, half_column = self.rows(size_m[0]) // 2, self.columns(size_m[1]) // 2
         return (-half_row, half_row + 1, -half_column, half_column + 1), (2 * half_row + 1) * (2 * half_column + 1)
 
-    def shadow_sums(self, along_m: float, lengths: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-        half = self.rows(along_m) // 2
-        varying = (-half, half + 1, 0, lengths)
-        return self._intensity.box_varying(*varying), self._weight.box_varying(*varying), 2 * half + 1
+    def mean(self, *box: int) -> NDArray[np.float32]:
+        """Mean intensity over the valid pixels of a box, 0 where there are none."""
+        return (self._intensity.box(*box) / np.maximum(self._weight.box(*box), 1.0)).astype(np.float32)
+
+    def shadow_mean(self, half_rows: int, lengths: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """Mean intensity from each pixel on over `lengths` columns, and the number of valid pixels it comes from."""
+        varying = (-half_rows, half_rows + 1, 0, lengths)
+        weight = self._weight.box_varying(*varying)
+        return (self._intensity.box_varying(*varying) / np.maximum(weight, 1.0)).astype(np.float32), weight
+
+    def frame(self) -> tuple[tuple[int, int, int, int], tuple[int, int, int, int], int]:
+        """The background's frame and its hollow as half-open offsets, and the area between them in pixels."""
+        hollow_rows = self.rows(_HOLLOW_ROWS_M)
+        hollow = (-hollow_rows, hollow_rows + 1, -self.columns(_HOLLOW_NEAR_M), self.columns(_HOLLOW_FAR_M))
+        # On a coarse grid the frame stays at least a pixel wide.
+        rows = max(self.rows(_FRAME_ROWS_M), hollow_rows + 1)
+        outer = (-rows, rows + 1, min(-self.columns(_FRAME_NEAR_M), hollow[2] - 1), max(self.columns(_FRAME_FAR_M), hollow[3] + 1))
+        area = (outer[1] - outer[0]) * (outer[3] - outer[2]) - (hollow[1] - hollow[0]) * (hollow[3] - hollow[2])
+        return outer, hollow, area
+
+    def background(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Mean over the frame around each pixel, and where enough of it holds echoes.
+
+        Saturated pixels stay out and bright ones are bounded: an object longer than the hollow must not raise its own background.
+        """
+        outer, hollow, area = self.frame()
+        total = self._seabed.box(*outer) - self._seabed.box(*hollow)
+        weight = self._seabed_weight.box(*outer) - self._seabed_weight.box(*hollow)
+        mean = np.maximum(np.maximum(total, 0.0) / np.maximum(weight, 1.0), _NO_ECHO).astype(np.float32)
+        # Without any echo around, as in a stretch of dropped samples, there is no contrast to speak of.
+        return mean, (weight >= _MIN_BACKGROUND * area) & (mean > _NO_ECHO)
+
+
+class _Spread(NamedTuple):
+    """How much box means vary on the sea floor around each pixel of a band, float32: variances of the logarithm for the thin and the
+    small box, and the power of area with which larger boxes vary less."""
+
+    thin: NDArray[np.float32]
+    small: NDArray[np.float32]
+    decay: NDArray[np.float32]
+    thin_area: int
+    small_area: int
+
+    def looks(self, n_rows: int, area: NDArray[np.float32] | float) -> NDArray[np.float32]:
+        """Equivalent looks of the mean over a box; what is smaller than the boxes measured holds speckle alone, which falls with area."""
+        variance, measured_area = (self.thin, self.thin_area) if n_rows == 1 else (self.small, self.small_area)
+        growth = np.log(np.asarray(area, dtype=np.float32) / np.float32(measured_area))
+        return equivalent_looks(variance * np.exp(-np.where(growth < 0.0, np.float32(1.0), self.decay) * growth))
 
 
 def score_tile(tile: Tile) -> ScoreMaps:
     """Score maps of one tile."""
+    shape = tile.mask.shape
     boxes = _Boxes(tile)
-    background, weight, frame_area = _background(boxes)
-    # Without any echo around, as in a stretch of dropped samples, there is no contrast to speak of.
-    known = boxes.valid & (weight >= _MIN_BACKGROUND * frame_area) & (background > _NO_ECHO)
-    inverse_background = (1.0 / background).astype(np.float32)
+    # A few dozen rows at a time, so that intermediate planes stay in the processor's cache.
+    bands = [slice(start, min(start + _BAND_ROWS, shape[0])) for start in range(0, shape[0], _BAND_ROWS)]
+    background, known = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.bool_)
+    for rows in bands:
+        background[rows], enough = boxes.band(rows).background()
+        known[rows] = enough & ((tile.mask[rows] & VALID) != 0)
 
-    def ratio(sums: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float32]:
-        return np.asarray((sums / np.maximum(weights, 1.0)).astype(np.float32) * inverse_background)
-
-    small, small_area = boxes.centred(_SMALL_BOX_M)
-    large, large_area = boxes.centred(_LARGE_BOX_M)
-    small_variance = _log_variance(boxes, ratio(*boxes.sums(*small)), known)
-    large_variance = _log_variance(boxes, ratio(*boxes.sums(*large)), known)
+    measured = [boxes.centred(size_m) for size_m in (_THIN_BOX_M, _SMALL_BOX_M, _LARGE_BOX_M)]
+    around = _Neighbourhood(boxes, known)
+    thin, small, large = (around.log_variance(boxes, bands, box, background) for box, _ in measured)
+    (_, thin_area), (_, small_area), (_, large_area) = measured
     # On a grid too coarse to tell the two boxes apart both variances are equal, and any growth of area will do.
-    decay = np.log(small_variance / large_variance) / np.float32(np.log(max(large_area / small_area, 2.0)))
-    decay = np.clip(decay, _MIN_DECAY, 1.0).astype(np.float32)
+    per_area = np.float32(1.0 / np.log(max(large_area / small_area, 2.0)))
 
-    thin, thin_area = boxes.centred(_THIN_BOX_M)
-    thin_variance = _log_variance(boxes, ratio(*boxes.sums(*thin)), known)
-
-    def looks(n_rows: int, area: NDArray[np.float32] | float) -> NDArray[np.float32]:
-        """Equivalent looks of the mean over a box; what is smaller than the boxes measured holds speckle alone, which falls with area."""
-        variance, measured_area = (thin_variance, thin_area) if n_rows == 1 else (small_variance, small_area)
-        growth = np.log(np.asarray(area, dtype=np.float32) / np.float32(measured_area))
-        return equivalent_looks(variance * np.exp(-np.where(growth < 0.0, np.float32(1.0), decay) * growth))
-
-    background_looks = looks(2, float(frame_area))
-
-    highlight = np.full(known.shape, -np.inf, dtype=np.float32)
-    for size_m in _HIGHLIGHTS_M:
-        box, area = boxes.centred(size_m)
-        np.maximum(highlight, f_deviate(ratio(*boxes.sums(*box)), looks(box[1] - box[0], float(area)), background_looks), out=highlight)
-
-    darkest = np.full(known.shape, np.inf, dtype=np.float32)
-    for along_m, height_m in _SHADOWS_M:
-        lengths = _shadow_columns(tile, height_m)
-        sums, weights, n_rows = boxes.shadow_sums(along_m, lengths)
-        areas = (n_rows * lengths).astype(np.float32)
-        deviate = f_deviate(ratio(sums, weights), looks(n_rows, areas), background_looks)
-        np.minimum(darkest, np.where(weights > _MIN_SHADOW * areas, deviate, np.float32(0.0)), out=darkest)
+    highlight, darkest = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    for rows in bands:
+        decay = np.clip(np.log(small[rows] / large[rows]) * per_area, _MIN_DECAY, 1.0).astype(np.float32)
+        spread = _Spread(thin[rows], small[rows], decay, thin_area, small_area)
+        highlight[rows], darkest[rows] = _deviates(boxes.band(rows), tile, rows, background[rows], spread)
     shadow = -_darkest_behind(darkest, boxes.columns(_SHADOW_LAG_M))
 
     combined = HIGHLIGHT_WEIGHT * _saturate(highlight, _HIGHLIGHT_KNEE) + _saturate(shadow, _SHADOW_KNEE)
     score = combined * np.float32(1.0 / np.hypot(HIGHLIGHT_WEIGHT, 1.0))
     score = np.maximum(score, _saturate(highlight - np.float32(_GLINT_DISCOUNT), _GLINT_KNEE))
-    return ScoreMaps(np.where(known, score, -np.inf).astype(np.float32), highlight, shadow, background, small_variance)
+    return ScoreMaps(np.where(known, score, -np.inf).astype(np.float32), highlight, shadow, background, small)
+
+
+def _deviates(
+    boxes: _Boxes, tile: Tile, rows: slice, background: NDArray[np.float32], spread: _Spread
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Deviate of the brightest box centred on each pixel of the rows, and of the darkest shadow that starts there."""
+    per_background = np.float32(1.0) / background
+    background_looks = spread.looks(2, float(boxes.frame()[2]))
+    highlight = np.full(background.shape, -np.inf, dtype=np.float32)
+    for size_m in _HIGHLIGHTS_M:
+        box, area = boxes.centred(size_m)
+        looks = spread.looks(box[1] - box[0], float(area))
+        np.maximum(highlight, f_deviate(boxes.mean(*box) * per_background, looks, background_looks), out=highlight)
+    darkest = np.full(background.shape, np.inf, dtype=np.float32)
+    for along_m, height_m in _SHADOWS_M:
+        lengths = _shadow_columns(tile, rows, height_m)
+        half_rows = boxes.rows(along_m) // 2
+        mean, weight = boxes.shadow_mean(half_rows, lengths)
+        n_rows = 2 * half_rows + 1
+        area_px = (n_rows * lengths).astype(np.float32)
+        deviate = f_deviate(mean * per_background, spread.looks(n_rows, area_px), background_looks)
+        np.minimum(darkest, np.where(weight > _MIN_SHADOW * area_px, deviate, np.float32(0.0)), out=darkest)
+    return highlight, darkest
 
 
 def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: float) -> list[Peak]:
@@ -199,34 +247,37 @@ def _saturate(deviate: NDArray[np.float32], knee: float) -> NDArray[np.float32]:
     return np.asarray(np.minimum(bounded, np.float32(knee) + np.float32(_BEYOND_KNEE) * (bounded - np.float32(knee))))
 
 
-def _background(boxes: _Boxes) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
-    rows, hollow_rows = boxes.rows(_FRAME_ROWS_M), boxes.rows(_HOLLOW_ROWS_M)
-    hollow = (-hollow_rows, hollow_rows + 1, -boxes.columns(_HOLLOW_NEAR_M), boxes.columns(_HOLLOW_FAR_M))
-    # On a coarse grid the frame stays at least a pixel wide.
-    rows = max(rows, hollow_rows + 1)
-    frame = (-rows, rows + 1, min(-boxes.columns(_FRAME_NEAR_M), hollow[2] - 1), max(boxes.columns(_FRAME_FAR_M), hollow[3] + 1))
-    frame_sum, frame_weight = boxes.background_sums(*frame)
-    hollow_sum, hollow_weight = boxes.background_sums(*hollow)
-    weight = frame_weight - hollow_weight
-    area = (frame[1] - frame[0]) * (frame[3] - frame[2]) - (hollow[1] - hollow[0]) * (hollow[3] - hollow[2])
-    mean = np.maximum(frame_sum - hollow_sum, 0.0) / np.maximum(weight, 1.0)
-    return np.maximum(mean, _NO_ECHO).astype(np.float32), weight, area
+class _Neighbourhood:
+    """Statistics over the known pixels within a few metres of each pixel."""
+
+    def __init__(self, boxes: _Boxes, known: NDArray[np.bool_]) -> None:
+        rows, columns = boxes.rows(_LOOKS_ROWS_M), boxes.columns(_LOOKS_COLUMNS_M)
+        self._box = (-rows, rows + 1, -columns, columns + 1)
+        self._pad = (rows + 1, columns + 1)
+        self._known = known
+        self._count = PaddedIntegral(known.view(np.uint8), *self._pad)
+
+    def log_variance(
+        self, boxes: _Boxes, bands: list[slice], box: tuple[int, int, int, int], background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Variance of ln(box mean over background), clipped, (n_rows, n_columns) float32."""
+        logarithm = np.empty(background.shape, dtype=np.float32)
+        for rows in bands:
+            ratio = np.maximum(boxes.band(rows).mean(*box) / background[rows], np.float32(1e-3))
+            logarithm[rows] = np.clip(np.log(ratio), -_LOG_CLIP, _LOG_CLIP) * self._known[rows]
+        total, square = PaddedIntegral(logarithm, *self._pad), PaddedIntegral(logarithm * logarithm, *self._pad)
+        variance = np.empty(background.shape, dtype=np.float32)
+        for rows in bands:
+            count, mean, mean_square = (sums.band(rows.start, rows.stop).box(*self._box) for sums in (self._count, total, square))
+            np.maximum(count, 1.0, out=count)
+            mean /= count
+            variance[rows] = np.maximum(mean_square / count - mean * mean, _MIN_LOG_VARIANCE)
+        return variance
 
 
-def _log_variance(boxes: _Boxes, ratio: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Variance of ln(ratio), clipped, over the known pixels within a few metres, (n_rows, n_columns) float32."""
-    logarithm = np.clip(np.log(np.maximum(ratio, np.float32(1e-3))), -_LOG_CLIP, _LOG_CLIP) * known
-    rows, columns = boxes.rows(_LOOKS_ROWS_M), boxes.columns(_LOOKS_COLUMNS_M)
-    box = (-rows, rows + 1, -columns, columns + 1)
-    count = np.maximum(boxes.integral(known.view(np.uint8)).box(*box), 1.0)
-    mean = boxes.integral(logarithm).box(*box) / count
-    square = boxes.integral(logarithm * logarithm).box(*box) / count
-    return np.maximum(square - mean * mean, _MIN_LOG_VARIANCE).astype(np.float32)
-
-
-def _shadow_columns(tile: Tile, height_m: float) -> NDArray[np.intp]:
-    """Length in columns (n_rows, n_columns) of the shadow an object of `height_m` casts: h y / (H - h) on a flat bottom."""
-    altitude_m = np.maximum(tile.first_return_m, _LEAST_ALTITUDE_M)[:, None]
+def _shadow_columns(tile: Tile, rows: slice, height_m: float) -> NDArray[np.intp]:
+    """Length in columns (rows, n_columns) of the shadow an object of `height_m` casts: h y / (H - h) on a flat bottom."""
+    altitude_m = np.maximum(tile.first_return_m[rows], _LEAST_ALTITUDE_M)[:, None]
     ground_m = ((np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
     length_m = height_m * ground_m / np.maximum(altitude_m - height_m, 0.3 * altitude_m)
     return np.maximum(np.rint(np.clip(length_m, *_SHADOW_LENGTH_M) / tile.column_spacing_m), 1.0).astype(np.intp)

@@ -134,8 +134,8 @@ class BottomTracker:
         # In noise single pings look convincing, in weak contrast single pings do not: a few together tell.
         means = [evidence[max(ping - _SEEN_PINGS, 0) : ping + _SEEN_PINGS + 1].mean() for ping in range(start, stop)]
         seen = np.array(means) >= _EVIDENCE
-        smooth = _running_median(bins, _SMOOTHING_PINGS)[start:stop]
-        level = _running_median(bins, _LEVEL_PINGS)[start:stop]
+        smooth = _running_medians(bins, _SMOOTHING_PINGS, start, stop)
+        level = _running_medians(bins, _LEVEL_PINGS, start, stop)
         self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
         roughness = np.abs(path.bins - smooth)
         sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, 0.1 * np.maximum(smooth * BIN_M, 1.0))
@@ -172,11 +172,20 @@ def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Pat
     return _Path(bins, evidence)
 
 
-def _running_median(bins: NDArray[np.int64], reach: int) -> NDArray[np.float64]:
-    """Median over `reach` pings to either side, (n_pings,) float64: a rock under the array is not the bottom everything else lies on.
+def _running_medians(bins: NDArray[np.int64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
+    """Medians over `reach` pings to either side of pings [start, stop), (stop - start,) float64.
 
-    At the ends the window shrinks evenly, so that a steady dive is not bent.
+    A rock under the array is not the bottom everything else lies on. At the ends of `bins` the window shrinks evenly, so that a
+    steady dive is not bent.
     """
     last = bins.shape[0] - 1
-    halves = [min(reach, ping, last - ping) for ping in range(last + 1)]
-    return np.array([np.median(bins[ping - half : ping + half + 1]) for ping, half in enumerate(halves)])
+    whole_start = min(max(start, reach), stop)
+    whole_stop = max(min(stop, last - reach + 1), whole_start)
+    medians = np.empty(stop - start)
+    if whole_stop > whole_start:
+        windows = np.lib.stride_tricks.sliding_window_view(bins[whole_start - reach : whole_stop + reach], 2 * reach + 1)
+        medians[whole_start - start : whole_stop - start] = np.median(windows, axis=1)
+    for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
+        half = min(reach, ping, last - ping)
+        medians[ping - start] = np.median(bins[ping - half : ping + half + 1])
+    return medians
