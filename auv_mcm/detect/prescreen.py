@@ -63,6 +63,8 @@ _BEYOND_KNEE: Final = 0.05
 _MAX_RATIO: Final = 100.0
 _BAND_ROWS: Final = 48
 
+MARGIN_M: Final = 1.0
+"""How far beyond a tile's core pixels are scored, so that a peak in the core is compared with all its neighbours."""
 CONTEXT_M: Final = _LOOKS_ROWS_M + _FRAME_ROWS_M + 1.0
 """Along-track reach of a score: a pixel this far inside a tile is scored as it would be anywhere else."""
 
@@ -172,8 +174,10 @@ class _Spread(NamedTuple):
 
 
 def score_tile(tile: Tile) -> ScoreMaps:
-    """Score maps of one tile."""
+    """Score maps of one tile. Overlap rows more than MARGIN_M from the core lend their pixels but are not scored themselves."""
     shape = tile.mask.shape
+    margin = round(MARGIN_M / tile.row_spacing_m) + 1
+    scored = slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, shape[0]))
     boxes = _Boxes(tile)
     # A few dozen rows at a time, so that intermediate planes stay in the processor's cache.
     bands = [slice(start, min(start + _BAND_ROWS, shape[0])) for start in range(0, shape[0], _BAND_ROWS)]
@@ -189,8 +193,8 @@ def score_tile(tile: Tile) -> ScoreMaps:
     # On a grid too coarse to tell the two boxes apart both variances are equal, and any growth of area will do.
     per_area = np.float32(1.0 / np.log(max(large_area / small_area, 2.0)))
 
-    highlight, darkest = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-    for rows in bands:
+    highlight, darkest = np.full(shape, -np.inf, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    for rows in [slice(start, min(start + _BAND_ROWS, scored.stop)) for start in range(scored.start, scored.stop, _BAND_ROWS)]:
         decay = np.clip(np.log(small[rows] / large[rows]) * per_area, _MIN_DECAY, 1.0).astype(np.float32)
         spread = _Spread(thin[rows], small[rows], decay, thin_area, small_area)
         highlight[rows], darkest[rows] = _deviates(boxes.band(rows), tile, rows, background[rows], spread)
@@ -199,7 +203,9 @@ def score_tile(tile: Tile) -> ScoreMaps:
     combined = HIGHLIGHT_WEIGHT * _saturate(highlight, _HIGHLIGHT_KNEE) + _saturate(shadow, _SHADOW_KNEE)
     score = combined * np.float32(1.0 / np.hypot(HIGHLIGHT_WEIGHT, 1.0))
     score = np.maximum(score, _saturate(highlight - np.float32(_GLINT_DISCOUNT), _GLINT_KNEE))
-    return ScoreMaps(np.where(known, score, -np.inf).astype(np.float32), highlight, shadow, background, small)
+    score[~known] = -np.inf
+    score[: scored.start] = score[scored.stop :] = -np.inf
+    return ScoreMaps(score, highlight, shadow, background, small)
 
 
 def _deviates(
@@ -228,7 +234,8 @@ def _deviates(
 def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: float) -> list[Peak]:
     """Local maxima above the threshold in the tile's core, best first; ties by row, then column.
 
-    A peak is the highest score within `radius_m` along rows and columns. Pixels of low resolution (near nadir) hold none.
+    A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low resolution (near
+    nadir) hold none.
     """
     threshold = np.float32(NormalDist().inv_cdf(1.0 - p_false_alarm))
     half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
