@@ -30,6 +30,7 @@ _STEP_COST: Final = 0.5
 _EVIDENCE: Final = 6.0
 _SMOOTHING_PINGS: Final = 8
 _LEVEL_PINGS: Final = 32
+_LEVEL_SLOPE: Final = 0.01
 _SEEN_PINGS: Final = 4
 
 
@@ -95,6 +96,7 @@ class BottomTracker:
         self._cost: NDArray[np.float64] | None = None
         self._held: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
         self._before = _NO_PATH  # just before the held block
+        self._level: float | None = None
 
     def add(self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float) -> BottomTrack | None:
         """Score a block; return the path of the block before it, None for the first.
@@ -121,7 +123,7 @@ class BottomTracker:
         done = None
         if self._held is not None and self._cost is not None:
             done = self._finish_held(int(self._cost.argmax()), _NO_PATH)
-        self._cost, self._held, self._before = None, None, _NO_PATH
+        self._cost, self._held, self._before, self._level = None, None, _NO_PATH, None
         return done
 
     def _finish_held(self, end: int, after: _Path) -> BottomTrack:
@@ -135,11 +137,20 @@ class BottomTracker:
         means = [evidence[max(ping - _SEEN_PINGS, 0) : ping + _SEEN_PINGS + 1].mean() for ping in range(start, stop)]
         seen = np.array(means) >= _EVIDENCE
         smooth = _running_medians(bins, _SMOOTHING_PINGS, start, stop)
-        level = _running_medians(bins, _LEVEL_PINGS, start, stop)
+        level = self._levelled(_running_medians(bins, _LEVEL_PINGS, start, stop))
         self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
         roughness = np.abs(path.bins - smooth)
         sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, 0.1 * np.maximum(smooth * BIN_M, 1.0))
         return BottomTrack(smooth * BIN_M, level * BIN_M, sigma, seen)
+
+    def _levelled(self, medians: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The medians followed by no more than a hundredth per ping, which any dive stays below and no rock does."""
+        level = np.empty_like(medians)
+        for ping, median in enumerate(medians.tolist()):
+            before = median if self._level is None else self._level
+            self._level = min(max(median, before * (1.0 - _LEVEL_SLOPE)), before * (1.0 + _LEVEL_SLOPE) + 1e-3)
+            level[ping] = self._level
+        return level
 
     def _score(self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float) -> NDArray[np.float64]:
         n_bins = max(int(0.95 * max_range_m / BIN_M), 2)
