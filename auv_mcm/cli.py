@@ -120,7 +120,8 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "run the live service until its source ends or SIGINT or SIGTERM arrives",
         "The source is service.source of the configuration; replay:///path/to/mission.xtf?speed=1 plays a recorded\n"
         "mission (speed: times real time, or max). Contacts go to the console once they are on disk, in contacts.jsonl of\n"
-        "a new session directory below service.output_directory; health lines go to standard error.\n"
+        "a new session directory below service.output_directory; clutter stays off the console. Health lines go to\n"
+        "standard error.\n"
         "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
         ["auv-mcm run --config vehicle.yaml"],
     )

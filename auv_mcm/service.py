@@ -148,7 +148,7 @@ class EventQueue:
 
 
 class Service:
-    """One mission, from opening the source to the last file. `console` takes one line per contact and notice."""
+    """One mission, from opening the source to the last file. `console` takes a line per notice and per contact that is not clutter."""
 
     def __init__(
         self,
@@ -274,8 +274,11 @@ class Service:
     def _announce(self, event: PipelineEvent) -> None:
         match event:
             case Contact():
-                word = "updated" if event.id in self._contacts else "new"
+                before = self._contacts.get(event.id)
                 self._contacts[event.id] = event
+                if all(known is None or known.classification == "clutter" for known in (before, event)):
+                    return  # in the journal and the results; a person watching needs the others
+                word = "new" if before is None else "updated"
                 self._console(
                     f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
                     f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
@@ -303,9 +306,11 @@ class Service:
             pings, self._lag_s = self._tally.pings, 0.0
 
     def _health(self, queue: EventQueue, perception: Perception) -> str:
+        clutter = sum(contact.classification == "clutter" for contact in self._contacts.values())
         return (
             f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
-            f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts)} lag_ms={self._lag_s * 1e3:.1f}"
+            f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts) - clutter} clutter={clutter} "
+            f"lag_ms={self._lag_s * 1e3:.1f}"
         )
 
     def _write(self) -> None:

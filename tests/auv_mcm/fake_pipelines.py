@@ -7,7 +7,9 @@ import os
 import signal
 import time
 from collections import Counter
+from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from auv_mcm.config import Config
@@ -84,6 +86,22 @@ class Digesting(Base):
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         return [empty_tile(), Notice(code="digest", text=digest(event))]
+
+
+class Cluttered(Base):
+    """Everything it finds is clutter."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        return _as_clutter(super().feed(event))
+
+    def finish(self) -> list[PipelineEvent]:
+        events = _as_clutter(super().finish())
+        self.contacts = tuple(contact for contact in _as_clutter(list(self.contacts)) if isinstance(contact, Contact))
+        return events
+
+
+def _as_clutter(events: Sequence[PipelineEvent]) -> list[PipelineEvent]:
+    return [msgspec.structs.replace(event, classification="clutter") if isinstance(event, Contact) else event for event in events]
 
 
 class Failing(Base):

@@ -94,6 +94,13 @@ def test_a_contact_is_on_disk_before_it_is_announced(tmp_path: Path) -> None:
     assert announced == ids(results)
 
 
+def test_clutter_is_kept_but_not_announced(tmp_path: Path) -> None:
+    lines: list[str] = []
+    results = serve(tmp_path, Events(mission(30)), fake.Cluttered, console=lines.append)
+    assert journal(results) == ids(results) != []
+    assert not [line for line in lines if line.startswith("contact")]
+
+
 def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
