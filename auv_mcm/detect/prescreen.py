@@ -235,13 +235,14 @@ def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: floa
     """Local maxima above the threshold in the tile's core, best first; ties by row, then column.
 
     A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low resolution (near
-    nadir) hold none.
+    nadir) hold none and outshine none.
     """
     threshold = np.float32(NormalDist().inv_cdf(1.0 - p_false_alarm))
     half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
-    finite = np.maximum(maps.score, np.float32(-1e6))
+    coarse = (tile.mask & LOW_RESOLUTION) != 0
+    finite = np.where(coarse, np.float32(-1e6), np.maximum(maps.score, np.float32(-1e6)))
     highest = cv2.dilate(finite, np.ones((2 * half_row + 1, 2 * half_column + 1), dtype=np.uint8))
-    peak = (finite == highest) & (finite >= threshold) & ((tile.mask & LOW_RESOLUTION) == 0)
+    peak = (finite == highest) & (finite >= threshold)
     peak[: tile.core_start] = False
     peak[tile.core_stop :] = False
     rows, columns = np.nonzero(peak)
