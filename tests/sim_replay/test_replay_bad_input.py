@@ -1,0 +1,162 @@
+"""Every spoilt log through the command line: a clear refusal with exit code 3, or a whole replay that says what was wrong with it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from xtf_logs import edit_headers
+
+from auv_mcm.cli import main
+from auv_mcm.records import EchoTrace, NavSample, Ping
+from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+from sim_replay.xtf_writer import SampleType, write_xtf
+
+Events = list[NavSample | Ping]
+Spoil = Callable[[Events], Events]
+REPLACE = msgspec.structs.replace
+
+
+@cache
+def mission() -> tuple[NavSample | Ping, ...]:
+    leg = Leg(latitude_deg=43.09, longitude_deg=5.88, heading_deg=20.0, length_m=24.0)
+    target = SceneObject(kind="box", leg=0, along_m=12.0, across_m=9.0, length_m=0.9, width_m=0.7, height_m=0.45)
+    return tuple(synthetic_mission(SyntheticScene(legs=(leg,), objects=(target,), range_m=20.0, n_samples=400)))
+
+
+def log_of(path: Path, events: Iterable[NavSample | Ping], sample_type: SampleType = "uint16") -> Path:
+    write_xtf(path, events, sample_type=sample_type)
+    return path
+
+
+def replayed(log: Path, folder: Path) -> dict[str, object]:
+    assert main(["replay", str(log), "--out", str(folder)]) == 0
+    for name in ("contacts.geojson", "contacts.csv", "contacts.kml", "coverage.geojson", "waypoints.geojson", "report.html"):
+        assert (folder / name).stat().st_size > 0
+    summary: dict[str, object] = json.loads((folder / "summary.json").read_bytes())
+    return summary
+
+
+def cut(samples: int) -> Callable[[EchoTrace | None], EchoTrace | None]:
+    return lambda trace: None if trace is None else REPLACE(trace, samples=trace.samples[:samples])
+
+
+def one_ping_shorter(events: Events) -> Events:
+    shorter = cut(300)
+    return [
+        REPLACE(e, port=shorter(e.port), starboard=shorter(e.starboard)) if isinstance(e, Ping) and e.number == 50 else e for e in events
+    ]
+
+
+SPOILT: dict[str, tuple[Spoil, str]] = {
+    "all-zero navigation": (
+        lambda events: [
+            REPLACE(e, latitude_deg=0.0, longitude_deg=0.0, heading_rad=0.0) if isinstance(e, NavSample) else e for e in events
+        ],
+        "navigation.ping_stale",
+    ),
+    "time going backwards": (
+        lambda events: [REPLACE(e, time_s=e.time_s - (600.0 if index > len(events) // 2 else 0.0)) for index, e in enumerate(events)],
+        "ping.clock_stepped_back",
+    ),
+    "one channel only": (
+        lambda events: [REPLACE(e, port=None) if isinstance(e, Ping) else e for e in events],
+        "",
+    ),
+    "a ping with another sample count": (one_ping_shorter, "reader.sample_count_change"),
+}
+
+
+@pytest.mark.parametrize("name", list(SPOILT))
+def test_a_spoilt_log_is_replayed_to_its_end_and_says_what_was_wrong(name: str, tmp_path: Path) -> None:
+    spoil, counter = SPOILT[name]
+    summary = replayed(log_of(tmp_path / "spoilt.xtf", spoil(list(mission()))), tmp_path / "out")
+    counters = summary["counters"]
+    assert isinstance(counters, dict)
+    assert summary["pings"] == sum(isinstance(event, Ping) for event in mission())
+    if counter:
+        assert counters.get(counter, 0) > 0, counters
+
+
+def test_nan_in_navigation_is_bridged_and_counted(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "nan.xtf", mission())
+
+    def forget(index: int, header: Any) -> None:
+        if index % 20 < 5:
+            header.SensorYcoordinate = header.SensorHeading = header.SensorPitch = math.nan
+
+    edit_headers(log, forget)
+    summary = replayed(log, tmp_path / "out")
+    assert isinstance(summary["counters"], dict)
+    assert summary["counters"]["reader.nan_navigation"] > 0
+    assert "navigation.ping_stale" not in summary["counters"]
+
+
+def test_a_log_cut_inside_a_packet_keeps_everything_before(tmp_path: Path) -> None:
+    whole = log_of(tmp_path / "whole.xtf", mission()).read_bytes()
+    log = tmp_path / "cut.xtf"
+    log.write_bytes(whole[: len(whole) * 2 // 3 + 77])
+    summary = replayed(log, tmp_path / "out")
+    assert 0.6 < float(str(summary["pings"])) / sum(isinstance(event, Ping) for event in mission()) < 0.7
+    assert "cut off" in json.dumps(summary["notices"])
+
+
+def test_a_sample_type_that_changes_is_replayed_on(tmp_path: Path) -> None:
+    """Two logs of one mission, the second in another sample type, as after a recorder was reconfigured."""
+    middle = len(mission()) // 2
+    first = log_of(tmp_path / "a.xtf", mission()[:middle])
+    as_float = [
+        REPLACE(
+            event,
+            **{
+                side: REPLACE(trace, samples=trace.samples.astype(np.float32))
+                for side in ("port", "starboard")
+                if (trace := getattr(event, side))
+            },
+        )
+        if isinstance(event, Ping)
+        else event
+        for event in mission()[middle:]
+    ]
+    second = log_of(tmp_path / "b.xtf", as_float, sample_type="float32")
+    assert main(["replay", str(first), str(second), "--out", str(tmp_path / "out")]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_bytes())
+    assert summary["pings"] == sum(isinstance(event, Ping) for event in mission())
+
+
+def refused(path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["replay", str(path), "--out", str(folder)]) == 3
+    told = capsys.readouterr().err
+    assert "Traceback" not in told
+    assert path.name in told
+    return told
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("empty.xtf", b""), ("noise.xtf", bytes(range(256)) * 20), ("half-a-header.xtf", b"\x7b" + bytes(500))]
+)
+def test_what_is_no_log_is_refused(name: str, content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    refused(path, tmp_path / "out", capsys)
+
+
+def test_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "folder.xtf"
+    path.mkdir()
+    assert "directory" in refused(path, tmp_path / "out", capsys)
+
+
+def test_a_log_without_pings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(log_of(tmp_path / "no-pings.xtf", []), tmp_path / "out", capsys)
+
+
+def test_a_log_without_side_scan_is_refused(shared_data: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "side-scan" in refused(shared_data("sidescan/bathymetry-only.xtf"), tmp_path / "out", capsys)
