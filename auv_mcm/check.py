@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from auv_mcm import __version__
 from auv_mcm.config import Config
 from auv_mcm.errors import AuvMcmError, SelfCheckError
+from auv_mcm.service import parse_source_uri
 
 _PACKAGES: Final = {
     "numpy": "numpy",
@@ -61,6 +62,8 @@ def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
     config = Config()
     try:
         config = read_config()
+        if config.service.source:
+            parse_source_uri(config.service.source)
         yield Finding("configuration", "ok", "valid")
     except AuvMcmError as error:
         yield Finding("configuration", "FAILED", str(error))

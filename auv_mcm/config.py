@@ -17,6 +17,8 @@ from msgspec import Meta, inspect
 
 from auv_mcm.errors import UsageError
 
+ArmLength = Annotated[float, Meta(ge=-100.0, le=100.0)]
+
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pass
@@ -38,17 +40,19 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
         Meta(description="how a log stores the port channel; auto looks for the water column"),
     ] = "auto"
     full_scale: Annotated[
-        Annotated[float, Meta(gt=0.0)] | None, Meta(description="stored number at which the recorder clips; empty: found from the samples")
+        Annotated[float, Meta(gt=0.0)] | None,
+        Meta(description="stored number at which the recorder clips; empty: found from integer samples, none for others"),
     ] = None
     sound_speed_mps: Annotated[
         Annotated[float, Meta(ge=1400.0, le=1600.0)] | None,
         Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd"),
     ] = None
     blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
-    max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="slant range used at most, m")] = 200.0
+    max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="range used at most, slant or ground, m")] = 200.0
     beam_width_deg: Annotated[float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")] = 0.5
     lever_arm_m: Annotated[
-        tuple[float, float, float], Meta(description="array position from the navigation reference: forward, starboard, down, m")
+        tuple[ArmLength, ArmLength, ArmLength],
+        Meta(description="array position from the navigation reference: forward, starboard, down, m"),
     ] = (0.0, 0.0, 0.0)
     heading_offset_deg: Annotated[
         float, Meta(ge=-180.0, le=180.0, description="array axis against vehicle heading, clockwise, degrees")
@@ -60,7 +64,10 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     """Interpolation limits and the 1-sigma errors that go into a contact's covariance."""
 
     max_extrapolation_s: Annotated[
-        float, Meta(gt=0.0, le=10.0, description="farther than this from a navigation sample a ping is flagged stale")
+        float,
+        Meta(
+            gt=0.0, le=10.0, description="a ping farther than this from navigation, and not in a hole that is bridged, is flagged stale, s"
+        ),
     ] = 0.5
     max_gap_s: Annotated[float, Meta(gt=0.0, le=60.0, description="longest hole between two fixes bridged by interpolation, s")] = 2.0
     position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0, description="1-sigma of a position fix per axis, m")] = 1.0
@@ -82,7 +89,9 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     max_spacing_ratio: Annotated[
         float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
     ] = 2.0
-    min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="shallowest grazing angle that earns coverage, degrees")] = 1.0
+    min_grazing_deg: Annotated[
+        float, Meta(ge=0.0, le=60.0, description="shallower than this nothing is looked for or covered, degrees")
+    ] = 1.0
     max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = (
         70.0
     )
@@ -96,7 +105,13 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
     """The training-free highlight/shadow detector."""
 
     p_false_alarm: Annotated[
-        float, Meta(gt=0.0, lt=0.5, description="false-alarm probability of one highlight-and-shadow test in pure speckle")
+        float,
+        Meta(
+            ge=1e-12,
+            lt=0.5,
+            description="tail probability of one pair of boxes in pure speckle; the best of many pairs counts, so that one pixel in eighty "
+            "of white speckle is above the default",
+        ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[
         int, Meta(ge=0, le=100_000, description="candidates measured per tile and side at most, best first; the rest is counted")

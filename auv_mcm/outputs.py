@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -72,6 +73,8 @@ class Tally:
         if (
             not (math.isfinite(sample.latitude_deg) and math.isfinite(sample.longitude_deg))
             or sample.latitude_deg == sample.longitude_deg == 0
+            or abs(sample.latitude_deg) > 90.0
+            or not -180.0 <= sample.longitude_deg <= 360.0
         ):
             return
         ecef_m = geodetic_to_ecef(sample.latitude_deg, sample.longitude_deg, 0.0)
@@ -126,11 +129,11 @@ def write_results(
 
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
-    """`snippets/<id>.png` for each contact id in `pictures`; pictures of an earlier replay go."""
+    """`snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, others stay."""
     snippets = make_directory(folder / "snippets")
     for contact_id, picture in pictures.items():
         write_file(snippets / f"{contact_id}.png", picture)
-    for path in snippets.glob("*.png"):
+    for path in snippets.glob("C[0-9]*.png"):
         if path.stem not in pictures:
             path.unlink()
 
@@ -168,17 +171,38 @@ class Journal:
     """Append-only lines of JSON, on disk when `append` returns."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("ab")
+        self._file = path.open("ab", buffering=0)
+        self._whole_bytes = self._file.seek(0, os.SEEK_END)  # the file ends in a whole line here
+        self._owed = b""  # lines that a failed append could not write
         _sync_directory(path.parent)
 
     def append(self, records: Iterable[Any]) -> None:
+        """Raises OSError, as on a full disk; the file then ends in a whole line, and the records are written with the next ones."""
         lines = [json.dumps(_finite(record), ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for record in records]
-        self._file.write("".join(lines).encode("utf-8", "replace"))
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        self._owed += "".join(lines).encode("utf-8", "replace")
+        self._write_owed()
 
     def close(self) -> None:
-        self._file.close()
+        """Raises OSError if lines are still owed and cannot be written."""
+        try:
+            self._write_owed()
+        finally:
+            self._file.close()
+
+    def _write_owed(self) -> None:
+        if not self._owed:
+            return
+        try:
+            written = 0
+            while written < len(self._owed):
+                written += self._file.write(self._owed[written:]) or 0
+            os.fsync(self._file.fileno())
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._whole_bytes)
+            raise
+        self._whole_bytes += len(self._owed)
+        self._owed = b""
 
 
 def _sync_directory(folder: Path) -> None:

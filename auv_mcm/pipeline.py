@@ -36,9 +36,10 @@ from auv_mcm.records import (
     Tile,
 )
 from auv_mcm.waterfall.stage import PingBlock, Waterfall
-from auv_mcm.waterfall.transfer import resolve_transfer
+from auv_mcm.waterfall.transfer import Transfer, recheck_transfer, resolve_transfer
 
 _PROBE_PINGS: Final = 64
+_GAP_S: Final = 2.0
 
 
 class Pipeline:
@@ -56,6 +57,9 @@ class Pipeline:
         self.costs_s: dict[str, float] = {}
         self._intake = Intake(config, self._counts)
         self._probe: list[Ping] = []
+        self._transfer: Transfer | None = None
+        self._after_gap: list[Ping] | None = None  # the first pings after a hole in time, to check the transfer again
+        self._last_ping_s = math.nan
         self._waterfall: Waterfall | None = None
         self._suppressors = {side: Suppressor(config.detect, self._counts) for side in SIDES}
         self._ledger = Ledger(config.contacts)
@@ -123,8 +127,8 @@ class Pipeline:
 
     def _start(self) -> list[PipelineEvent]:
         """Decide the sample transfer from the first pings, then run them."""
-        traces = [trace for ping in self._probe for trace in (ping.port, ping.starboard) if trace is not None]
-        transfer, notices = resolve_transfer(self._config.sonar, traces)
+        transfer, notices = resolve_transfer(self._config.sonar, _traces(self._probe))
+        self._transfer = transfer
         self._waterfall = Waterfall(self._config, transfer, OVERLAP_M, self._counts)
         events: list[PipelineEvent] = list(notices)
         for ping in self._probe:
@@ -133,9 +137,24 @@ class Pipeline:
         return events
 
     def _take(self, ping: Ping) -> list[PipelineEvent]:
+        events = self._check_after_gap(ping)
         with self._timed("intake"):
             released = self._intake.add_ping(ping)
-        return self._run(released)
+        return events + self._run(released)
+
+    def _check_after_gap(self, ping: Ping) -> list[PipelineEvent]:
+        """After a hole in time another recorder may be speaking, as in several logs replayed as one mission."""
+        if abs(ping.time_s - self._last_ping_s) > _GAP_S:
+            self._after_gap = []
+        self._last_ping_s = ping.time_s
+        if self._after_gap is None or self._transfer is None:
+            return []
+        self._after_gap.append(ping)
+        if len(self._after_gap) < _PROBE_PINGS:
+            return []
+        notice = recheck_transfer(self._transfer, _traces(self._after_gap), ping.place)
+        self._after_gap = None
+        return [] if notice is None else [notice]
 
     def _run(self, released: list[PingBlock | SegmentEnd]) -> list[PipelineEvent]:
         assert self._waterfall is not None
@@ -168,10 +187,10 @@ class Pipeline:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
             self._counts["detect.candidate"] += len(result.detections)
+            if result.n_over_budget and not self._counts["detect.over_budget"]:
+                events.append(_over_budget(tile, result))
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
-            if result.n_over_budget:
-                events.append(_over_budget(tile, result))
             with self._timed("suppress"):
                 final += self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop)
         return events + self._announce(final)
@@ -195,10 +214,14 @@ class Pipeline:
         self.costs_s[stage] = self.costs_s.get(stage, 0.0) + self._timer() - start
 
 
+def _traces(pings: list[Ping]) -> list[EchoTrace]:
+    return [trace for ping in pings for trace in (ping.port, ping.starboard) if trace is not None]
+
+
 def _over_budget(tile: Tile, result: TileDetections) -> Notice:
     return Notice(
         code="detect.over_budget",
         text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the {len(result.detections)} best were). "
-        "Raise detect.max_candidates_per_tile if the computer can afford it.",
+        "Raise detect.max_candidates_per_tile if the computer can afford it. More are counted.",
         place=f"{tile.side} tile {tile.index}",
     )

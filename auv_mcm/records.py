@@ -20,8 +20,8 @@ NAN: Final = float("nan")
 # Bits of Tile.mask. A pixel counts in statistics when VALID is set and SATURATED is not.
 VALID: Final = 1  # an echo was measured here and nothing speaks against it
 SATURATED: Final = 2  # clipped: a lower bound, good evidence of a highlight, never background
-LOW_RESOLUTION: Final = 4  # several pixels from one slant sample (steep grazing): no detection claim
-TURN: Final = 8  # pixel spacing distorted by a turn: no detection claim, no coverage
+LOW_RESOLUTION: Final = 4  # grazing too steep (several pixels from one sample) or too shallow: no detection, no coverage
+TURN: Final = 8  # pixel spacing distorted by a turn: no coverage; what is found there says so
 
 
 class EchoTrace(msgspec.Struct, frozen=True, kw_only=True, eq=False):

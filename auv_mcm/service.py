@@ -206,8 +206,11 @@ class Service:
             failure = _first(group)
         finally:
             perception.close()
-            journal.close()
-        self._write()
+            try:
+                journal.close()
+            except OSError as error:  # as on a full disk; what is known is still worth writing
+                log.error("contacts are missing from the journal: %s", error)
+            self._write()
         if failure := failure or self._source_failure:
             raise failure
         return self._folder
@@ -271,6 +274,15 @@ class Service:
             self._counters["service.journal_failed"] += 1
             log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
 
+    def _say(self, line: str) -> None:
+        """A console that went away, with its terminal or its disk, must not take the mission with it."""
+        try:
+            self._console(line)
+        except (OSError, ValueError) as error:
+            self._counters["service.console_failed"] += 1
+            if self._counters["service.console_failed"] == 1:
+                log.error("the console takes no more lines (%s); the results go on", error)
+
     def _announce(self, event: PipelineEvent) -> None:
         match event:
             case Contact():
@@ -279,7 +291,7 @@ class Service:
                 if all(known is None or known.classification == "clutter" for known in (before, event)):
                     return  # in the journal and the results; a person watching needs the others
                 word = "new" if before is None else "updated"
-                self._console(
+                self._say(
                     f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
                     f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
                 )
@@ -287,7 +299,7 @@ class Service:
                 self._coverage.append(event)
             case Notice():
                 self._notices.append(event)
-                self._console(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
+                self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
 
     async def _watch_lag(self) -> None:
         """How late the loop wakes up: what a byte at a port waits."""
@@ -356,7 +368,7 @@ def serve(config: Config, *, make_pipeline: MakePipeline = standard_pipeline) ->
                 log.warning("%s again: ending at once", number.name)
                 serving.cancel()
 
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # SIGHUP: the terminal is gone
             loop.add_signal_handler(number, on_signal, number)
         try:
             return await serving

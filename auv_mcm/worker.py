@@ -134,7 +134,7 @@ class Perception:
         )
         # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to finish. It
         # inherits the blocked signals, so that there is no moment at its start when one would kill it.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
         try:
             self._process.start()
         finally:
@@ -276,7 +276,7 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
 
 def _work(connection: Connection, memory_name: str, config: Config, make_pipeline: MakePipeline) -> None:
     """The worker process."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     memory = SharedMemory(memory_name)
     place = "at its start"

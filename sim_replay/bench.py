@@ -3,8 +3,8 @@
 auv-mcm bench waterfall [LOG]   the whole chain on one core, per stage, at two mission lengths
 auv-mcm bench detect            cost per tile of the detector, and its rates on synthetic missions
 
-Every figure is the median over repetitions in fresh processes (costs) or over held-out seeds (rates). Times on a shared
-machine move by half; compare figures of one run only.
+Costs of the chain are medians over fresh processes, those of the detector over repetitions in one; rates are pooled over held-out
+seeds. Times on a shared machine move by half; compare figures of one run only.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
 
 
 def _tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
-    """The log end to end until `duration_s` is reached, each copy later in time and farther north, so that it is one long line."""
+    """The log end to end until `duration_s` is reached, each copy later in time and farther along its own line."""
     events = [event for event in XtfLog(log, Config().sonar) if isinstance(event, NavSample | Ping)]
     times = [event.time_s for event in events if isinstance(event, Ping)]
     period_s = times[-1] - times[0] + statistics.median(np.diff(times).tolist())

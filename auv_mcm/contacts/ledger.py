@@ -57,7 +57,7 @@ class Ledger:
         n_known = len(self._contacts)
         for detection, match in zip(detections, self._assign(detections), strict=True):
             if match is None:
-                self._contacts.append(_contact(f"C{len(self._contacts) + 1:04d}", (detection,)))
+                self._contacts.append(_contact(f"C{len(self._contacts) + 1:05d}", (detection,)))
                 index = len(self._contacts) - 1
             else:
                 index = match
@@ -180,7 +180,8 @@ def _classification(p_mine: float) -> ContactClass:
 
 
 def _belief(p_mine: float) -> dict[str, float]:
-    clutter = max(0.0, 1.0 - 2.0 * p_mine)
+    # Even at the threshold, so that the most believed class is the one told.
+    clutter = max(0.0, 1.0 - 0.5 * p_mine / _CLUTTER_P)
     return {"cylinder": 0.0, "sphere": 0.0, "truncated_cone": 0.0, "wedge": 0.0, "clutter": clutter, "unknown": 1.0 - clutter}
 
 

@@ -31,6 +31,7 @@ REASONS: Final[dict[str, str]] = {
     "crowded": "one of many alike nearby, as in boulder fields",
     "extended": "part of a structure many metres long, such as a wreck or an outcrop",
     "in_turn": "seen in a turn: shape and position are distorted",
+    "bottom_not_seen": "the first bottom return was not seen: range across track and height are uncertain",
     "stale_navigation": "navigation was missing or old: the position is uncertain",
     "saturated": "the echo was clipped: its strength is a lower bound",
 }

@@ -70,8 +70,11 @@ CONTEXT_M: Final = _LOOKS_ROWS_M + _FRAME_ROWS_M + 1.0
 
 
 class ScoreMaps(NamedTuple):
-    """Per pixel, each (n_rows, n_columns) float32: `score` in standard deviations of pure sea floor (-inf where nothing can be said),
-    `highlight` and `shadow` deviates (a shadow counts positive), `background` mean intensity, `small_box_variance` of ln I."""
+    """Per pixel, each (n_rows, n_columns) float32.
+
+    score: of the best pair of boxes, in standard deviations that one pair has on pure sea floor; -inf where nothing can be said.
+    highlight, shadow: deviates, a shadow counts positive. background: mean intensity. small_box_variance: of ln I.
+    """
 
     score: NDArray[np.float32]
     highlight: NDArray[np.float32]
@@ -237,7 +240,7 @@ def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: floa
     A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low resolution (near
     nadir) hold none and outshine none.
     """
-    threshold = np.float32(NormalDist().inv_cdf(1.0 - p_false_alarm))
+    threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
     half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
     coarse = (tile.mask & LOW_RESOLUTION) != 0
     finite = np.where(coarse, np.float32(-1e6), np.maximum(maps.score, np.float32(-1e6)))

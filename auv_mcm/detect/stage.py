@@ -21,6 +21,7 @@ OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
 """Along-track context a tile needs beyond its core for detections there to be independent of where it was cut."""
 
 _STALE_SIGMA_M: Final = 25.0
+_UNSEEN_BOTTOM: Final = 0.2  # relative error of the first return that only a bottom not seen has
 _SOUND_SPEED_MPS: Final = 1500.0  # ranges are metric already; only the way made during the ping is left, millimetres per percent
 STEP_M: Final = 0.4  # peaks closer than this are one candidate
 
@@ -66,7 +67,8 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
         sound_speed_mps=np.full(len(measured), _SOUND_SPEED_MPS),
     )
     latitude, longitude, _ = locate(echoes, config.sonar)
-    covariance = position_covariance(echoes, config.sonar, config.navigation, _between(tile.first_return_sigma_m, position))
+    first_return_sigma_m = _between(tile.first_return_sigma_m, position)
+    covariance = position_covariance(echoes, config.sonar, config.navigation, first_return_sigma_m)
     covariance[pose.stale] += _STALE_SIGMA_M**2 * np.eye(2)
     aspect = aspect_deg(echoes, config.sonar)
     detections = []
@@ -74,6 +76,8 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
         if not (math.isfinite(latitude[index]) and math.isfinite(longitude[index])):
             continue
         odds, reasons = log_odds(peak.score, m, config.detect.max_object_m)
+        if first_return_sigma_m[index] > _UNSEEN_BOTTOM * first_return_m[index]:
+            reasons = (*reasons, "bottom_not_seen")
         if pose.stale[index]:
             reasons = (*reasons, "stale_navigation")
         detections.append(

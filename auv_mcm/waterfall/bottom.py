@@ -25,6 +25,8 @@ _MIN_STEP: Final = math.log(2.0)
 _SIDE_VOTE: Final = 10.0
 _ALTITUDE_RATIO: Final = 1.6
 _OUTSIDE_GATE: Final = 8.0
+_ALTITUDE_PULL: Final = 1.0
+_UNSEEN_SIGMA: Final = 0.25
 _MAX_SLOPE_BINS: Final = 8
 _STEP_COST: Final = 0.5
 _EVIDENCE: Final = 6.0
@@ -140,7 +142,7 @@ class BottomTracker:
         level = self._levelled(_running_medians(bins, _LEVEL_PINGS, start, stop))
         self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
         roughness = np.abs(path.bins - smooth)
-        sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, 0.1 * np.maximum(smooth * BIN_M, 1.0))
+        sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, _UNSEEN_SIGMA * np.maximum(smooth * BIN_M, 1.0))
         return BottomTrack(smooth * BIN_M, level * BIN_M, sigma, seen)
 
     def _levelled(self, medians: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -172,6 +174,8 @@ class BottomTracker:
             altitude = np.where(known, altitude_m, 1.0)[:, None]
             outside = (centre_m > _ALTITUDE_RATIO * altitude) | (centre_m * _ALTITUDE_RATIO < altitude)
             score -= _OUTSIDE_GATE * (outside & known[:, None])
+            # Where no step shows, the reading is all there is.
+            score -= _ALTITUDE_PULL * np.abs(np.log(np.maximum(centre_m, BIN_M) / altitude)) * known[:, None]
         return score
 
 

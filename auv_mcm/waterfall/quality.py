@@ -14,6 +14,7 @@ from auv_mcm.waterfall.transfer import Transfer, to_intensity
 _SATURATION_FRACTION: Final = 0.98
 _FLAT_LOG_VARIANCE: Final = 0.02  # sixty-four looks of pure speckle still have 0.016, and a real trace a range profile on top
 _MANY_SATURATED: Final = 0.05
+_ABSURD_RATIO: Final = 1e10
 _NEAR_M: Final = 2.0
 
 
@@ -23,6 +24,15 @@ class CheckedTrace(NamedTuple):
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
+
+
+def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Samples a hundred decibels above the middle one: no echo is, and in a running sum they would leave no digits for the others."""
+    positive = intensity[intensity > 0.0]
+    if positive.size == 0:
+        return np.zeros(intensity.shape, dtype=np.bool_)
+    middle = np.float64(np.partition(positive, positive.size // 2)[positive.size // 2])
+    return np.asarray(intensity.astype(np.float64) > _ABSURD_RATIO * middle)
 
 
 class TraceChecker:
@@ -43,6 +53,11 @@ class TraceChecker:
         n_bad = samples.shape[0] - int(np.count_nonzero(valid))
         if n_bad:
             self._counters["quality.sample_not_finite_or_negative"] += n_bad
+        absurd = _absurd(intensity)
+        if absurd.any():
+            self._counters["quality.sample_absurd"] += int(np.count_nonzero(absurd))
+            intensity[absurd] = 0.0
+            valid &= ~absurd
         saturated = self._saturated(samples) & valid
         self._count_saturation(trace, saturated)
         reason = self._dead(samples, intensity)
@@ -59,10 +74,11 @@ class TraceChecker:
             return np.asarray(samples >= _SATURATION_FRACTION * self._full_scale)
         if samples.dtype.kind not in "ui" or samples.size == 0:
             return np.zeros(samples.shape, dtype=np.bool_)
-        # Converters clip at all ones, often of fewer bits than the stored type has.
-        self._highest = max(self._highest, int(samples.max()))
+        # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no ceiling, three are.
+        third_highest = np.partition(samples, -3)[-3] if samples.shape[0] >= 3 else samples.min()
+        self._highest = max(self._highest, int(third_highest))
         ceiling = max((1 << self._highest.bit_length()) - 1, 255)
-        return np.asarray(samples == ceiling)
+        return np.asarray(samples >= ceiling)
 
     def _count_saturation(self, trace: EchoTrace, saturated: NDArray[np.bool_]) -> None:
         n_saturated = int(np.count_nonzero(saturated))

@@ -137,8 +137,9 @@ def local_mean(
     """Masked mean over the 7.5 m x 7.5 m around each pixel, (n_rows, n_columns) float64, and where it is known, bool.
 
     intensity, usable: (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable. Pixels above six
-    times the local geometric mean count as that much: one glint must not darken everything around it. A box that leaves the
-    image is clipped there. Known where at least a quarter of the box is usable and not all of it is zero.
+    times the mean that single-look speckle of the local geometric mean would have count as that much: one glint must not darken
+    everything around it. A box that leaves the image is clipped there. Known where at least a quarter of the box is usable and
+    not all of it is zero.
     """
     half_rows, half_columns = (max(1, round(0.5 * LOCAL_MEAN_M / spacing_m)) for spacing_m in (row_spacing_m, column_spacing_m))
 

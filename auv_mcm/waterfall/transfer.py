@@ -122,6 +122,19 @@ def kind_from_speckle(evidence: SpeckleEvidence) -> TransferKind:
     return "intensity" if evidence.relative_std > 0.75 else "amplitude"
 
 
+def recheck_transfer(transfer: Transfer, traces: Sequence[EchoTrace], place: str) -> Notice | None:
+    """What a person should know if later traces, as of another log, speak against the transfer in use."""
+    evidence = speckle_evidence(traces)
+    likely = kind_from_speckle(evidence)
+    if evidence.n_windows < _MIN_WINDOWS or likely == transfer.kind:
+        return None
+    text = (
+        f"samples look like '{likely}' from here on but are still taken as '{transfer.kind}': contrast and false alarms suffer. "
+        "Replay logs of different recorders apart, or set sonar.transfer."
+    )
+    return Notice(code="transfer.disagrees", text=text, place=place)
+
+
 def resolve_transfer(sonar: SonarConfig, traces: Sequence[EchoTrace]) -> tuple[Transfer, tuple[Notice, ...]]:
     """The transfer to use for a mission whose first pings hold `traces`, with what a person should know about the choice.
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,3 +99,26 @@ def test_a_directory_is_made_with_its_parents_and_probed(tmp_path: Path) -> None
     folder = make_directory(tmp_path / "a" / "b")
     assert folder.is_dir()
     assert list(folder.iterdir()) == []
+
+
+def lines_of(path: Path) -> list[Any]:
+    return [json.loads(line) for line in path.read_bytes().decode().splitlines()]
+
+
+@pytest.mark.parametrize("n_records", [1, 400])
+def test_a_full_disk_tears_no_journal_line_and_loses_none(n_records: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "j.jsonl"
+    journal = Journal(path)
+    journal.append([{"number": 0}])
+    with monkeypatch.context() as full:
+
+        def no_space(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        full.setattr("auv_mcm.outputs.os.fsync", no_space)
+        with pytest.raises(OSError, match="No space"):
+            journal.append([{"number": 1, "text": "x" * 50}] * n_records)
+        assert lines_of(path) == [{"number": 0}]
+    journal.append([{"number": 2}])
+    journal.close()
+    assert [line["number"] for line in lines_of(path)] == [0, *[1] * n_records, 2]

@@ -94,6 +94,15 @@ def test_a_contact_is_on_disk_before_it_is_announced(tmp_path: Path) -> None:
     assert announced == ids(results)
 
 
+def test_a_console_that_went_away_costs_no_result(tmp_path: Path) -> None:
+    def gone(line: str) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    results = serve(tmp_path, Events(mission(30)), console=gone)
+    assert journal(results) == ids(results) != []
+    assert summary(results)["counters"]["service.console_failed"] > 1
+
+
 def test_clutter_is_kept_but_not_announced(tmp_path: Path) -> None:
     lines: list[str] = []
     results = serve(tmp_path, Events(mission(30)), fake.Cluttered, console=lines.append)

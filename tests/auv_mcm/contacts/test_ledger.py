@@ -298,7 +298,7 @@ def test_views_from_other_directions_add_up_and_views_from_the_same_do_not() -> 
 def test_one_view_is_told_as_it_is() -> None:
     only = view(3.0, 4.0, 100.0, height_m=NAN)
     (contact,) = ledger().add([only])
-    assert contact.id == "C0001"
+    assert contact.id == "C00001"
     assert (contact.latitude_deg, contact.longitude_deg) == (only.latitude_deg, only.longitude_deg)
     assert contact.p_mine == only.p_mine
     assert math.isnan(contact.height_m)
