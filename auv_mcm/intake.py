@@ -40,6 +40,8 @@ class Intake:
         self._pending: deque[Ping | SegmentEnd] = deque()
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
         self._newest_s = math.nan  # of the pings: one wrong stamp of navigation must not end all waiting for it
+        self._leap: Ping | None = None  # after a hole in time, until another ping confirms its stamp
+        self._longest_hole_s = max(_MIN_SEGMENT_GAP_S, config.navigation.max_gap_s)
         self._previous_speed_mps = math.nan
         self._along_m = config.waterfall.max_ping_gap_m  # the first ping stands for half a gap of track before it
         self._last_time_s = math.nan
@@ -60,6 +62,18 @@ class Intake:
         if not math.isfinite(ping.time_s):
             self._counters["ping.time_not_finite"] += 1
             return []
+        leap, self._leap = self._leap, None
+        if leap is None:
+            if ping.time_s - self._newest_s > self._longest_hole_s and math.isfinite(self._newest_s):
+                self._leap = ping  # a hole in time, or one bad stamp: the next ping tells
+                return []
+            return self._accept(ping)
+        if ping.time_s < leap.time_s:
+            self._counters["ping.time_leap"] += 1
+            return self.add_ping(ping)
+        return self._accept(leap) + self._accept(ping)
+
+    def _accept(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         step_s = ping.time_s - self._newest_s
         if -_CLOCK_STEP_S < step_s <= 0.0:
             self._counters["ping.time_repeated" if step_s == 0.0 else "ping.time_backwards"] += 1
@@ -67,10 +81,10 @@ class Intake:
         done: list[PingBlock | SegmentEnd] = []
         if step_s <= -_CLOCK_STEP_S:
             self._counters["ping.clock_stepped_back"] += 1
-            done = self.flush()
+            done = [*self._release(everything=True), SegmentEnd()]
             self._refused += self._navigation.counters
             self._navigation = NavBuffer(self._config.navigation)
-        elif step_s > max(_MIN_SEGMENT_GAP_S, self._config.navigation.max_gap_s):
+        elif step_s > self._longest_hole_s:
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
         self._newest_s = ping.time_s
@@ -79,7 +93,9 @@ class Intake:
 
     def flush(self) -> list[PingBlock | SegmentEnd]:
         """Everything still waiting, and the end of the segment."""
-        return [*self._release(everything=True), SegmentEnd()]
+        leap, self._leap = self._leap, None
+        late = [] if leap is None else self._accept(leap)
+        return [*late, *self._release(everything=True), SegmentEnd()]
 
     def start_segment(self, along_m: float) -> None:
         """The next block's first ping lies just after this along-track distance."""

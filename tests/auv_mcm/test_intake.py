@@ -198,10 +198,17 @@ def test_a_clock_set_forward_an_hour_ends_the_segment_and_goes_on() -> None:
     assert fed.counters["navigation.ping_stale"] <= 10
 
 
-def test_a_single_ping_from_the_future_costs_two_segment_ends_and_no_other_ping() -> None:
+@pytest.mark.parametrize("leap_s", [30.0, 86400.0])
+def test_a_single_ping_from_the_future_costs_that_ping_alone(leap_s: float) -> None:
     pings = [ping(i) for i in range(40)]
-    fed = Fed().feed([*pings[:20], ping(1000, START_S + 86400.0), *pings[20:]]).flush()
-    assert fed.segments == [list(range(20)), [1000], list(range(20, 40))]
+    fed = Fed().feed([*pings[:20], ping(1000, START_S + leap_s), *pings[20:]]).flush()
+    assert fed.segments == [list(range(40))]
+    assert fed.counters["ping.time_leap"] == 1
+
+
+def test_a_last_ping_after_a_hole_is_not_lost() -> None:
+    fed = Fed().feed([*(ping(i) for i in range(20)), ping(20, START_S + 600.0)]).flush()
+    assert fed.segments == [list(range(20)), [20]]
 
 
 def test_holes_in_time_end_segments() -> None:
