@@ -14,6 +14,8 @@ an echo only through the lever arm. Vectors are north, east, down at the vehicle
 
 from __future__ import annotations
 
+from typing import Final
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,9 @@ from numpy.typing import NDArray
 from auv_mcm.config import NavigationConfig, SonarConfig
 from auv_mcm.geodesy import ecef_to_geodetic, geodetic_to_ecef, local_to_ecef_rotation
 from auv_mcm.records import PoseTrack, Side
+
+NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
+"""For echoes whose ranges are metric already: only the way made during the ping depends on it, millimetres per percent."""
 
 
 class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -7,12 +7,12 @@ from collections import Counter, deque
 from typing import Final, NamedTuple
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.navigation import NavBuffer
-from auv_mcm.records import EchoTrace, NavSample, Ping
-from auv_mcm.waterfall.stage import PingBlock
+from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
 
 BLOCK_PINGS: Final = 32
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
@@ -20,6 +20,20 @@ _CLOCK_STEP_S: Final = 1.0
 _MIN_SEGMENT_GAP_S: Final = 2.0
 _MIN_STEP_M: Final = 1e-3
 _UNKNOWN_SPEED_MPS: Final = 1.5
+
+
+class PingBlock(NamedTuple):
+    """Pings of equal sample layout with their poses at transmit; speeds are known and not negative.
+
+    along_m: (n,) float64 distance from mission start, strictly increasing once placed along the track, zero before.
+    yaw_rate_rad_s, pitch_rate_rad_s: (n,) float64.
+    """
+
+    pings: list[Ping]
+    poses: PoseTrack
+    along_m: NDArray[np.float64]
+    yaw_rate_rad_s: NDArray[np.float64]
+    pitch_rate_rad_s: NDArray[np.float64]
 
 
 class SegmentEnd(NamedTuple):
@@ -137,6 +151,9 @@ class Intake:
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])
         poses = self._navigation.interpolate(times)
+        unknown = ~(np.isfinite(poses.speed_mps) & (poses.speed_mps >= 0.0))
+        self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
+        poses = structs.replace(poses, speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, poses.speed_mps))
         # Beyond its ends navigation has a heading, but no turning.
         oldest_s, newest_s = self._navigation.span_s
         before_s = np.maximum(times - _RATE_HALF_SPAN_S, oldest_s)
@@ -155,10 +172,7 @@ class Intake:
 
     def place_along_track(self, block: PingBlock) -> PingBlock:
         """The block with its along-track distances: speed over ground integrated over time, strictly increasing."""
-        times, speed = block.poses.time_s, block.poses.speed_mps.copy()
-        unknown = ~(np.isfinite(speed) & (speed >= 0.0))
-        self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
-        speed[unknown] = _UNKNOWN_SPEED_MPS
+        times, speed = block.poses.time_s, block.poses.speed_mps
         along: NDArray[np.float64] = np.empty(len(times))
         if math.isnan(self._previous_speed_mps):
             along[0] = self._along_m

@@ -21,7 +21,7 @@ from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
-from auv_mcm.intake import Intake, SegmentEnd
+from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.plan.coverage import cover_tile
 from auv_mcm.records import (
     SIDES,
@@ -35,7 +35,7 @@ from auv_mcm.records import (
     SourceEvent,
     Tile,
 )
-from auv_mcm.waterfall.stage import PingBlock, Waterfall
+from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.transfer import Transfer, recheck_transfer, resolve_transfer
 
 _PROBE_PINGS: Final = 64

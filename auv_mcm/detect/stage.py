@@ -12,7 +12,7 @@ from auv_mcm.config import Config
 from auv_mcm.detect.belief import log_odds, probability
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
-from auv_mcm.georeference import EchoGeometry, aspect_deg, locate, position_covariance
+from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
 from auv_mcm.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Tile
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
@@ -22,7 +22,6 @@ OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
 
 _STALE_SIGMA_M: Final = 25.0
 _UNSEEN_BOTTOM: Final = 0.2  # relative error of the first return that only a bottom not seen has
-_SOUND_SPEED_MPS: Final = 1500.0  # ranges are metric already; only the way made during the ping is left, millimetres per percent
 STEP_M: Final = 0.4  # peaks closer than this are one candidate
 
 
@@ -64,7 +63,7 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
         pose=pose,
         slant_range_m=np.hypot(ground_range_m, first_return_m),
         first_return_m=first_return_m,
-        sound_speed_mps=np.full(len(measured), _SOUND_SPEED_MPS),
+        sound_speed_mps=np.full(len(measured), NOMINAL_SOUND_SPEED_MPS),
     )
     latitude, longitude, _ = locate(echoes, config.sonar)
     first_return_sigma_m = _between(tile.first_return_sigma_m, position)

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.config import SonarConfig
-from auv_mcm.georeference import EchoGeometry, locate
+from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
 from auv_mcm.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, Tile
 
 _STRIP_M: Final = 5.0
 _MIN_ROW_COVER: Final = 0.2
 _MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
-_SOUND_SPEED_MPS: Final = 1500.0
 
 
 def cover_tile(tile: Tile, sonar: SonarConfig) -> CoveragePatch:
@@ -94,7 +93,7 @@ def _ring(tile: Tile, run: list[tuple[int, int, int, int]], sonar: SonarConfig) 
         pose=interpolate_track(tile.pose, position),
         slant_range_m=np.hypot(ground_m, first_return_m),
         first_return_m=first_return_m,
-        sound_speed_mps=np.full(position.shape, _SOUND_SPEED_MPS),
+        sound_speed_mps=np.full(position.shape, NOMINAL_SOUND_SPEED_MPS),
     )
     latitude, longitude, _ = locate(echoes, sonar)
     ring = np.column_stack([longitude, latitude])

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.config import Config
-from auv_mcm.records import LOW_RESOLUTION, SATURATED, SIDES, TURN, VALID, Ping, PoseTrack, Side, Tile
+from auv_mcm.intake import PingBlock
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, SIDES, TURN, VALID, Ping, Side, Tile
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import Traces, ground_edges_m, make_traces, mean_between
@@ -22,20 +23,6 @@ from auv_mcm.waterfall.transfer import Transfer
 _MIN_SPEED_MPS: Final = 0.2
 _WATER_FRACTION: Final = 0.9
 _TURN_SIGN: Final[dict[Side, float]] = {"port": 1.0, "starboard": -1.0}
-
-
-class PingBlock(NamedTuple):
-    """Pings of equal sample layout with their poses at transmit.
-
-    along_m: (n,) float64 distance from mission start, strictly increasing.
-    yaw_rate_rad_s, pitch_rate_rad_s: (n,) float64.
-    """
-
-    pings: list[Ping]
-    poses: PoseTrack
-    along_m: NDArray[np.float64]
-    yaw_rate_rad_s: NDArray[np.float64]
-    pitch_rate_rad_s: NDArray[np.float64]
 
 
 class _HeldBlock(NamedTuple):
@@ -152,7 +139,6 @@ class Waterfall:
         Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate / v.
         """
         speed = np.maximum(block.poses.speed_mps, _MIN_SPEED_MPS)
-        speed = np.where(np.isfinite(speed), speed, 1.0)
         yaw = _TURN_SIGN[side] * block.yaw_rate_rad_s / speed
         pitch = first_return_m * block.pitch_rate_rad_s / speed
         ratio = 1.0 + pitch[:, None] + yaw[:, None] * ground_m[None, :]

@@ -14,9 +14,8 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.config import Config
-from auv_mcm.intake import BLOCK_PINGS, Intake, SegmentEnd
+from auv_mcm.intake import BLOCK_PINGS, Intake, PingBlock, SegmentEnd
 from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
-from auv_mcm.waterfall.stage import PingBlock
 
 START_S = 1.7e9
 PING_S, NAV_S = 0.1, 0.2

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.config import Config, WaterfallConfig
+from auv_mcm.intake import PingBlock
 from auv_mcm.records import VALID, EchoTrace, Ping, PoseTrack, Side, Tile
-from auv_mcm.waterfall.stage import PingBlock, Waterfall
+from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.transfer import Transfer
 
 ALTITUDE_M, RANGE_M, SPACING_M, STEP_M, PING_S = 6.0, 45.0, 0.03, 0.12, 0.1

@@ -27,9 +27,10 @@ from simulated_pings import (
 )
 
 from auv_mcm.config import Config
+from auv_mcm.intake import PingBlock
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, SIDES, TURN, VALID, Side, Tile
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
-from auv_mcm.waterfall.stage import PingBlock, Waterfall
+from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.transfer import Transfer
 
 N_PINGS = 160
