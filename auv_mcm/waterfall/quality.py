@@ -26,13 +26,19 @@ class CheckedTrace(NamedTuple):
     saturated: NDArray[np.bool_]
 
 
-def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Samples a hundred decibels above the middle one: no echo is, and in a running sum they would leave no digits for the others."""
-    positive = intensity[intensity > 0.0]
-    if positive.size == 0:
-        return np.zeros(intensity.shape, dtype=np.bool_)
-    middle = np.float64(np.partition(positive, positive.size // 2)[positive.size // 2])
-    return np.asarray(intensity.astype(np.float64) > _ABSURD_RATIO * middle)
+def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """Samples a hundred decibels above the middle one, None if there are none.
+
+    No echo is that strong, and in a running sum it would leave no digits for the others.
+    """
+    some = intensity[:: max(intensity.shape[0] // 128, 1)]
+    some = some[some > 0.0]
+    if some.size == 0:
+        return None
+    limit = _ABSURD_RATIO * float(np.partition(some, some.size // 2)[some.size // 2])
+    if float(intensity.max()) <= limit:
+        return None
+    return np.asarray(intensity.astype(np.float64) > limit)
 
 
 class TraceChecker:
@@ -54,7 +60,7 @@ class TraceChecker:
         if n_bad:
             self._counters["quality.sample_not_finite_or_negative"] += n_bad
         absurd = _absurd(intensity)
-        if absurd.any():
+        if absurd is not None:
             self._counters["quality.sample_absurd"] += int(np.count_nonzero(absurd))
             intensity[absurd] = 0.0
             valid &= ~absurd
@@ -75,8 +81,9 @@ class TraceChecker:
         if samples.dtype.kind not in "ui" or samples.size == 0:
             return np.zeros(samples.shape, dtype=np.bool_)
         # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no ceiling, three are.
-        third_highest = np.partition(samples, -3)[-3] if samples.shape[0] >= 3 else samples.min()
-        self._highest = max(self._highest, int(third_highest))
+        if samples.max() > self._highest:
+            third_highest = np.partition(samples, -3)[-3] if samples.shape[0] >= 3 else samples.min()
+            self._highest = max(self._highest, int(third_highest))
         ceiling = max((1 << self._highest.bit_length()) - 1, 255)
         return np.asarray(samples >= ceiling)
 

@@ -154,3 +154,26 @@ def test_vanishing_samples_raise_no_floating_point_flag() -> None:
     for scale in (1e-310, 1e-45, 1e-22, 1e-19):
         with np.errstate(all="raise", under="ignore"):
             check_all([rayleigh(14, scale), rayleigh(15, scale)])
+
+
+@pytest.mark.parametrize("n_absurd", [1, 5])
+def test_absurd_samples_are_masked_and_counted_and_the_rest_is_kept(n_absurd: int) -> None:
+    counters: Counter[str] = Counter()
+    checker = TraceChecker("port", Transfer("amplitude"), None, counters)
+    samples = np.random.default_rng(1).rayleigh(100.0, 400).astype(np.float32)
+    samples[10 : 10 + n_absurd] = 1e12
+    checked = checker.check(EchoTrace(samples=samples, first_range_m=0.05, spacing_m=0.1))
+    assert counters["quality.sample_absurd"] == n_absurd
+    assert np.flatnonzero(~checked.valid).tolist() == list(range(10, 10 + n_absurd))
+    assert checked.intensity.max() < 1e6
+
+
+def test_one_corrupt_sample_does_not_raise_the_ceiling() -> None:
+    checker = TraceChecker("port", Transfer("amplitude"), None, Counter())
+    samples = np.random.default_rng(2).integers(100, 3000, 400).astype(np.uint16)
+    samples[:20] = 4095
+    corrupt = samples.copy()
+    corrupt[200] = 65535
+    for trace, clipped in ((samples, 20), (corrupt, 21), (np.roll(samples, 3), 20)):
+        checked = checker.check(EchoTrace(samples=trace, first_range_m=0.05, spacing_m=0.1))
+        assert int(checked.saturated.sum()) == clipped
