@@ -36,7 +36,7 @@ from sim_replay.xtf import XtfLog
 from sim_replay.xtf_writer import write_xtf
 
 _MATCH_GATE_M: Final = 2.0
-_HELD_OUT_SEEDS: Final = range(9000, 9008)
+_HELD_OUT_SEEDS: Final = range(7100, 7108)
 
 
 def main(arguments: Sequence[str]) -> int:
