@@ -58,7 +58,7 @@ def ledger() -> Ledger:
     return Ledger(ContactsConfig())
 
 
-def place(contact: Contact, frame: LocalFrame = HOME) -> NDArray[np.float64]:
+def place(contact: Contact | Detection, frame: LocalFrame = HOME) -> NDArray[np.float64]:
     return frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0)[:2]
 
 
@@ -224,7 +224,7 @@ def test_the_fused_position_is_the_best_linear_estimate_and_surer_than_each_view
     contact, a, b = two_views()
     assert len(contact.views) == 2
     whitener = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) for d in (a, b)])
-    seen = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) @ place(c) for d, c in ((a, a), (b, b))])  # type: ignore[arg-type]
+    seen = np.concatenate([np.linalg.inv(np.linalg.cholesky(d.covariance_m2)) @ place(d) for d in (a, b)])
     expected, *_ = np.linalg.lstsq(whitener, seen)
     np.testing.assert_allclose(place(contact), expected, atol=1e-3)
     np.testing.assert_allclose(contact.covariance_m2, np.linalg.inv(whitener.T @ whitener), rtol=1e-3)
