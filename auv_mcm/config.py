@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -16,6 +15,7 @@ import yaml
 from msgspec import Meta, inspect
 
 from auv_mcm.errors import UsageError
+from auv_mcm.strict_yaml import keyed, load_mapping
 
 ArmLength = Annotated[float, Meta(ge=-100.0, le=100.0)]
 
@@ -166,23 +166,15 @@ def parse_config(text: str, place: str) -> Config:
 
     Raises UsageError with the key's path for unknown and repeated keys, wrong types and out-of-range values.
     """
+    data = load_mapping(text, place, f"expected sections such as 'sonar:' with indented keys. {_HELP}")
     try:
-        data: Any = yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UsageError(f"{place}: not valid YAML: {error}") from error
-    if data is None:
-        data = {}
-    if not isinstance(data, dict):
-        raise UsageError(f"{place}: expected sections such as 'sonar:' with indented keys, got {type(data).__name__}. {_HELP}")
-    try:
-        _refuse_non_finite(data, "")
         data = _without_empty(data, Config)
         for field in msgspec.structs.fields(Config):
             if isinstance(data.get(field.name), dict) and isinstance(field.default, _Section):
                 data[field.name] = _without_empty(data[field.name], type(field.default))
         return msgspec.convert(data, Config)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {str(error).replace('`$.', '`').replace(' - at `$`', '')}. {_HELP}") from error
+        raise UsageError(f"{place}: {keyed(error)}. {_HELP}") from error
 
 
 def config_yaml(config: Config) -> str:
@@ -215,47 +207,6 @@ def config_schema() -> str:
 # Choices, written without quotes because none of them means anything else in YAML.
 _WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far_to_near"})
 _HELP = "'auv-mcm config --schema' lists every key with its type and range"
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML 1.2 scalars, so that 1e-4 is a number and `no`, `1:30` or a date is plain text. Repeated keys and aliases are refused."""
-
-    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 (PyYAML's own class attribute)
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases are not supported here: write the value out", self.get_mark())
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        mapping = super().construct_mapping(node, deep)
-        if len(mapping) < len(node.value):
-            keys = [self.construct_object(key) for key, _ in node.value]
-            repeated = next(key for i, key in enumerate(keys) if key in keys[:i])
-            raise yaml.constructor.ConstructorError(None, None, f"key {repeated!r} is given twice", node.start_mark)
-        return mapping
-
-    def construct_decimal(self, node: yaml.ScalarNode) -> int:
-        return int(node.value)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_decimal)
-for _tag, _pattern, _first in (
-    ("bool", r"true|false", "tf"),
-    ("null", r"null|~|", "n~"),
-    ("int", r"[-+]?[0-9]+", "-+0123456789"),
-    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", "-+.0123456789"),
-):
-    # The empty scalar is filed by PyYAML under the empty string.
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), [*_first, *([""] if _tag == "null" else [])])
-
-
-def _refuse_non_finite(data: Any, path: str) -> None:
-    if isinstance(data, float) and not math.isfinite(data):
-        raise msgspec.ValidationError(f"Expected a finite number, got {data} - at `$.{path}`")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in items:
-        _refuse_non_finite(value, f"{path}.{key}" if path else str(key))
 
 
 def _without_empty(data: dict[Any, Any], section: type[msgspec.Struct]) -> dict[Any, Any]:
