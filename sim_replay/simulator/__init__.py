@@ -1,0 +1,1 @@
+"""A simulated sea: sea floor, objects, sonar and vehicle, with the truth about all of them."""

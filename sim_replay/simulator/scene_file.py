@@ -1,0 +1,143 @@
+"""Scenes from YAML files, and which scenes cannot be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from auv_mcm.errors import UsageError
+from auv_mcm.strict_yaml import keyed, load_mapping
+from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
+from sim_replay.simulator.scene import Scene, SceneObject
+
+HIGHEST_SHARE: Final = 0.8  # of the altitude that an object may be high
+_SHIPPED: Final = resources.files("sim_replay") / "scenes"
+
+
+def named_scenes() -> tuple[str, ...]:
+    """Names of the scenes that ship with the package, in alphabetical order."""
+    return tuple(sorted(path.name.removesuffix(".yaml") for path in _SHIPPED.iterdir() if path.name.endswith(".yaml")))
+
+
+def read_scene(name_or_path: str) -> Scene:
+    """A scene from a file, or one of the named ones.
+
+    Raises UsageError if there is no such scene, or as parse_scene does.
+    """
+    path = Path(name_or_path)
+    if name_or_path in named_scenes() and not path.is_file():
+        return parse_scene((_SHIPPED / f"{name_or_path}.yaml").read_text("utf-8"), f"scene {name_or_path}")
+    try:
+        text = path.read_text("utf-8")
+    except FileNotFoundError as error:
+        raise UsageError(f"{path}: no such scene file, and the scenes with names are {', '.join(named_scenes())}") from error
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is no UTF-8 text (byte {error.start})") from error
+    return parse_scene(text, str(path))
+
+
+def parse_scene(text: str, place: str) -> Scene:
+    """Scene from YAML text; `place` names it in messages.
+
+    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and scenes that cannot be.
+    """
+    data = load_mapping(text, place, "expected keys such as 'track:'")
+    try:
+        scene = msgspec.convert(data, Scene)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{place}: {keyed(error)}. See the scenes shipped with the package for examples") from error
+    check_scene(scene, place)
+    return scene
+
+
+def check_scene(scene: Scene, place: str = "scene") -> None:
+    """Raises UsageError naming the first key that cannot be, and why."""
+    for reason in _contradictions(scene):
+        raise UsageError(f"{place}: {reason}")
+
+
+def _contradictions(scene: Scene) -> Iterator[str]:
+    sonar, track, world = scene.sonar, scene.track, scene.world
+    if track.altitude_m >= sonar.range_m:
+        yield f"`track.altitude_m` is {track.altitude_m:g} m: the sonar, whose `sonar.range_m` is {sonar.range_m:g}, would not reach the floor"
+    if track.altitude_m >= world.depth_m:
+        yield f"`track.altitude_m` is {track.altitude_m:g} m: above the surface, where `world.depth_m` is {world.depth_m:g}"
+    travel_s = 2.0 * sonar.range_m / sonar.sound_speed_mps
+    if sonar.synthetic_aperture is None and sonar.ping_rate_hz * travel_s > 1.0 + 1e-9:
+        yield (
+            f"`sonar.ping_rate_hz` is {sonar.ping_rate_hz:g}: an echo from `sonar.range_m` of {sonar.range_m:g} m takes {travel_s:.3f} s, "
+            f"so at most {1.0 / travel_s:.1f} Hz"
+        )
+    aperture = sonar.synthetic_aperture
+    if aperture is not None and aperture.view != "full" and aperture.view >= aperture.sub_apertures:
+        yield f"`sonar.synthetic_aperture.view` is {aperture.view}: there are {aperture.sub_apertures} sub-apertures, the first is 0"
+    legs = planned_legs(track.plan)
+    for index, leg in enumerate(legs):
+        if leg.length_m < 1.0:
+            yield f"`track.plan`: leg {index} is {leg.length_m:.2f} m long; at least 1 m is needed"
+    yield from _slope_contradictions(scene, legs)
+    for index, thing in enumerate(scene.objects):
+        for reason in _object_contradictions(scene, thing, legs):
+            yield f"`objects[{index}]` ({thing.kind}): {reason}"
+    reach = swath_m(scene)
+    for index, group in enumerate(scene.scatter):
+        where = f"scatter[{index}]"
+        low, high = group.ground_range_m or (0.0, reach)
+        if high > reach:
+            yield f"`{where}.ground_range_m` goes to {high:g} m; at `track.altitude_m` {track.altitude_m:g} m the sonar reaches {reach:.1f} m"
+        ranges = {name: getattr(group, name) for name in ("ground_range_m", "length_m", "width_m", "height_m", "burial_m", "scour_m")}
+        ranges |= {"tilt_deg": group.tilt_deg, "strength_db": group.strength_db}
+        for name, limits in ranges.items():
+            if limits is not None and limits[0] > limits[1]:
+                yield f"`{where}.{name}` is [{limits[0]:g}, {limits[1]:g}]; the lowest comes first"
+        if group.natural_sizes and group.length_m is not None and group.length_m[0] <= 0.0:
+            yield f"`{where}.length_m` starts at 0; natural sizes need a smallest one above 0"
+        if group.height_m is not None and group.height_m[1] > HIGHEST_SHARE * track.altitude_m:
+            yield _too_high(f"{where}.height_m", group.height_m[1], track.altitude_m)
+
+
+def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:
+    world, track = scene.world, scene.track
+    rise = math.tan(math.radians(world.slope_deg))
+    towards = math.radians(world.slope_towards_deg)
+    for index, leg in enumerate(legs):
+        for east, north in ((leg.east_m, leg.north_m), leg.end):
+            depth = world.depth_m - rise * (east * math.sin(towards) + north * math.cos(towards))
+            if depth < track.altitude_m + 0.5:
+                yield (
+                    f"`world.slope_deg` {world.slope_deg:g} leaves {depth:.1f} m of water at leg {index} of `track.plan`; "
+                    f"`track.altitude_m` {track.altitude_m:g} needs more: give a larger `world.depth_m` or a gentler slope"
+                )
+
+
+def _object_contradictions(scene: Scene, thing: SceneObject, legs: Sequence[Leg]) -> Iterator[str]:
+    ways = ((thing.east_m, thing.north_m), (thing.latitude_deg, thing.longitude_deg), (thing.leg, thing.along_m, thing.across_m))
+    if sum(any(value is not None for value in way) for way in ways) != 1 or not any(all(v is not None for v in way) for way in ways):
+        yield "give its place once: `east_m` and `north_m`, or `latitude_deg` and `longitude_deg`, or `leg`, `along_m` and `across_m`"
+        return
+    if thing.leg is not None and thing.leg >= len(legs):
+        yield f"`leg` is {thing.leg}: the plan has {len(legs)} legs, the first is 0"
+        return
+    altitude = scene.track.altitude_m
+    if thing.height_m is not None and thing.kind != "anchor_scar" and thing.height_m > HIGHEST_SHARE * altitude:
+        yield _too_high("height_m", thing.height_m, altitude)
+    if thing.above_m + (thing.height_m or 0.0) > HIGHEST_SHARE * altitude:
+        yield _too_high("above_m", thing.above_m + (thing.height_m or 0.0), altitude)
+    if thing.top_m is not None and thing.width_m is not None and thing.top_m > thing.width_m:
+        yield f"`top_m` is {thing.top_m:g} m, wider than its base of {thing.width_m:g} m"
+    east, north = place_in_plane(scene, thing)
+    nearest = min(leg.distance_m(east, north) for leg in legs)
+    reach = swath_m(scene)
+    if nearest > reach:
+        yield f"lies {nearest:.1f} m from the nearest leg; the sonar reaches {reach:.1f} m there"
+
+
+def _too_high(key: str, height_m: float, altitude_m: float) -> str:
+    return f"`{key}` is {height_m:g} m: more than {HIGHEST_SHARE:g} of `track.altitude_m` {altitude_m:g} m, too close for shadows to mean anything"
