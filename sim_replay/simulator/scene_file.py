@@ -66,7 +66,7 @@ def check_scene(scene: Scene, place: str = "scene") -> None:
 def _contradictions(scene: Scene) -> Iterator[str]:
     sonar, track, world = scene.sonar, scene.track, scene.world
     if track.altitude_m >= sonar.range_m:
-        yield f"`track.altitude_m` is {track.altitude_m:g} m: the sonar, whose `sonar.range_m` is {sonar.range_m:g}, would not reach the floor"
+        yield f"`track.altitude_m` is {track.altitude_m:g} m: a `sonar.range_m` of {sonar.range_m:g} does not reach the floor"
     if track.altitude_m >= world.depth_m:
         yield f"`track.altitude_m` is {track.altitude_m:g} m: above the surface, where `world.depth_m` is {world.depth_m:g}"
     travel_s = 2.0 * sonar.range_m / sonar.sound_speed_mps
@@ -89,9 +89,9 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     reach = swath_m(scene)
     for index, group in enumerate(scene.scatter):
         where = f"scatter[{index}]"
-        low, high = group.ground_range_m or (0.0, reach)
-        if high > reach:
-            yield f"`{where}.ground_range_m` goes to {high:g} m; at `track.altitude_m` {track.altitude_m:g} m the sonar reaches {reach:.1f} m"
+        farthest = group.ground_range_m[1] if group.ground_range_m else 0.0
+        if farthest > reach:
+            yield f"`{where}.ground_range_m` ends at {farthest:g} m; from `track.altitude_m` the sonar reaches {reach:.1f} m"
         ranges = {name: getattr(group, name) for name in ("ground_range_m", "length_m", "width_m", "height_m", "burial_m", "scour_m")}
         ranges |= {"tilt_deg": group.tilt_deg, "strength_db": group.strength_db}
         for name, limits in ranges.items():
@@ -140,4 +140,4 @@ def _object_contradictions(scene: Scene, thing: SceneObject, legs: Sequence[Leg]
 
 
 def _too_high(key: str, height_m: float, altitude_m: float) -> str:
-    return f"`{key}` is {height_m:g} m: more than {HIGHEST_SHARE:g} of `track.altitude_m` {altitude_m:g} m, too close for shadows to mean anything"
+    return f"`{key}` is {height_m:g} m; at most {HIGHEST_SHARE:g} of `track.altitude_m` ({altitude_m:g} m), or shadows mean nothing"
