@@ -1,0 +1,109 @@
+"""Which kind of sea floor lies where: each kind has a fractal field, and the highest field takes the place."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_replay.simulator.fields import FloatArray, Noise, Spectrum, generator, refine, step_for
+
+# Boundaries are level lines of a surface of fractal dimension (8 - exponent) / 2 (Voss, "Random fractal forgeries", 1985): here 1.35.
+_EXPONENT: Final = 3.3
+_PERIODS: Final = (500, 567)
+_SHARE_ROUNDS: Final = 60
+_SHARE_STRIDE: Final = 4
+
+
+def _spectrum(patch_m: float, longest_m: float = math.inf) -> Spectrum:
+    """Falls as K^-exponent above the wavenumber of one patch and one gap, and to nothing below it, so that shares even out soon."""
+    corner, lowest = math.pi / patch_m, 2.0 * math.pi / longest_m
+
+    def spectrum(wavenumber: NDArray[np.float64]) -> NDArray[np.float64]:
+        ratio = (wavenumber / corner) ** 2
+        return np.where(wavenumber >= lowest, ratio * (1.0 + ratio) ** (-0.5 * _EXPONENT - 1.0), 0.0)
+
+    return spectrum
+
+
+def _rms_below(patch_m: float, longest_m: float) -> float:
+    """Root mean square that wavelengths below longest_m have in the whole spectrum's 1: the integral of W(K) K dK."""
+    a, t = 0.5 * _EXPONENT + 1.0, 1.0 + (2.0 * patch_m / longest_m) ** 2
+    whole = 1.0 / (a - 2.0) - 1.0 / (a - 1.0)
+    return math.sqrt((t ** (2.0 - a) / (a - 2.0) - t ** (1.0 - a) / (a - 1.0)) / whole)
+
+
+class Partition:
+    """Fields of all kinds on nodes every `step` cells.
+
+    Args:
+        shares: of the area, relative to each other.
+        patch_m: size of the patches.
+        seed: of the scene.
+        step: cells between nodes.
+        cell_m: size of a cell.
+        patch_cells: the widest grid that the long waves may have.
+    """
+
+    def __init__(self, shares: tuple[float, ...], patch_m: float, *, seed: int, step: int, cell_m: float, patch_cells: int) -> None:
+        wide = max(step, step_for(patch_m / 20.0, cell_m, patch_cells))
+        self._factor = wide // step
+        self._patches = Noise(seed, "partition", step=wide, cell_m=cell_m, spectrum=_spectrum(patch_m), periods=_PERIODS, splined=True)
+        self._bays, self._bays_rms = None, np.float32(0.0)
+        if self._factor > 1:
+            longest_m = 2.0 * wide * cell_m
+            self._bays = Noise(seed, "partition bays", step=step, cell_m=cell_m, spectrum=_spectrum(patch_m, longest_m), periods=_PERIODS)
+            self._bays_rms = np.float32(_rms_below(patch_m, longest_m))
+        self._fringes, self._fringes_rms = None, np.float32(0.0)
+        if step > 1:
+            longest_m = 2.0 * step * cell_m
+            self._fringes = Noise(
+                seed, "partition fringes", step=1, cell_m=cell_m, spectrum=_spectrum(patch_m, longest_m), periods=_PERIODS
+            )
+            self._fringes_rms = np.float32(_rms_below(patch_m, longest_m))
+        # One set of noise serves all kinds: far apart in it they have nothing in common.
+        self._offsets = generator(seed, "partition offsets").integers(0, _PERIODS[0] * _PERIODS[1], (len(shares), 2))
+        self._bias = self._solve_bias(np.array(shares) / sum(shares))
+
+    def _solve_bias(self, shares: NDArray[np.float64]) -> FloatArray:
+        """What each kind's field has to be raised by for its share of a square of one period around the origin."""
+        size = _PERIODS[0]
+        height = np.stack(
+            [
+                refine(self._patches.window(int(row) - size // 2, int(column) - size // 2, size, size), 1, size - 3, size - 3)
+                for row, column in self._offsets
+            ],
+            axis=-1,
+        )[::_SHARE_STRIDE, ::_SHARE_STRIDE].reshape(-1, len(shares))
+        bias = np.zeros(len(shares))
+        for _ in range(_SHARE_ROUNDS):
+            found = np.bincount(np.argmax(height + bias, axis=1), minlength=len(shares)) / len(height)
+            bias += 0.5 * np.log(shares / np.maximum(found, 1e-4))
+            bias -= bias.mean()
+        return bias.astype(np.float32)
+
+    def fields(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
+        """Each kind's field on nodes from (row, column) on: (kinds, n_rows, n_columns) float32."""
+        factor = self._factor
+        first_row, first_column = row // factor, column // factor
+        skip_row, skip_column = row - first_row * factor, column - first_column * factor
+        rows, columns = skip_row + n_rows, skip_column + n_columns
+        out = np.empty((len(self._bias), n_rows, n_columns), dtype=np.float32)
+        for kind, (down, right) in enumerate(self._offsets.tolist()):
+            wide = self._patches.window(first_row - 1 + down, first_column - 1 + right, -(-rows // factor) + 3, -(-columns // factor) + 3)
+            out[kind] = refine(wide, factor, rows, columns)[skip_row:, skip_column:]
+            if self._bays is not None:
+                out[kind] += self._bays_rms * self._bays.window(row + down, column + right, n_rows, n_columns)
+            out[kind] += self._bias[kind]
+        return out
+
+    def fringe(self, kind: int, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
+        """What is finer than the nodes in a kind's field, on cells from (row, column) on; none if nodes are cells."""
+        if self._fringes is None:
+            return None
+        down, right = self._offsets[kind].tolist()
+        fringe = self._fringes.window(row + down, column + right, n_rows, n_columns)
+        fringe *= self._fringes_rms
+        return fringe

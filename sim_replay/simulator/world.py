@@ -1,0 +1,279 @@
+"""The sea floor of a scene: height, texture and kind at any place, made when asked for.
+
+Cell (i, j) counts north and east; node (i, j) is at north = i * cell_m, east = j * cell_m. Square patches of PATCH cells hold the nodes
+on all their sides, so those on a side belong to both neighbours and interpolation never leaves a patch. A patch is a function of scene,
+seed and place alone, to the last bit: the pool may forget it and make it again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_replay.simulator import scene
+from sim_replay.simulator.bedforms import RippleTrain
+from sim_replay.simulator.fields import FloatArray, Noise, power_law, refine, step_for
+from sim_replay.simulator.grounds import Ground
+from sim_replay.simulator.partition import Partition
+from sim_replay.simulator.seabeds import cover_of
+from sim_replay.simulator.stones import Stones, raise_stones
+
+PATCH: Final = 256
+NODES: Final = PATCH + 1
+
+Labels: TypeAlias = NDArray[np.uint8]
+
+# Height and kind are worked out on nodes at most this far apart and drawn finer from there; kinds blend over about three of them.
+_COARSE_M: Final = 0.5
+_FORM_PERIODS: Final = (625, 648)
+_STONE_BRIGHTNESS: Final = 3.0
+
+
+class Patches(NamedTuple):
+    """Patches in the pool; they stay what they are until the next request.
+
+    elevation: (n_slots, NODES, NODES) float32, m above the datum plane. texture: same shape, float32, factor on backscattered intensity,
+    mean 1. seabed: same shape, uint8, index into `World.covers`. slots: (n_patch_rows, n_patch_columns) int32, a patch's place in those
+    or -1. Patch (r, c) of `slots` starts at cell ((first_patch_row + r) * PATCH, (first_patch_column + c) * PATCH).
+    """
+
+    elevation: FloatArray
+    texture: FloatArray
+    seabed: Labels
+    slots: NDArray[np.int32]
+    first_patch_row: int
+    first_patch_column: int
+
+
+class World:
+    """The sea floor of a scene.
+
+    Args:
+        world: what it is like.
+        seed: of the scene.
+        max_patches: kept in memory, 0.6 MB each. A request for more than that makes the pool larger.
+    """
+
+    def __init__(self, world: scene.World, seed: int, *, max_patches: int = 384) -> None:
+        self.covers: Final = tuple(cover_of(seabed) for seabed in world.seabeds)
+        self.cell_m: Final = world.cell_m
+        cell_m = world.cell_m
+        self._step = step_for(_COARSE_M, cell_m, PATCH)
+        slope, towards = math.tan(math.radians(world.slope_deg)), math.radians(world.slope_towards_deg)
+        self._rise_north, self._rise_east = slope * math.cos(towards) * cell_m, slope * math.sin(towards) * cell_m
+        self._forms_rms = np.float32(world.relief_rms_m)
+        self._forms: Noise | None = None
+        if world.relief_rms_m > 0.0:
+            self._forms = Noise(
+                seed,
+                "forms",
+                step=self._step,
+                cell_m=cell_m,
+                spectrum=power_law(world.relief_outer_m),
+                periods=_FORM_PERIODS,
+                splined=self._step > 1,
+            )
+        self._sand_waves: RippleTrain | None = None
+        if world.sand_waves is not None:
+            self._sand_waves = RippleTrain(world.sand_waves, seed, "sand waves", cell_m=cell_m, patch_cells=PATCH)
+        self._partition: Partition | None = None
+        if len(world.seabeds) > 1:
+            shares = tuple(seabed.share for seabed in world.seabeds)
+            self._partition = Partition(shares, world.patch_m, seed=seed, step=self._step, cell_m=cell_m, patch_cells=PATCH)
+        self._stones = Stones(self.covers, seed)
+        self._margin = math.ceil(self._stones.reach_m / (self._step * cell_m)) if self._stones else 0
+        self._grounds = tuple(
+            Ground(cover, seed, f"{index} {cover.type}", cell_m=cell_m, patch_cells=PATCH, step=self._step)
+            for index, cover in enumerate(self.covers)
+        )
+        self._slot_of: dict[tuple[int, int], int] = {}
+        self._allocate(max_patches)
+
+    def _allocate(self, n_slots: int) -> None:
+        self._elevation = np.empty((n_slots, NODES, NODES), dtype=np.float32)
+        self._texture = np.empty((n_slots, NODES, NODES), dtype=np.float32)
+        self._seabed = np.empty((n_slots, NODES, NODES), dtype=np.uint8)
+
+    def patches(self, needed: NDArray[np.bool_], first_patch_row: int, first_patch_column: int) -> Patches:
+        """Every patch that is True in `needed`, (n_patch_rows, n_patch_columns), whose first is (first_patch_row, first_patch_column)."""
+        wanted = [(first_patch_row + row, first_patch_column + column) for row, column in np.argwhere(needed).tolist()]
+        if len(wanted) > len(self._elevation):
+            elevation, texture, seabed = self._elevation, self._texture, self._seabed
+            self._allocate(len(wanted))
+            self._elevation[: len(elevation)] = elevation
+            self._texture[: len(texture)] = texture
+            self._seabed[: len(seabed)] = seabed
+        # The dictionary's order is that of last use: what is wanted moves to its end before anything is dropped from its start.
+        missing = []
+        for place in wanted:
+            slot = self._slot_of.pop(place, None)
+            if slot is None:
+                missing.append(place)
+            else:
+                self._slot_of[place] = slot
+        for place in missing:
+            slot = len(self._slot_of)
+            if slot == len(self._elevation):
+                slot = self._slot_of.pop(next(iter(self._slot_of)))
+            self._make(*place, slot)
+            self._slot_of[place] = slot
+        slots = np.full(needed.shape, -1, dtype=np.int32)
+        slots[needed] = [self._slot_of[place] for place in wanted]
+        return Patches(self._elevation, self._texture, self._seabed, slots, first_patch_row, first_patch_column)
+
+    def elevation_m(self, east_m: ArrayLike, north_m: ArrayLike) -> NDArray[np.float64]:
+        """Height above the datum plane (m) at places of any one shape, bilinear between nodes; float64."""
+        out = np.empty(np.broadcast_shapes(np.shape(east_m), np.shape(north_m)))
+        for chosen, slot, row, column in self._by_patch(east_m, north_m):
+            i, j = np.minimum(row.astype(np.intp), PATCH - 1), np.minimum(column.astype(np.intp), PATCH - 1)
+            down, right = row - i, column - j
+            height = self._elevation[slot]
+            near = height[i, j] * (1.0 - right) + height[i, j + 1] * right
+            far = height[i + 1, j] * (1.0 - right) + height[i + 1, j + 1] * right
+            out[chosen] = near * (1.0 - down) + far * down
+        return out
+
+    def seabed_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Labels:
+        """Index into `covers` of the node nearest to places of any one shape; uint8."""
+        out = np.empty(np.broadcast_shapes(np.shape(east_m), np.shape(north_m)), dtype=np.uint8)
+        for chosen, slot, row, column in self._by_patch(east_m, north_m):
+            out[chosen] = self._seabed[slot, np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)]
+        return out
+
+    def _by_patch(
+        self, east_m: ArrayLike, north_m: ArrayLike
+    ) -> Iterator[tuple[NDArray[np.bool_], int, NDArray[np.float64], NDArray[np.float64]]]:
+        """Sorts places by patch: which places, the patch's slot, and their rows and columns in it."""
+        east, north = np.broadcast_arrays(np.asarray(east_m, dtype=np.float64), np.asarray(north_m, dtype=np.float64))
+        row, column = north / self.cell_m, east / self.cell_m
+        patch_row, patch_column = np.floor(row / PATCH).astype(np.int64), np.floor(column / PATCH).astype(np.int64)
+        for place in sorted(set(zip(patch_row.ravel().tolist(), patch_column.ravel().tolist(), strict=True))):
+            patch = self.patches(np.ones((1, 1), dtype=np.bool_), *place)
+            chosen = (patch_row == place[0]) & (patch_column == place[1])
+            yield chosen, int(patch.slots[0, 0]), row[chosen] - place[0] * PATCH, column[chosen] - place[1] * PATCH
+
+    def stones(self, east_min: float, east_max: float, north_min: float, north_max: float) -> NDArray[np.float64]:
+        """Stones whose middles lie in an area (m, lower bounds included).
+
+        Returns:
+            (n, 6) float64: east, north, length, width, height above the floor around (m), azimuth of the length (rad).
+        """
+        size_m = PATCH * self.cell_m
+        found = [np.empty((0, 6))]
+        for patch_row in range(math.floor(north_min / size_m), math.ceil(north_max / size_m)):
+            for patch_column in range(math.floor(east_min / size_m), math.ceil(east_max / size_m)):
+                east = max(east_min, patch_column * size_m), min(east_max, (patch_column + 1) * size_m)
+                north = max(north_min, patch_row * size_m), min(north_max, (patch_row + 1) * size_m)
+                found.append(self._stones_within(patch_row, patch_column, self._coarse_fields(patch_row, patch_column), east, north))
+        return np.concatenate(found)
+
+    def _coarse_fields(self, patch_row: int, patch_column: int) -> FloatArray | None:
+        """The kinds' fields on the coarse nodes of a patch, one more before and two behind, and as many around as stones reach."""
+        if self._partition is None:
+            return None
+        nodes, margin = PATCH // self._step, self._margin
+        size = nodes + 4 + 2 * margin
+        return self._partition.fields(patch_row * nodes - 1 - margin, patch_column * nodes - 1 - margin, size, size)
+
+    def _stones_within(
+        self, patch_row: int, patch_column: int, fields: FloatArray | None, east: tuple[float, float], north: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        labels = None if fields is None else np.argmax(fields, axis=0).astype(np.uint8)
+        nodes, before, spacing_m = PATCH // self._step, 1 + self._margin, self._step * self.cell_m
+
+        def label_at(east_m: NDArray[np.float64], north_m: NDArray[np.float64]) -> Labels:
+            if labels is None:
+                return np.zeros(east_m.shape, dtype=np.uint8)
+            row = np.rint(north_m / spacing_m).astype(np.intp) - (patch_row * nodes - before)
+            column = np.rint(east_m / spacing_m).astype(np.intp) - (patch_column * nodes - before)
+            own: Labels = labels[row, column]
+            return own
+
+        return self._stones.within(*east, *north, label_at)
+
+    def _make(self, patch_row: int, patch_column: int, slot: int) -> None:
+        nodes, margin = PATCH // self._step, self._margin
+        window = (patch_row * nodes - 1, patch_column * nodes - 1, nodes + 4, nodes + 4)
+        coarse = np.zeros(window[2:], dtype=np.float32)
+        if self._forms is not None:
+            np.multiply(self._forms.window(*window), self._forms_rms, out=coarse)
+        fields = self._coarse_fields(patch_row, patch_column)
+        texture, seabed = self._texture[slot], self._seabed[slot]
+        if fields is None:
+            inner, labels, kinds = None, None, [0]
+        else:
+            inner = fields[:, margin : margin + window[2], margin : margin + window[3]]
+            labels = np.argmax(inner, axis=0)
+            kinds = np.unique(labels).tolist()
+        for kind in kinds:
+            canopy = self._grounds[kind].canopy(*window)
+            if canopy is not None:
+                coarse += canopy if labels is None else canopy * (labels == kind)
+        height = refine(coarse, self._step, NODES, NODES)
+        if self._sand_waves is not None:
+            height += self._sand_waves.on_patch(patch_row, patch_column)
+        if inner is None or labels is None or len(kinds) == 1:
+            (kind,) = kinds
+            height += self._grounds[kind].relief(patch_row, patch_column)
+            own = self._grounds[kind].texture(patch_row, patch_column)
+            texture[...] = 1.0 if own is None else own
+            seabed[...] = kind
+        else:
+            self._blend(patch_row, patch_column, inner, labels, kinds, height, seabed)
+            for kind in kinds:
+                own = self._grounds[kind].texture(patch_row, patch_column)
+                np.copyto(texture, np.float32(1.0) if own is None else own, where=seabed == kind)
+        if self._stones:
+            self._scatter_stones(patch_row, patch_column, fields, height, texture)
+        row, column = patch_row * PATCH + np.arange(NODES), patch_column * PATCH + np.arange(NODES)
+        if self._rise_north != 0.0 or self._rise_east != 0.0:
+            np.add((row * self._rise_north)[:, None] + (column * self._rise_east), height, out=self._elevation[slot], casting="same_kind")
+        else:
+            self._elevation[slot] = height
+
+    def _blend(
+        self,
+        patch_row: int,
+        patch_column: int,
+        fields: FloatArray,
+        labels: NDArray[np.intp],
+        kinds: list[int],
+        height: FloatArray,
+        seabed: Labels,
+    ) -> None:
+        """Adds the relief of several kinds to `height`, each where it has weight, and fills `seabed` with the highest fields' kinds."""
+        assert self._partition is not None
+        corner = patch_row * PATCH, patch_column * PATCH
+        highest = np.full((NODES, NODES), -np.inf, dtype=np.float32)
+        for kind in kinds:
+            # A hair more than 1, then cut: weights must be exactly 1 where there is no other kind, or patches would differ on their sides.
+            weight = refine((labels == kind) * np.float32(1.0001), self._step, NODES, NODES)
+            np.minimum(weight, np.float32(1.0), out=weight)
+            relief = self._grounds[kind].relief(patch_row, patch_column)
+            relief *= weight
+            height += relief
+            field = refine(fields[kind], self._step, NODES, NODES)
+            fringe = self._partition.fringe(kind, *corner, NODES, NODES)
+            if fringe is not None:
+                field += fringe
+            taken = field > highest
+            taken &= weight > 0.0
+            np.copyto(highest, field, where=taken)
+            seabed[taken] = kind
+
+    def _scatter_stones(
+        self, patch_row: int, patch_column: int, fields: FloatArray | None, height: FloatArray, texture: FloatArray
+    ) -> None:
+        reach, size_m = self._stones.reach_m, PATCH * self.cell_m
+        east = patch_column * size_m - reach, (patch_column + 1) * size_m + reach
+        north = patch_row * size_m - reach, (patch_row + 1) * size_m + reach
+        stones = self._stones_within(patch_row, patch_column, fields, east, north)
+        if len(stones):
+            layer = np.zeros((NODES, NODES), dtype=np.float32)
+            raise_stones(layer, stones, patch_row * PATCH, patch_column * PATCH, self.cell_m)
+            height += layer
+            np.multiply(texture, np.float32(_STONE_BRIGHTNESS), out=texture, where=layer > 0.0)
