@@ -1,0 +1,191 @@
+"""What is scored: a mission's contacts and the truth about its sea floor, read from contacts.geojson and truth.json.
+
+Only what the score needs is asked for, so that files of other producers work: a position and `p_mine` per contact, `area_km2`
+and the kind, position and `is_target` of each object. Further keys are used where they are and ignored where not known.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import NAN
+from sim_replay.scoring.seabed_map import SeabedMap, decode
+
+LatitudeDeg = Annotated[float, Meta(ge=-90.0, le=90.0)]
+LongitudeDeg = Annotated[float, Meta(ge=-180.0, le=360.0)]
+
+_CONTACTS_HINT: Final = "A contacts file is a GeoJSON FeatureCollection of points with p_mine from 0 to 1, as auv-mcm replay writes it"
+_TRUTH_HINT: Final = "A truth file holds area_km2 above 0 and objects, each with kind, lat, lon (degrees) and is_target"
+
+
+class ReportedContact(NamedTuple):
+    """One contact as a mission reported it; NaN for what it does not tell."""
+
+    latitude_deg: float
+    longitude_deg: float
+    p_mine: float
+    classification: str = "unknown"
+    length_m: float = NAN
+    width_m: float = NAN
+    height_m: float = NAN
+    sigma_m: float = NAN
+    ground_range_m: float = NAN
+
+
+class Look(msgspec.Struct, frozen=True, kw_only=True):
+    """A pass that saw an object, at this horizontal range across-track."""
+
+    ground_range_m: Annotated[float, Meta(ge=0.0)]
+
+
+class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
+    """An object on the sea floor, `burial_m` of its height below it. `looks` is None if not told, empty if the sonar never saw it."""
+
+    kind: str
+    latitude_deg: LatitudeDeg = msgspec.field(name="lat")
+    longitude_deg: LongitudeDeg = msgspec.field(name="lon")
+    is_target: bool
+    length_m: float | None = None
+    width_m: float | None = None
+    height_m: float | None = None
+    burial_m: float = 0.0
+    seabed: str | None = None
+    looks: tuple[Look, ...] | None = None
+
+
+class Truth(msgspec.Struct, frozen=True, kw_only=True):
+    area_km2: Annotated[float, Meta(gt=0.0)]
+    objects: tuple[TruthObject, ...]
+    seabed_map: SeabedMap | None = None
+
+
+class Mission(NamedTuple):
+    contacts: tuple[ReportedContact, ...]
+    truth: Truth
+    name: str = ""
+
+
+class _Point(msgspec.Struct, frozen=True):
+    type: Literal["Point"]
+    coordinates: Annotated[list[float], Meta(min_length=2)]
+
+
+class _Properties(msgspec.Struct, frozen=True):
+    p_mine: Annotated[float, Meta(ge=0.0, le=1.0)]
+    classification: str = msgspec.field(name="class", default="unknown")
+    length_m: float | None = None
+    width_m: float | None = None
+    height_m: float | None = None
+    sigma_m: float | None = None
+    ground_range_m: float | None = None
+
+
+class _Feature(msgspec.Struct, frozen=True):
+    type: Literal["Feature"]
+    geometry: _Point | None
+    properties: _Properties
+
+
+class _FeatureCollection(msgspec.Struct, frozen=True):
+    type: Literal["FeatureCollection"]
+    features: list[_Feature]
+
+
+_Record = TypeVar("_Record")
+
+
+def read_contacts(path: Path) -> tuple[ReportedContact, ...]:
+    """Raises BadInputError naming the file, the feature and the key."""
+    return parse_contacts(_read_json(path, _CONTACTS_HINT), str(path))
+
+
+def read_truth(path: Path) -> Truth:
+    """Raises BadInputError naming the file, the object and the key."""
+    return parse_truth(_read_json(path, _TRUTH_HINT), str(path))
+
+
+def parse_contacts(document: Any, place: str) -> tuple[ReportedContact, ...]:
+    """The contacts of decoded GeoJSON, in its order; a null geometry is a contact without a position. `place` is for messages.
+
+    Raises BadInputError naming the feature and the key.
+    """
+    if isinstance(document, dict) and "area_km2" in document:
+        raise BadInputError(f"{place}: a truth file where contacts belong. Give each CONTACTS first, then its TRUTH")
+    collection = _convert(document, _FeatureCollection, place, _CONTACTS_HINT)
+    return tuple(_contact(feature, f"{place}: features[{index}]") for index, feature in enumerate(collection.features))
+
+
+def parse_truth(document: Any, place: str) -> Truth:
+    """The truth of decoded JSON; `place` is for messages. Raises BadInputError naming the object and the key."""
+    if isinstance(document, dict) and document.get("type") == "FeatureCollection":
+        raise BadInputError(f"{place}: contacts where a truth file belongs. Give each CONTACTS first, then its TRUTH")
+    truth = _convert(document, Truth, place, _TRUTH_HINT)
+    if truth.seabed_map is not None:
+        try:
+            decode(truth.seabed_map)
+        except BadInputError as error:
+            raise BadInputError(f"{place}: {error}") from error
+    return truth
+
+
+def _contact(feature: _Feature, place: str) -> ReportedContact:
+    longitude_deg, latitude_deg = feature.geometry.coordinates[:2] if feature.geometry else (NAN, NAN)
+    if abs(latitude_deg) > 90.0 or not (math.isnan(longitude_deg) or -180.0 <= longitude_deg <= 360.0):
+        raise BadInputError(
+            f"{place}.geometry.coordinates: [{longitude_deg:g}, {latitude_deg:g}] is no place on Earth. GeoJSON has [longitude, latitude]"
+        )
+    told = feature.properties
+    return ReportedContact(
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        p_mine=told.p_mine,
+        classification=told.classification,
+        length_m=_or_nan(told.length_m),
+        width_m=_or_nan(told.width_m),
+        height_m=_or_nan(told.height_m),
+        sigma_m=_or_nan(told.sigma_m),
+        ground_range_m=_or_nan(told.ground_range_m),
+    )
+
+
+def _or_nan(value: float | None) -> float:
+    return NAN if value is None else value
+
+
+def _read_json(path: Path, hint: str) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise BadInputError(f"{path} cannot be read: {error.strerror}. Check the path") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInputError(f"{path} is not JSON: {error}. {hint}") from error
+
+
+def _convert(document: Any, kind: type[_Record], place: str, hint: str) -> _Record:
+    strange = _non_finite(document, "")
+    if strange is not None:
+        raise BadInputError(f"{place}: {strange} is not a finite number. Write null or leave it out where it is not needed. {hint}")
+    try:
+        return msgspec.convert(document, kind)
+    except msgspec.ValidationError as error:
+        raise BadInputError(f"{place}: {str(error).replace('`$.', '`')}. {hint}") from error
+
+
+def _non_finite(value: Any, path: str) -> str | None:
+    """The path of the first number that is NaN or infinite, which Python's JSON reader lets pass."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else path
+    if isinstance(value, dict):
+        inner = ((f"{path}.{key}" if path else key, item) for key, item in value.items())
+    elif isinstance(value, list):
+        inner = ((f"{path}[{index}]", item) for index, item in enumerate(value))
+    else:
+        return None
+    return next((found for place, item in inner if (found := _non_finite(item, place)) is not None), None)

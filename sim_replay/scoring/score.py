@@ -1,0 +1,181 @@
+"""Contacts of one or several missions against the truth: probability of detection, false alarms, and where they come from."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.errors import UsageError
+from sim_replay.scoring.breakdown import (
+    Confusion,
+    Group,
+    KindRow,
+    PositionErrors,
+    SizeErrors,
+    by_kind,
+    by_range,
+    by_seabed,
+    confusion,
+    false_alarms_of,
+    objects_of,
+    position_errors,
+    rocks_called,
+    size_errors,
+)
+from sim_replay.scoring.froc import (
+    Bootstrap,
+    Headline,
+    OperatingPoint,
+    bootstrap,
+    headlines,
+    operating_points,
+    partial_area,
+    point_at,
+    trace,
+)
+from sim_replay.scoring.inputs import Mission, read_contacts, read_truth
+from sim_replay.scoring.intervals import Density, Proportion, density, proportion
+from sim_replay.scoring.layout import Outcome, lay_out
+
+GATE_M: Final = 2.0
+THRESHOLD: Final = 0.5
+_LADDER: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
+    """What no rate counts."""
+
+    targets_never_seen: int
+    other_objects_never_seen: int
+    contacts_outside_swept_area: int
+    contacts_without_position: int
+
+
+class MissionRow(msgspec.Struct, frozen=True, kw_only=True):
+    name: str
+    pd: Proportion
+    false_alarms: Density
+
+
+class Score(msgspec.Struct, frozen=True, kw_only=True):
+    """Missions pooled. All but `froc`, `ladder`, `headlines` and `partial_area` is at `threshold`.
+
+    `false_alarms` of an operating point are all contacts on no target, those on known clutter among them; `rocks_called_mines` is
+    the share of seen objects that are no targets but have a contact. `froc` has a point per distinct p_mine, falling, `ladder`
+    one per tenth.
+    """
+
+    gate_m: float
+    threshold: float
+    area_km2: float
+    n_contacts: int
+    n_targets: int
+    left_out: LeftOut
+    at_threshold: OperatingPoint
+    rocks_called_mines: Proportion
+    headlines: tuple[Headline, ...]
+    partial_area: float | None
+    bootstrap: Bootstrap | None
+    missions: tuple[MissionRow, ...]
+    kinds: tuple[KindRow, ...]
+    ranges: tuple[Group, ...]
+    seabeds: tuple[Group, ...]
+    missed_targets_of_unknown_range: int
+    confusion: Confusion
+    position_errors: PositionErrors
+    size_errors: SizeErrors
+    ladder: tuple[OperatingPoint, ...]
+    froc: tuple[OperatingPoint, ...]
+
+
+def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:
+    """Score pairs of files: contacts, truth, contacts, truth ...
+
+    Raises UsageError for files that are not in pairs, contacts named twice, or an impossible gate or threshold; BadInputError
+    naming file, feature and key for files that cannot be used.
+    """
+    if not paths or len(paths) % 2:
+        raise UsageError(f"{len(paths)} files, but they come in pairs: CONTACTS TRUTH [CONTACTS TRUTH ...]")
+    repeated = next((path for path, times in Counter(path.resolve() for path in paths[::2]).items() if times > 1), None)
+    if repeated is not None:
+        raise UsageError(f"{repeated} is given twice: its contacts would count double. Name each contacts file once")
+    _check(gate_m, threshold)
+    missions = [
+        Mission(read_contacts(contacts), read_truth(truth), str(contacts)) for contacts, truth in zip(paths[::2], paths[1::2], strict=True)
+    ]
+    return score_missions(missions, gate_m=gate_m, threshold=threshold)
+
+
+def score_missions(missions: Sequence[Mission], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:
+    """Score missions pooled. Raises UsageError for no missions, or an impossible gate or threshold."""
+    _check(gate_m, threshold)
+    if not missions:
+        raise UsageError("no missions to score. Give at least one pair of contacts and truth")
+    layouts = [lay_out(mission, gate_m) for mission in missions]
+    curve, chosen = trace(layouts, [mission.truth.area_km2 for mission in missions], threshold)
+    area_km2 = float(curve.area_km2.sum())
+    found = [item for layout, state in zip(layouts, chosen, strict=True) for item in objects_of(layout, state)]
+    false_alarms = [alarm for layout, state in zip(layouts, chosen, strict=True) for alarm in false_alarms_of(layout, state)]
+    seabed_area_km2: defaultdict[str, float] = defaultdict(float)
+    for layout in layouts:
+        for kind, kind_km2 in layout.seabed_area_km2.items():
+            seabed_area_km2[kind] += kind_km2
+    return Score(
+        gate_m=gate_m,
+        threshold=threshold,
+        area_km2=area_km2,
+        n_contacts=sum(len(layout.contacts) for layout in layouts),
+        n_targets=int(curve.targets.sum()),
+        left_out=LeftOut(
+            targets_never_seen=sum(item.thing.is_target and not item.is_seen for item in found),
+            other_objects_never_seen=sum(layout.n_unseen_clutter for layout in layouts),
+            contacts_outside_swept_area=sum(layout.n_outside for layout in layouts),
+            contacts_without_position=sum(layout.n_without_position for layout in layouts),
+        ),
+        at_threshold=point_at(curve, threshold),
+        rocks_called_mines=rocks_called(found),
+        headlines=headlines(curve),
+        partial_area=partial_area(curve),
+        bootstrap=bootstrap(curve, threshold),
+        missions=tuple(
+            MissionRow(
+                name=mission.name or f"mission {number}",
+                pd=proportion(_count(state.outcome, Outcome.DETECTION), int(targets)),
+                false_alarms=density(_count(state.outcome, Outcome.ON_CLUTTER, Outcome.ELSEWHERE), mission.truth.area_km2),
+            )
+            for number, (mission, state, targets) in enumerate(zip(missions, chosen, curve.targets, strict=True), 1)
+        ),
+        kinds=by_kind(found),
+        ranges=by_range(found, false_alarms, area_km2),
+        seabeds=by_seabed(found, false_alarms, seabed_area_km2),
+        missed_targets_of_unknown_range=sum(
+            item.thing.is_target and item.is_seen and item.contact is None and not item.thing.looks for item in found
+        ),
+        confusion=confusion(found, false_alarms),
+        position_errors=position_errors(found),
+        size_errors=size_errors(found),
+        ladder=tuple(point_at(curve, step) for step in _LADDER),
+        froc=operating_points(curve),
+    )
+
+
+def to_json(score: Score) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(score), indent=2) + b"\n"
+
+
+def _count(outcome: NDArray[np.int64], *wanted: Outcome) -> int:
+    return int(np.count_nonzero(np.isin(outcome, wanted)))
+
+
+def _check(gate_m: float, threshold: float) -> None:
+    if not (math.isfinite(gate_m) and gate_m > 0.0):
+        raise UsageError(f"--gate-m {gate_m:g}: the gate is a distance in metres above 0. Usual are 1 to 3")
+    if not 0.0 <= threshold <= 1.0:
+        raise UsageError(f"--threshold {threshold:g}: p_mine lies from 0 to 1. Give a threshold within")
