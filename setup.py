@@ -1,19 +1,20 @@
-"""Only the optional C extension; everything else is in pyproject.toml.
+"""Only the optional C extensions; everything else is in pyproject.toml.
 
-The library has no Python.h and no init function: it is loaded through ctypes. Without a compiler the installation goes on
+The libraries have no Python.h and no init function: they are loaded through ctypes. Without a compiler the installation goes on
 and numpy does the same work. No -march=native (one build serves every machine of an architecture) and no -ffast-math; no
 fused multiply-adds, so that C and numpy round alike.
 """
 
 from setuptools import Extension, setup
 
+_SOURCES = {
+    "auv_mcm.kernels._kernels": ["auv_mcm/kernels/kernels.c"],
+    "sim_replay.simulator._simulator": ["sim_replay/simulator/render.c", "sim_replay/simulator/speckle.c"],
+}
+
 setup(
     ext_modules=[
-        Extension(
-            "auv_mcm.kernels._kernels",
-            sources=["auv_mcm/kernels/kernels.c"],
-            extra_compile_args=["-std=c99", "-O3", "-ffp-contract=off"],
-            optional=True,
-        )
+        Extension(name, sources=sources, extra_compile_args=["-std=c99", "-O3", "-ffp-contract=off"], optional=True)
+        for name, sources in _SOURCES.items()
     ]
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
+from collections.abc import Callable
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -31,22 +32,30 @@ def backend() -> Literal["c", "numpy"]:
 @functools.cache
 def loaded() -> Loaded:
     """The C library, looked for once beside this file."""
+    return load_library(Path(__file__).parent, "_kernels", VERSION, _declare)
+
+
+def load_library(folder: Path, name: str, version: int, declare: Callable[[ctypes.CDLL], None]) -> Loaded:
+    """The library `name` in `folder`, if it is there and reports `version` by its function auv_mcm<name>_version.
+
+    `declare` tells it the argument types of its functions.
+    """
     if os.environ.get("AUV_MCM_KERNELS", "") == "numpy":
         return Loaded(None, "AUV_MCM_KERNELS=numpy is set")
-    folder = Path(__file__).parent
-    found = [path for suffix in EXTENSION_SUFFIXES if (path := folder / f"_kernels{suffix}").is_file()]
+    found = [path for suffix in EXTENSION_SUFFIXES if (path := folder / f"{name}{suffix}").is_file()]
     if not found:
         return Loaded(None, "not built: install a C compiler and reinstall the package")
     try:
         library = ctypes.CDLL(str(found[0]))
-        library.auv_mcm_kernels_version.argtypes = []
-        library.auv_mcm_kernels_version.restype = ctypes.c_int32
-        version = library.auv_mcm_kernels_version()
+        ask = getattr(library, f"auv_mcm{name}_version")
+        ask.argtypes = []
+        ask.restype = ctypes.c_int32
+        reported = ask()
+        if reported != version:
+            return Loaded(None, f"{found[0].name} is of another version of this package ({reported}, not {version}): reinstall the package")
+        declare(library)
     except (OSError, AttributeError) as error:
         return Loaded(None, f"{found[0].name} cannot be loaded ({error}): reinstall the package")
-    if version != VERSION:
-        return Loaded(None, f"{found[0].name} is of another version of this package ({version}, not {VERSION}): reinstall the package")
-    _declare(library)
     return Loaded(library, found[0].name)
 
 
