@@ -22,6 +22,8 @@ Spectrum: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 # Bottom roughness spectra measured for APL-UW TR 9407, Sec. IV: exponents 3.0 to 3.4, 3.25 where nothing is known.
 ROUGHNESS_EXPONENT: Final = 3.25
+_SPLINE_LIMIT: Final = 0.5
+_PADDING_STEP: Final = 264
 _GAMMA_TABLE_SIZE: Final = 8192
 _GAMMA_TABLE_SIGMAS: Final = 5.0
 
@@ -58,7 +60,7 @@ def periodic_field(random: np.random.Generator, period: int, spacing_m: float, s
         period: nodes per side.
         spacing_m: between nodes.
         spectrum: power against wavenumber in rad/m; above the grid's limit pi / spacing_m it is cut.
-        splined: gives the coefficients of the cubic B-spline through the field instead of the field.
+        splined: gives the coefficients of the cubic B-spline through the field instead of the field, and fades from half the limit.
 
     Returns:
         (period, period) float32; the last row continues in the first, and so do columns.
@@ -68,6 +70,9 @@ def periodic_field(random: np.random.Generator, period: int, spacing_m: float, s
     wavenumber = np.hypot(rows, columns) / spacing_m
     power = np.where(wavenumber <= math.pi / spacing_m, spectrum(wavenumber), 0.0)
     power[0, 0] = 0.0
+    if splined:
+        # Splines through waves near the grid's limit follow the grid's directions rather than the waves'.
+        power *= np.exp(-((wavenumber * spacing_m / (_SPLINE_LIMIT * math.pi)) ** 4))
     mirrored = np.full(columns.shape, 2.0)
     mirrored[0, 0] = 1.0
     if period % 2 == 0:
@@ -111,18 +116,41 @@ class Noise:
         """
         if max(n_rows, n_columns) > self._padding:
             # Fields continued past their ends make every window one plain slice.
-            padding = max(n_rows, n_columns)
+            self._padding = -(-max(n_rows, n_columns) // _PADDING_STEP) * _PADDING_STEP
             self._fields = [
-                np.take(np.take(field, np.arange(period + padding), axis=0, mode="wrap"), np.arange(period + padding), axis=1, mode="wrap")
+                np.pad(field[:period, :period], ((0, self._padding), (0, self._padding)), mode="wrap")
                 for field, period in zip(self._fields, self._periods, strict=True)
             ]
-            self._padding = padding
         (first, second), (p, q) = self._fields, self._periods
         out: FloatArray = np.add(
             first[row % p : row % p + n_rows, column % p : column % p + n_columns],
             second[row % q : row % q + n_rows, column % q : column % q + n_columns],
         )
         return out
+
+    def on_cells(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
+        """The B-spline surface of a splined field on the cells' nodes from (row, column) on: (n_rows, n_columns) float32."""
+        return refined_window(self.window, self.step, row, column, n_rows, n_columns)
+
+
+def refined_window(
+    coefficients: Callable[[int, int, int, int], FloatArray], factor: int, row: int, column: int, n_rows: int, n_columns: int
+) -> FloatArray:
+    """`refine` for a window that may start anywhere.
+
+    Args:
+        coefficients: gives those of a window, as `Noise.window` does.
+        factor: nodes of the result per coefficient.
+        row, column, n_rows, n_columns: the window in nodes of the result.
+
+    Returns:
+        (..., n_rows, n_columns) float32.
+    """
+    first_row, first_column = row // factor, column // factor
+    skip_row, skip_column = row - first_row * factor, column - first_column * factor
+    rows, columns = skip_row + n_rows, skip_column + n_columns
+    window = coefficients(first_row - 1, first_column - 1, -(-rows // factor) + 3, -(-columns // factor) + 3)
+    return refine(window, factor, rows, columns)[..., skip_row:, skip_column:]
 
 
 @functools.cache
@@ -136,35 +164,32 @@ def refine(coefficients: FloatArray, factor: int, n_rows: int, n_columns: int) -
     """Draws the cubic B-spline surface of `coefficients` (de Boor, "A Practical Guide to Splines") `factor` times finer.
 
     Args:
-        coefficients: (rows, columns) float32.
+        coefficients: (..., rows, columns) float32.
         factor: nodes of the result per coefficient.
         n_rows, n_columns: of the result, at most factor * (rows - 3) and factor * (columns - 3).
 
     Returns:
-        (n_rows, n_columns) float32. Element (0, 0) lies on coefficient (1, 1). A node's value depends on the coefficients around it
+        (..., n_rows, n_columns) float32. Element (0, 0) lies on coefficient (1, 1). A node's value depends on the coefficients around it
         alone, to the last bit, however the call is cut.
     """
     weights = _spline_weights(factor)[:, :, None]
     groups = -(-n_columns // factor)
-    wide = coefficients[:, None, :groups] * weights[0]
+    wide = coefficients[..., None, :groups] * weights[0]
     for tap in range(1, 4):
-        wide += coefficients[:, None, tap : tap + groups] * weights[tap]
-    across = wide.transpose(0, 2, 1).reshape(coefficients.shape[0], -1)[:, None, :n_columns]
+        wide += coefficients[..., None, tap : tap + groups] * weights[tap]
+    across = wide.swapaxes(-1, -2).reshape(*coefficients.shape[:-1], -1)[..., None, :n_columns]
     groups = -(-n_rows // factor)
-    out = across[:groups] * weights[0]
+    out = across[..., :groups, :, :] * weights[0]
     scratch = np.empty_like(out)
     for tap in range(1, 4):
-        out += np.multiply(across[tap : tap + groups], weights[tap], out=scratch)
-    fine: FloatArray = out.reshape(-1, n_columns)[:n_rows]
+        out += np.multiply(across[..., tap : tap + groups, :, :], weights[tap], out=scratch)
+    fine: FloatArray = out.reshape(*coefficients.shape[:-2], -1, n_columns)[..., :n_rows, :]
     return fine
 
 
-def step_for(length_m: float, cell_m: float, longest: int) -> int:
-    """The widest power of two of cells, at most `longest`, that `length_m` holds."""
-    step = 1
-    while 2 * step <= longest and 2 * step * cell_m <= length_m:
-        step *= 2
-    return step
+def step_for(length_m: float, cell_m: float) -> int:
+    """The largest power of two of cells that `length_m` holds, at least 1."""
+    return 1 << max(0, math.floor(math.log2(length_m / cell_m)))
 
 
 class GammaLaw:

@@ -8,13 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_replay.simulator.fields import FloatArray, Noise, Spectrum, generator, refine, step_for
+from sim_replay.simulator.fields import FloatArray, Noise, Spectrum, generator, refine, refined_window, step_for
 
-# Boundaries are level lines of a surface of fractal dimension (8 - exponent) / 2 (Voss, "Random fractal forgeries", 1985): here 1.35.
-_EXPONENT: Final = 3.3
+# Boundaries are level lines of a surface of fractal dimension (8 - exponent) / 2 (Voss, "Random fractal forgeries", 1985).
+_EXPONENT: Final = 3.7
 _PERIODS: Final = (500, 567)
 _SHARE_ROUNDS: Final = 60
 _SHARE_STRIDE: Final = 4
+_SLOPE_NODES: Final = 128
+_FRINGE: Final = 0.25
 
 
 def _spectrum(patch_m: float, longest_m: float = math.inf) -> Spectrum:
@@ -44,11 +46,12 @@ class Partition:
         seed: of the scene.
         step: cells between nodes.
         cell_m: size of a cell.
-        patch_cells: the widest grid that the long waves may have.
     """
 
-    def __init__(self, shares: tuple[float, ...], patch_m: float, *, seed: int, step: int, cell_m: float, patch_cells: int) -> None:
-        wide = max(step, step_for(patch_m / 20.0, cell_m, patch_cells))
+    def __init__(self, shares: tuple[float, ...], patch_m: float, *, seed: int, step: int, cell_m: float) -> None:
+        # The more kinds, the smaller the piece in which one of them is highest.
+        patch_m *= math.sqrt(0.5 * len(shares))
+        wide = max(step, step_for(patch_m / 20.0, cell_m))
         self._factor = wide // step
         self._patches = Noise(seed, "partition", step=wide, cell_m=cell_m, spectrum=_spectrum(patch_m), periods=_PERIODS, splined=True)
         self._bays, self._bays_rms = None, np.float32(0.0)
@@ -56,16 +59,15 @@ class Partition:
             longest_m = 2.0 * wide * cell_m
             self._bays = Noise(seed, "partition bays", step=step, cell_m=cell_m, spectrum=_spectrum(patch_m, longest_m), periods=_PERIODS)
             self._bays_rms = np.float32(_rms_below(patch_m, longest_m))
-        self._fringes, self._fringes_rms = None, np.float32(0.0)
+        self._fringes = None
         if step > 1:
-            longest_m = 2.0 * step * cell_m
-            self._fringes = Noise(
-                seed, "partition fringes", step=1, cell_m=cell_m, spectrum=_spectrum(patch_m, longest_m), periods=_PERIODS
-            )
-            self._fringes_rms = np.float32(_rms_below(patch_m, longest_m))
+            spectrum = _spectrum(patch_m, 2.0 * step * cell_m)
+            self._fringes = Noise(seed, "partition fringes", step=1, cell_m=cell_m, spectrum=spectrum, periods=_PERIODS)
         # One set of noise serves all kinds: far apart in it they have nothing in common.
         self._offsets = generator(seed, "partition offsets").integers(0, _PERIODS[0] * _PERIODS[1], (len(shares), 2))
         self._bias = self._solve_bias(np.array(shares) / sum(shares))
+        near = self.fields(0, 0, _SLOPE_NODES, _SLOPE_NODES)
+        self._per_node = np.float32(math.sqrt(0.125) / np.std(np.diff(near, axis=1)))
 
     def _solve_bias(self, shares: NDArray[np.float64]) -> FloatArray:
         """What each kind's field has to be raised by for its share of a square of one period around the origin."""
@@ -86,24 +88,40 @@ class Partition:
 
     def fields(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
         """Each kind's field on nodes from (row, column) on: (kinds, n_rows, n_columns) float32."""
-        factor = self._factor
-        first_row, first_column = row // factor, column // factor
-        skip_row, skip_column = row - first_row * factor, column - first_column * factor
-        rows, columns = skip_row + n_rows, skip_column + n_columns
         out = np.empty((len(self._bias), n_rows, n_columns), dtype=np.float32)
         for kind, (down, right) in enumerate(self._offsets.tolist()):
-            wide = self._patches.window(first_row - 1 + down, first_column - 1 + right, -(-rows // factor) + 3, -(-columns // factor) + 3)
-            out[kind] = refine(wide, factor, rows, columns)[skip_row:, skip_column:]
+            shifted = row + down * self._factor, column + right * self._factor
+            out[kind] = refined_window(self._patches.window, self._factor, *shifted, n_rows, n_columns)
             if self._bays is not None:
                 out[kind] += self._bays_rms * self._bays.window(row + down, column + right, n_rows, n_columns)
             out[kind] += self._bias[kind]
         return out
 
+    def weights(self, fields: FloatArray) -> FloatArray:
+        """How much of each kind there is at nodes: 1 and 0 but at boundaries, where they change within about a node.
+
+        Args:
+            fields: (kinds, rows, columns) as from `fields`.
+
+        Returns:
+            The same shape, float32; the sum over kinds is 1.
+        """
+        second, first = np.partition(fields, -2, axis=0)[-2:]
+        # Every kind's lead over the best of the others.
+        weights: FloatArray = fields - np.where(fields == first, second, first)
+        weights *= self._per_node
+        weights += np.float32(0.5)
+        np.clip(weights, 0.0, 1.0, out=weights)
+        weights /= weights.sum(axis=0)
+        return weights
+
     def fringe(self, kind: int, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """What is finer than the nodes in a kind's field, on cells from (row, column) on; none if nodes are cells."""
+        """Factor on the weight of a kind that frays its boundaries below the nodes' spacing, on cells from (row, column) on; none if nodes
+        are cells. (n_rows, n_columns) float32."""
         if self._fringes is None:
             return None
         down, right = self._offsets[kind].tolist()
         fringe = self._fringes.window(row + down, column + right, n_rows, n_columns)
-        fringe *= self._fringes_rms
-        return fringe
+        fringe *= np.float32(_FRINGE)
+        fringe += np.float32(1.0)
+        return np.maximum(fringe, np.float32(0.1), out=fringe)

@@ -116,8 +116,8 @@ USUAL: Final[Mapping[SeabedType, Cover]] = {
         Cover(
             type="seagrass",
             sediment="sandy_gravel",
-            relief_rms_m=0.15,
-            relief_outer_m=3.0,
+            relief_rms_m=0.12,
+            relief_outer_m=8.0,
             ripples=None,
             texture_shape=1.5,
             texture_m=0.8,

@@ -23,9 +23,9 @@ _SQUARE_M: Final = 4.0
 _SIZE_EXPONENT: Final = 2.5
 _LARGEST_M: Final = 6.0
 _LARGEST_RATIO: Final = 8.0
-# An outline bulges to three sides by this much of r^3, which carries it out to 1.27 radii.
-_BULGE: Final = 0.3
-_OUTLINE_RADII: Final = 1.27
+# An outline bulges to three sides by this much of r^3, which carries it out to 1.12 radii.
+_BULGE: Final = 0.18
+_OUTLINE_RADII: Final = 1.12
 _M2_PER_HA: Final = 10_000.0
 
 

@@ -62,7 +62,7 @@ class World:
         self.covers: Final = tuple(cover_of(seabed) for seabed in world.seabeds)
         self.cell_m: Final = world.cell_m
         cell_m = world.cell_m
-        self._step = step_for(_COARSE_M, cell_m, PATCH)
+        self._step = step_for(_COARSE_M, cell_m)
         slope, towards = math.tan(math.radians(world.slope_deg)), math.radians(world.slope_towards_deg)
         self._rise_north, self._rise_east = slope * math.cos(towards) * cell_m, slope * math.sin(towards) * cell_m
         self._forms_rms = np.float32(world.relief_rms_m)
@@ -79,16 +79,15 @@ class World:
             )
         self._sand_waves: RippleTrain | None = None
         if world.sand_waves is not None:
-            self._sand_waves = RippleTrain(world.sand_waves, seed, "sand waves", cell_m=cell_m, patch_cells=PATCH)
+            self._sand_waves = RippleTrain(world.sand_waves, seed, "sand waves", cell_m=cell_m)
         self._partition: Partition | None = None
         if len(world.seabeds) > 1:
             shares = tuple(seabed.share for seabed in world.seabeds)
-            self._partition = Partition(shares, world.patch_m, seed=seed, step=self._step, cell_m=cell_m, patch_cells=PATCH)
+            self._partition = Partition(shares, world.patch_m, seed=seed, step=self._step, cell_m=cell_m)
         self._stones = Stones(self.covers, seed)
         self._margin = math.ceil(self._stones.reach_m / (self._step * cell_m)) if self._stones else 0
         self._grounds = tuple(
-            Ground(cover, seed, f"{index} {cover.type}", cell_m=cell_m, patch_cells=PATCH, step=self._step)
-            for index, cover in enumerate(self.covers)
+            Ground(cover, seed, f"{index} {cover.type}", cell_m=cell_m, step=self._step) for index, cover in enumerate(self.covers)
         )
         self._slot_of: dict[tuple[int, int], int] = {}
         self._allocate(max_patches)
@@ -198,72 +197,79 @@ class World:
     def _make(self, patch_row: int, patch_column: int, slot: int) -> None:
         nodes, margin = PATCH // self._step, self._margin
         window = (patch_row * nodes - 1, patch_column * nodes - 1, nodes + 4, nodes + 4)
+        cells = (patch_row * PATCH, patch_column * PATCH, NODES, NODES)
         coarse = np.zeros(window[2:], dtype=np.float32)
         if self._forms is not None:
             np.multiply(self._forms.window(*window), self._forms_rms, out=coarse)
         fields = self._coarse_fields(patch_row, patch_column)
         texture, seabed = self._texture[slot], self._seabed[slot]
-        if fields is None:
-            inner, labels, kinds = None, None, [0]
+        if self._partition is None or fields is None:
+            weights, kinds = None, [0]
         else:
-            inner = fields[:, margin : margin + window[2], margin : margin + window[3]]
-            labels = np.argmax(inner, axis=0)
-            kinds = np.unique(labels).tolist()
+            weights = self._partition.weights(fields[:, margin : margin + window[2], margin : margin + window[3]])
+            kinds = np.flatnonzero(weights.any(axis=(1, 2))).tolist()
         for kind in kinds:
             canopy = self._grounds[kind].canopy(*window)
             if canopy is not None:
-                coarse += canopy if labels is None else canopy * (labels == kind)
+                coarse += canopy if weights is None else canopy * weights[kind]
         height = refine(coarse, self._step, NODES, NODES)
         if self._sand_waves is not None:
-            height += self._sand_waves.on_patch(patch_row, patch_column)
-        if inner is None or labels is None or len(kinds) == 1:
+            height += self._sand_waves.on_cells(*cells)
+        if self._partition is None or weights is None or len(kinds) == 1:
             (kind,) = kinds
-            height += self._grounds[kind].relief(patch_row, patch_column)
-            own = self._grounds[kind].texture(patch_row, patch_column)
+            height += self._grounds[kind].relief(*cells)
+            own = self._grounds[kind].texture(*cells)
             texture[...] = 1.0 if own is None else own
             seabed[...] = kind
         else:
-            self._blend(patch_row, patch_column, inner, labels, kinds, height, seabed)
-            for kind in kinds:
-                own = self._grounds[kind].texture(patch_row, patch_column)
-                np.copyto(texture, np.float32(1.0) if own is None else own, where=seabed == kind)
+            self._blend(self._partition, patch_row, patch_column, weights, kinds, height, texture, seabed)
         if self._stones:
             self._scatter_stones(patch_row, patch_column, fields, height, texture)
         row, column = patch_row * PATCH + np.arange(NODES), patch_column * PATCH + np.arange(NODES)
-        if self._rise_north != 0.0 or self._rise_east != 0.0:
-            np.add((row * self._rise_north)[:, None] + (column * self._rise_east), height, out=self._elevation[slot], casting="same_kind")
-        else:
-            self._elevation[slot] = height
+        height += (row * self._rise_north).astype(np.float32)[:, None]
+        np.add(height, (column * self._rise_east).astype(np.float32), out=self._elevation[slot])
 
     def _blend(
         self,
+        partition: Partition,
         patch_row: int,
         patch_column: int,
-        fields: FloatArray,
-        labels: NDArray[np.intp],
+        weights: FloatArray,
         kinds: list[int],
         height: FloatArray,
+        texture: FloatArray,
         seabed: Labels,
     ) -> None:
-        """Adds the relief of several kinds to `height`, each where it has weight, and fills `seabed` with the highest fields' kinds."""
-        assert self._partition is not None
-        corner = patch_row * PATCH, patch_column * PATCH
-        highest = np.full((NODES, NODES), -np.inf, dtype=np.float32)
-        for kind in kinds:
+        """Adds the relief of several kinds to `height`, each by its weight, and fills `seabed` with the kinds of highest weight and
+        `texture` with theirs. `weights`: (kinds, rows, columns) on the patch's coarse nodes, one more before and two behind."""
+        texture[...] = 1.0
+        seabed[...] = 0
+        highest = np.zeros((NODES, NODES), dtype=np.float32)
+        boxes = [_box(weights[kind], self._step) for kind in kinds]
+        for kind, (rows, columns) in zip(kinds, boxes, strict=True):
+            box = (rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start)
+            cells = (patch_row * PATCH + box[0], patch_column * PATCH + box[1], *box[2:])
             # A hair more than 1, then cut: weights must be exactly 1 where there is no other kind, or patches would differ on their sides.
-            weight = refine((labels == kind) * np.float32(1.0001), self._step, NODES, NODES)
+            scaled = weights[kind] * np.float32(1.0001)
+            first_row, first_column = box[0] // self._step, box[1] // self._step
+            weight = refine(scaled[first_row:, first_column:], self._step, *box[2:])
             np.minimum(weight, np.float32(1.0), out=weight)
-            relief = self._grounds[kind].relief(patch_row, patch_column)
+            relief = self._grounds[kind].relief(*cells)
             relief *= weight
-            height += relief
-            field = refine(fields[kind], self._step, NODES, NODES)
-            fringe = self._partition.fringe(kind, *corner, NODES, NODES)
+            height[rows, columns] += relief
+            fringe = partition.fringe(kind, *cells)
             if fringe is not None:
-                field += fringe
-            taken = field > highest
-            taken &= weight > 0.0
-            np.copyto(highest, field, where=taken)
-            seabed[taken] = kind
+                weight *= fringe
+            # In bytes that wrap, this sets the kind where its weight is higher; several times faster than an index of truth values.
+            label = seabed[rows, columns]
+            label += (np.uint8(kind) - label) * (weight > highest[rows, columns])
+            np.maximum(highest[rows, columns], weight, out=highest[rows, columns])
+        for kind, (rows, columns) in zip(kinds, boxes, strict=True):
+            own = self._grounds[kind].texture(
+                patch_row * PATCH + rows.start, patch_column * PATCH + columns.start, rows.stop - rows.start, columns.stop - columns.start
+            )
+            if own is not None:
+                np.copyto(texture[rows, columns], own, where=seabed[rows, columns] == kind)
 
     def _scatter_stones(
         self, patch_row: int, patch_column: int, fields: FloatArray | None, height: FloatArray, texture: FloatArray
@@ -277,3 +283,15 @@ class World:
             raise_stones(layer, stones, patch_row * PATCH, patch_column * PATCH, self.cell_m)
             height += layer
             np.multiply(texture, np.float32(_STONE_BRIGHTNESS), out=texture, where=layer > 0.0)
+
+
+def _box(weight: FloatArray, step: int) -> tuple[slice, slice]:
+    """Rows and columns of a patch's nodes that coarse nodes of some weight reach."""
+    rows, columns = np.nonzero(weight)
+    return _span(rows, step), _span(columns, step)
+
+
+def _span(nodes: NDArray[np.intp], step: int) -> slice:
+    first, last = int(nodes.min()), int(nodes.max())
+    # Coarse node k lies at cell (k - 1) * step, and a cubic B-spline's coefficients reach two nodes.
+    return slice(max(0, (first - 3) * step), min(NODES, (last + 1) * step + 1))
