@@ -1,0 +1,120 @@
+"""What goes wrong with recorded pings and navigation. The truth does not change by it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from msgspec import structs
+
+from auv_mcm.errors import UsageError
+from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side
+from sim_replay.simulator.scene import Fault, Recorder
+
+
+class _Beat(NamedTuple):
+    """Everything of one ping number: the navigation that precedes the ping, and the ping unless it is lost."""
+
+    number: int
+    navigation: tuple[NavSample, ...]
+    ping: Ping | None
+
+
+def with_faults(events: Iterable[NavSample | Ping], faults: Sequence[Fault], recorder: Recorder) -> Iterator[NavSample | Ping]:
+    """The events as they arrive once `faults` have happened, one after the other as they are given.
+
+    A navigation sample belongs to the ping that follows it. A lost ping leaves its navigation behind and its number unused. A stuck channel
+    repeats what it brought last before, or what it brings first if there is none. A fault acts on what the faults before it left: a gain
+    step listed after a stuck channel changes the samples that it repeats. `side` matters to gain_step, stuck_channel and dead_channel.
+
+    recorder: what the samples are. The gain changes amplitudes by a factor and logarithms by counts, rounded where samples are integers
+    and clipped to `full_scale`, or else to what their type holds.
+
+    Raises UsageError, before the first event, for a gain step in logarithms whose `db_per_count` is not given.
+    """
+    beats = _beats(events)
+    for fault in faults:
+        beats = _struck(beats, fault, recorder)
+    for beat in beats:
+        yield from beat.navigation
+        if beat.ping is not None:
+            yield beat.ping
+
+
+def _beats(events: Iterable[NavSample | Ping]) -> Iterator[_Beat]:
+    navigation: list[NavSample] = []
+    number = -1
+    for event in events:
+        if isinstance(event, NavSample):
+            navigation.append(event)
+            continue
+        number = event.number
+        yield _Beat(number, tuple(navigation), event)
+        navigation = []
+    if navigation:
+        yield _Beat(number + 1, tuple(navigation), None)
+
+
+def _struck(beats: Iterable[_Beat], fault: Fault, recorder: Recorder) -> Iterator[_Beat]:
+    factor, counts = _gain(fault.gain_db, recorder) if fault.kind == "gain_step" else (1.0, 0.0)
+    last: dict[str, EchoTrace] = {}
+    for beat in beats:
+        nth = beat.number - fault.at_ping
+        happens = 0 <= nth < fault.n_pings
+        traces = _traces(beat.ping, fault.side)
+        if fault.kind == "stuck_channel" and not happens:
+            last.update(traces)
+        match fault.kind:
+            case "drop" if happens and nth % 2 == 0:
+                yield beat._replace(ping=None)
+            case "gap" if happens:
+                yield beat._replace(ping=None)
+            case "gain_step" if happens:
+                yield _bringing(beat, {side: _amplified(trace, factor, counts, recorder.full_scale) for side, trace in traces.items()})
+            case "stuck_channel" if happens:
+                yield _bringing(beat, {side: last.setdefault(side, trace) for side, trace in traces.items()})
+            case "dead_channel" if happens:
+                yield _bringing(beat, dict.fromkeys(traces))
+            case "clock_step" if nth >= 0:
+                yield _later(beat, fault.step_s)
+            case "navigation_loss" if happens:
+                yield beat._replace(navigation=())
+            case _:
+                yield beat
+
+
+def _traces(ping: Ping | None, side: Literal["port", "starboard", "both"]) -> dict[str, EchoTrace]:
+    """What a ping has of a fault's sides."""
+    sides: Sequence[Side] = SIDES if side == "both" else (side,)
+    return {side: trace for side in sides if (trace := getattr(ping, side, None)) is not None}
+
+
+def _bringing(beat: _Beat, traces: Mapping[str, EchoTrace | None]) -> _Beat:
+    return beat if beat.ping is None else beat._replace(ping=structs.replace(beat.ping, **traces))
+
+
+def _later(beat: _Beat, step_s: float) -> _Beat:
+    navigation = tuple(structs.replace(sample, time_s=sample.time_s + step_s) for sample in beat.navigation)
+    ping = None if beat.ping is None else structs.replace(beat.ping, time_s=beat.ping.time_s + step_s)
+    return beat._replace(navigation=navigation, ping=ping)
+
+
+def _gain(gain_db: float, recorder: Recorder) -> tuple[float, float]:
+    """Factor on the samples, and counts added then."""
+    if not recorder.samples.startswith("log"):
+        return 10.0 ** (gain_db / 20.0), 0.0
+    if recorder.db_per_count is None:
+        raise UsageError("a gain step in logarithmic samples needs to know their scale: give `sonar.recorder.db_per_count`")
+    return 1.0, gain_db / recorder.db_per_count
+
+
+def _amplified(trace: EchoTrace, factor: float, counts: float, full_scale: int | None) -> EchoTrace:
+    samples = trace.samples.astype(np.float64) * factor + counts
+    dtype = trace.samples.dtype
+    if dtype.kind in "iu":
+        largest = int(np.iinfo(dtype).max)
+        samples = np.clip(np.rint(samples), 0, largest if full_scale is None else min(full_scale, largest))
+    elif full_scale is not None:
+        samples = np.minimum(samples, full_scale)
+    return structs.replace(trace, samples=samples.astype(dtype))
