@@ -106,7 +106,8 @@ class Partition:
         Returns:
             The same shape, float32; the sum over kinds is 1.
         """
-        second, first = np.partition(fields, -2, axis=0)[-2:]
+        first = fields.max(axis=0)
+        second = np.where(fields == first, -np.inf, fields).max(axis=0)
         # Every kind's lead over the best of the others.
         weights: FloatArray = fields - np.where(fields == first, second, first)
         weights *= self._per_node
