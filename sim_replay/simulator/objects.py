@@ -1,0 +1,342 @@
+"""The objects of a scene: where they come to lie, what they are made of, and the bodies and points that echo in their stead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from auv_mcm.errors import UsageError
+from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, MOAT, POLYHEDRON, SCAR, TORUS, Body, Planes
+from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
+from sim_replay.simulator.scene import TARGET_KINDS, ObjectKind, Scatter, Scene, SceneObject
+
+_STREAM: Final = 0x4F424A45  # keeps these random numbers apart from others of the same seed
+_TRIES: Final = 400  # places drawn for one object before there is none left
+_SIZE_EXPONENT: Final = 2.5  # stones longer than d are as many as d^-2.5
+_MOAT_WIDTH: Final = 0.6  # half width of a scour moat, in parts of the object's half sizes
+_FISH_STRENGTH_DB: Final = -42.0
+
+DepthOfFloor = Callable[[float, float], float]
+
+
+class Usual(NamedTuple):
+    """What a kind is unless the scene says otherwise, m and dB; see SceneObject."""
+
+    length_m: float
+    width_m: float
+    height_m: float
+    top_m: float = 0.0
+    n_members: int = 1
+    strength_db: float = -12.0
+    specular_db: float = 10.0
+
+
+USUAL: Final[dict[ObjectKind, Usual]] = {
+    "cylinder": Usual(2.0, 0.53, 0.53),
+    "sphere": Usual(0.8, 0.8, 0.8, specular_db=6.0),
+    "truncated_cone": Usual(0.98, 0.98, 0.47, top_m=0.5, specular_db=6.0),
+    "wedge": Usual(1.02, 0.8, 0.385),
+    "box": Usual(1.1, 0.9, 0.45),
+    "rock": Usual(0.9, 0.7, 0.4, strength_db=-14.0, specular_db=0.0),
+    "boulder_cluster": Usual(4.0, 3.0, 0.5, n_members=9, strength_db=-14.0, specular_db=0.0),
+    "debris": Usual(2.2, 1.4, 0.4, n_members=6, strength_db=-12.0, specular_db=8.0),
+    "tyre": Usual(0.9, 0.9, 0.25, strength_db=-18.0, specular_db=3.0),
+    "pipe": Usual(4.5, 0.4, 0.4),
+    "anchor_scar": Usual(25.0, 2.4, 0.25),
+    "fish_school": Usual(4.0, 2.5, 1.2, n_members=150, strength_db=_FISH_STRENGTH_DB),
+    "point": Usual(0.0, 0.0, 0.0, strength_db=-15.0),
+}
+_SPECULAR_EXPONENT: Final = 40.0
+
+
+class Placed(NamedTuple):
+    """One object with nothing left open. azimuth_rad clockwise from the plane's north; sizes as in SceneObject."""
+
+    kind: ObjectKind
+    east_m: float
+    north_m: float
+    azimuth_rad: float
+    tilt_rad: float
+    length_m: float
+    width_m: float
+    height_m: float
+    top_m: float
+    burial_m: float
+    scour_m: float
+    above_m: float
+    n_members: int
+    strength_db: float
+    specular_db: float
+    is_target: bool
+    seed: int
+
+    @property
+    def reach_m(self) -> float:
+        """Half its horizontal extent, at most."""
+        return 0.5 * math.hypot(self.length_m, self.width_m) + self.height_m * abs(math.sin(self.tilt_rad))
+
+
+class Material(NamedTuple):
+    """What a body scatters like."""
+
+    strength_db: float
+    specular_db: float
+    specular_exponent: float
+
+
+def place_objects(scene: Scene) -> tuple[Placed, ...]:
+    """All objects of a scene: those it names, then those it scatters.
+
+    Raises UsageError if there is no room for what is to be scattered.
+    """
+    legs = planned_legs(scene.track.plan)
+    placed = [_named(scene, thing, index) for index, thing in enumerate(scene.objects)]
+    for index, group in enumerate(scene.scatter):
+        placed += _scattered(scene, group, index, legs, placed)
+    return tuple(placed)
+
+
+def _named(scene: Scene, thing: SceneObject, index: int) -> Placed:
+    usual = USUAL[thing.kind]
+    east, north = place_in_plane(scene, thing)
+    width = usual.width_m if thing.width_m is None else thing.width_m
+    return Placed(
+        kind=thing.kind,
+        east_m=east,
+        north_m=north,
+        azimuth_rad=math.radians(thing.azimuth_deg),
+        tilt_rad=math.radians(thing.tilt_deg),
+        **_sizes(thing.kind, thing.length_m, width, thing.height_m),
+        top_m=min(usual.top_m * width / max(usual.width_m, 1e-9), width) if thing.top_m is None else thing.top_m,
+        burial_m=thing.burial_m,
+        scour_m=thing.scour_m,
+        above_m=thing.above_m,
+        n_members=thing.count or usual.n_members,
+        strength_db=usual.strength_db if thing.strength_db is None else thing.strength_db,
+        specular_db=usual.specular_db if thing.specular_db is None else thing.specular_db,
+        is_target=thing.kind in TARGET_KINDS if thing.is_target is None else thing.is_target,
+        seed=index,
+    )
+
+
+def _sizes(kind: ObjectKind, length_m: float | None, width_m: float | None, height_m: float | None) -> dict[str, float]:
+    """Length, width and height as far as the kind has them apart."""
+    usual = USUAL[kind]
+    width = usual.width_m if width_m is None else width_m
+    length = usual.length_m if length_m is None else length_m
+    height = usual.height_m if height_m is None else height_m
+    if kind in ("sphere", "truncated_cone", "tyre"):
+        length = width
+    if kind == "sphere" or (kind in ("cylinder", "pipe")):
+        height = width
+    return {"length_m": length, "width_m": width, "height_m": height}
+
+
+def _scattered(scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], others: Sequence[Placed]) -> list[Placed]:
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([scene.seed, _STREAM, index])))
+    low, high = group.ground_range_m or (0.0, swath_m(scene))
+    share = np.array([leg.length_m for leg in legs]) / sum(leg.length_m for leg in legs)
+    usual = USUAL[group.kind]
+    taken = [(other.east_m, other.north_m, other.reach_m) for other in others]
+    placed: list[Placed] = []
+
+    def drawn(limits: tuple[float, float] | None) -> float | None:
+        return None if limits is None else float(random.uniform(*limits))
+
+    for number in range(group.count):
+        length, width, height = drawn(group.length_m), drawn(group.width_m), drawn(group.height_m)
+        if group.natural_sizes:
+            smallest, largest = group.length_m or (0.3 * usual.length_m, 3.0 * usual.length_m)
+            natural = _power_law(float(random.uniform()), smallest, largest)
+            scale = natural / (usual.length_m or 1.0)
+            length = natural
+            width = usual.width_m * scale * float(random.uniform(0.8, 1.2)) if width is None else width
+            height = usual.height_m * scale * float(random.uniform(0.7, 1.3)) if height is None else height
+        sizes = _sizes(group.kind, length, width, height)
+        burial, tilt, scour = drawn(group.burial_m) or 0.0, drawn(group.tilt_deg) or 0.0, drawn(group.scour_m) or 0.0
+        strength = drawn(group.strength_db)
+        reach = 0.5 * math.hypot(sizes["length_m"], sizes["width_m"])
+        for _ in range(_TRIES):
+            leg = legs[int(random.choice(len(legs), p=share))]
+            across = float(random.uniform(low, high)) * (1.0 if random.uniform() < 0.5 else -1.0)
+            east, north = leg.at(float(random.uniform(0.0, leg.length_m)), across)
+            closest = min(abs(other.along_across(east, north)[1]) for other in legs if _abeam(other, east, north))
+            if not low <= closest <= high:
+                continue
+            if all(math.hypot(east - e, north - n) >= group.apart_m + reach + r for e, n, r in taken):
+                break
+        else:
+            raise UsageError(
+                f"`scatter[{index}]` ({group.kind}): no room for number {number + 1} of {group.count} after {_TRIES} tries; "
+                "take fewer, a smaller `apart_m`, or a longer track"
+            )
+        taken.append((east, north, reach))
+        placed.append(
+            Placed(
+                kind=group.kind,
+                east_m=east,
+                north_m=north,
+                azimuth_rad=float(random.uniform(0.0, 2.0 * math.pi)),
+                tilt_rad=math.radians(tilt),
+                **sizes,
+                top_m=usual.top_m * sizes["width_m"] / max(usual.width_m, 1e-9),
+                burial_m=burial,
+                scour_m=scour,
+                above_m=1.0 if group.kind == "fish_school" else 0.0,
+                n_members=usual.n_members,
+                strength_db=usual.strength_db if strength is None else strength,
+                specular_db=usual.specular_db,
+                is_target=group.kind in TARGET_KINDS if group.is_target is None else group.is_target,
+                seed=1000 * (index + 1) + number,
+            )
+        )
+    return placed
+
+
+def _abeam(leg: Leg, east_m: float, north_m: float) -> bool:
+    return 0.0 <= leg.along_across(east_m, north_m)[0] <= leg.length_m
+
+
+def _power_law(uniform: float, smallest: float, largest: float) -> float:
+    """A size whose numbers above d fall as d^-2.5 between the limits, by inversion."""
+    share = 1.0 - (smallest / largest) ** _SIZE_EXPONENT
+    return float(smallest * (1.0 - uniform * share) ** (-1.0 / _SIZE_EXPONENT))
+
+
+def material_of(thing: Placed) -> Material:
+    return Material(thing.strength_db, thing.specular_db, _SPECULAR_EXPONENT)
+
+
+def bodies_of(thing: Placed, floor_m: Callable[[float, float], float], material: int) -> list[Body]:
+    """The bodies of an object on a floor of the given height above the datum; none for what only echoes."""
+    if thing.kind in ("point", "fish_school"):
+        return []
+    base = floor_m(thing.east_m, thing.north_m)
+    if thing.kind == "anchor_scar":
+        sizes = (0.5 * thing.length_m, 0.5 * thing.width_m, thing.height_m)
+        return [_body(thing, SCAR, base, sizes, material, thing.reach_m)]
+    bodies = []
+    if thing.scour_m > 0.0:
+        half = 0.5 * thing.length_m, 0.5 * thing.width_m
+        bodies.append(_body(thing, MOAT, base, (*half, thing.scour_m, _MOAT_WIDTH), material, (1.0 + _MOAT_WIDTH) * max(half)))
+    if thing.kind in ("boulder_cluster", "debris"):
+        return bodies + _group(thing, floor_m, material)
+    return [*bodies, _single(thing, base, material)]
+
+
+def _single(thing: Placed, base_m: float, material: int) -> Body:
+    half_length, half_width, buried = 0.5 * thing.length_m, 0.5 * thing.width_m, thing.burial_m
+    if thing.kind == "sphere":
+        return _body(thing, ELLIPSOID, base_m, (half_width, half_width, half_width, half_width - buried), material, half_width)
+    if thing.kind in ("cylinder", "pipe"):
+        raised = thing if thing.tilt_rad >= 0.0 else thing._replace(azimuth_rad=thing.azimuth_rad + math.pi, tilt_rad=-thing.tilt_rad)
+        sine, cosine = math.sin(raised.tilt_rad), math.cos(raised.tilt_rad)
+        centre = half_width * cosine + half_length * sine - buried
+        reach = math.hypot(half_length, half_width) * 1.01
+        return _body(raised, CYLINDER, base_m, (half_width, half_length, centre, sine, cosine), material, reach)
+    if thing.kind == "truncated_cone":
+        return _body(thing, CONE, base_m, (half_width, 0.5 * thing.top_m, thing.height_m, buried), material, half_width)
+    if thing.kind == "tyre":
+        tread = 0.5 * thing.height_m
+        return _body(thing, TORUS, base_m, (half_width - 0.8 * tread, 0.8 * tread, tread, tread - buried), material, half_width)
+    return _polyhedron(thing, base_m, material)
+
+
+def _polyhedron(thing: Placed, base_m: float, material: int) -> Body:
+    """Wedge, box and rock: the hull of their corners, tilted, pushed into the floor."""
+    half_length, half_width, height = 0.5 * thing.length_m, 0.5 * thing.width_m, thing.height_m
+    if thing.kind == "rock":
+        corners = _rock_corners(half_length, half_width, height, thing.seed)
+    else:
+        corners = np.array([(u * half_length, v * half_width, top * height) for u in (-1, 1) for v in (-1, 1) for top in (0, 1)])
+        if thing.kind == "wedge":
+            corners = corners[(corners[:, 0] > 0.0) | (corners[:, 2] == 0.0)]
+    sine, cosine = math.sin(thing.tilt_rad), math.cos(thing.tilt_rad)
+    along, up = corners[:, 0] * cosine - corners[:, 2] * sine, corners[:, 0] * sine + corners[:, 2] * cosine
+    corners = np.stack([along, corners[:, 1], up - up.min() - thing.burial_m], axis=1)
+    planes, n_sides = hull_planes(corners)
+    reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + 1e-6
+    return _body(thing, POLYHEDRON, base_m, (), material, reach, planes, n_sides)
+
+
+def hull_planes(corners_m: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> tuple[Planes, int]:
+    """Sides and tops of the convex hull of (n, 3) corners, as seen from above, and the number of sides.
+
+    A side (a, b, d) bounds the outline: a u + b v <= d. A top (a, b, c) bounds the height: z <= a u + b v + c.
+    """
+    outline = ConvexHull(corners_m[:, :2])
+    sides = {(float(a), float(b), float(-d)) for a, b, d in outline.equations}
+    tops = {(float(-a / c), float(-b / c), float(-d / c)) for a, b, c, d in ConvexHull(corners_m, qhull_options="Qt").equations if c > 1e-9}
+    return tuple(sorted(sides)) + tuple(sorted(tops)), len(sides)
+
+
+def _rock_corners(half_length: float, half_width: float, height: float, seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Corners of an angular rock that fills its sizes: points on a half-buried superellipsoid, flattened by chance."""
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, seed])))
+    n = int(random.integers(14, 26))
+    turn = random.uniform(0.0, 2.0 * math.pi, n)
+    rise = random.uniform(-0.3, 1.0, n)
+    level = np.sqrt(np.maximum(0.0, 1.0 - rise**2)) * random.uniform(0.75, 1.0, n)
+    corners = np.stack([level * np.cos(turn), level * np.sin(turn), rise * random.uniform(0.85, 1.0, n)], axis=1)
+    span = np.maximum(np.abs(corners).max(axis=0), 1e-6)
+    corners[:, 0] *= half_length / span[0]
+    corners[:, 1] *= half_width / span[1]
+    corners[:, 2] *= height / max(float(corners[:, 2].max()), 1e-6)
+    return corners
+
+
+def _group(thing: Placed, floor_m: Callable[[float, float], float], material: int) -> list[Body]:
+    """A boulder cluster, or debris: plates, blocks and rods, strewn over the group's extent."""
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 1, thing.seed])))
+    sine, cosine = math.sin(thing.azimuth_rad), math.cos(thing.azimuth_rad)
+    bodies = []
+    for member in range(thing.n_members):
+        radius, turn = math.sqrt(float(random.uniform())), float(random.uniform(0.0, 2.0 * math.pi))
+        u, v = 0.5 * thing.length_m * radius * math.cos(turn), 0.5 * thing.width_m * radius * math.sin(turn)
+        size = _power_law(float(random.uniform()), 0.35, 1.0) if member else 1.0
+        height = thing.height_m * size
+        long, wide = (float(value) for value in random.uniform(1.2, 2.4, 2) * height)
+        kind: ObjectKind = "rock"
+        if thing.kind == "debris":
+            kind = ("box", "cylinder", "box")[member % 3] if member else "box"
+            long, wide, height = (1.5 * long, 0.3 * height, 0.3 * height) if kind == "cylinder" else (long, wide, 0.6 * height)
+        one = thing._replace(
+            kind=kind,
+            east_m=thing.east_m + u * sine + v * cosine,
+            north_m=thing.north_m + u * cosine - v * sine,
+            azimuth_rad=float(random.uniform(0.0, 2.0 * math.pi)),
+            tilt_rad=float(random.uniform(-0.3, 0.3)) if thing.kind == "debris" else 0.0,
+            length_m=long,
+            width_m=wide,
+            height_m=height,
+            burial_m=min(thing.burial_m, 0.5 * height),
+            seed=thing.seed * 100 + member,
+        )
+        bodies.append(_single(one, floor_m(one.east_m, one.north_m), material))
+    return bodies
+
+
+def _body(
+    thing: Placed, kind: int, base_m: float, sizes: tuple[float, ...], material: int, reach_m: float, planes: Planes = (), n_sides: int = 0
+) -> Body:
+    return Body(kind, thing.east_m, thing.north_m, base_m, thing.azimuth_rad, reach_m, sizes, material, planes, n_sides)
+
+
+def points_of(thing: Placed, floor_m: Callable[[float, float], float]) -> list[tuple[float, float, float, float]]:
+    """East, north, height above the datum (m) and target strength (linear, m2) of what echoes without a body."""
+    if thing.kind not in ("point", "fish_school"):
+        return []
+    base, strength = floor_m(thing.east_m, thing.north_m) + thing.above_m, 10.0 ** (0.1 * thing.strength_db)
+    if thing.kind == "point":
+        return [(thing.east_m, thing.north_m, base, strength)]
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 2, thing.seed])))
+    sine, cosine = math.sin(thing.azimuth_rad), math.cos(thing.azimuth_rad)
+    points = []
+    for a, b, c in random.normal(size=(thing.n_members, 3)) * 0.25:
+        u, v, w = thing.length_m * float(a), thing.width_m * float(b), thing.height_m * (0.5 + float(c))
+        points.append((thing.east_m + u * sine + v * cosine, thing.north_m + u * cosine - v * sine, base + max(w, 0.0), strength))
+    return points

@@ -1,0 +1,62 @@
+"""How echoes become stored numbers: time-varied gain, amplitude or logarithm, clipping, rounding."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import EchoTrace
+from sim_replay.simulator.scene import Recorder
+from sim_replay.xtf_writer import SampleType
+
+_USUAL: Final[dict[str, Recorder]] = {
+    recorder.samples: recorder
+    for recorder in (
+        Recorder(samples="amplitude_uint8", seabed_counts=35.0, full_scale=255, db_per_count=0.5),
+        Recorder(samples="amplitude_uint16", seabed_counts=3000.0, full_scale=32767, db_per_count=0.5),
+        Recorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535, db_per_count=0.5),
+        Recorder(samples="log_uint8", seabed_counts=140.0, full_scale=255, db_per_count=0.35),
+        Recorder(samples="log_uint16", seabed_counts=20_000.0, full_scale=65535, db_per_count=0.003),
+    )
+}
+_TYPES: Final[dict[str, tuple[SampleType, type[np.generic]]]] = {
+    "amplitude_uint8": ("uint8", np.uint8),
+    "amplitude_uint16": ("uint16", np.uint16),
+    "amplitude_float32": ("float32", np.float32),
+    "log_uint8": ("uint8", np.uint8),
+    "log_uint16": ("uint16", np.uint16),
+}
+
+
+def complete(recorder: Recorder) -> Recorder:
+    """The recorder with what is usual for its samples in place of what the scene leaves open."""
+    usual = _USUAL[recorder.samples]
+    given = {name: value for name in ("seabed_counts", "full_scale", "db_per_count") if (value := getattr(recorder, name)) is not None}
+    return msgspec.structs.replace(usual, **given)
+
+
+def sample_type(recorder: Recorder) -> SampleType:
+    """What an XTF file stores the samples as."""
+    return _TYPES[recorder.samples][0]
+
+
+def record(intensity: NDArray[np.float32], gain: NDArray[np.float64], n_ringing: int, recorder: Recorder, bin_m: float) -> list[EchoTrace]:
+    """Samples of (n_rows, n_bins) intensity times (n_bins,) gain, whose unit is the mean echo of the scene's plain floor.
+
+    The first n_ringing bins clip. recorder: complete. bin_m: slant range per bin that the recorder believes in.
+    """
+    counts, full = recorder.seabed_counts or 0.0, float(recorder.full_scale or 0)
+    level = intensity * gain.astype(np.float32)
+    if recorder.samples.startswith("log"):
+        with np.errstate(divide="ignore"):
+            stored = np.float32(counts) + np.log10(level) * np.float32(10.0 / (recorder.db_per_count or 1.0))
+    else:
+        stored = np.sqrt(level) * np.float32(counts)
+    stored[:, :n_ringing] = full
+    np.clip(stored, 0.0, full, out=stored)
+    kind = _TYPES[recorder.samples][1]
+    samples: NDArray[Any] = stored if kind is np.float32 else np.rint(stored, out=stored).astype(kind)
+    return [EchoTrace(samples=row, first_range_m=0.5 * bin_m, spacing_m=bin_m) for row in samples]

@@ -1,0 +1,231 @@
+"""The sea of one scene, sounded from anywhere: poses in, pings out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import NAN, Ping
+from sim_replay.simulator import rays
+from sim_replay.simulator.bodies import Bodies, Body, near, pack
+from sim_replay.simulator.echo import (
+    absorption_db_per_km,
+    beam_table,
+    bin_ranges_m,
+    flat_floor_intensity,
+    floor_tables,
+    material_tables,
+    propagation,
+    recorder_gain,
+    vertical_pattern,
+)
+from sim_replay.simulator.objects import Material, Placed, bodies_of, material_of, place_objects, points_of
+from sim_replay.simulator.recording import complete, record
+from sim_replay.simulator.render import Lines, render
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import check_scene
+from sim_replay.simulator.speckle import band_limited_rows, gaussian_taps, row_keys, speckle_rows
+from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.world import NODES, PATCH, World
+
+Floats = NDArray[np.float64]
+
+_PORT_STREAM, _STARBOARD_STREAM = 0, 1 << 32
+
+
+class Sea:
+    """World, objects and sonar of a scene. What a ping hears depends on scene, seed, pose and ping number alone.
+
+    objects: all of them, placed. Raises UsageError for a scene that cannot be, or whose objects find no room.
+    """
+
+    def __init__(self, scene: Scene, *, threads: int = 1) -> None:
+        check_scene(scene)
+        sonar = scene.sonar
+        self.scene: Final = scene
+        self.world: Final = World(scene.world, scene.seed)
+        self.objects: Final[tuple[Placed, ...]] = place_objects(scene)
+        self.recorder: Final = complete(sonar.recorder)
+        self._patch_here: tuple[int, int] | None = None
+        self._heights_here = np.empty((NODES, NODES))
+        materials: list[Material] = []
+        bodies: list[Body] = []
+        points: list[tuple[float, float, float, float]] = []
+        for thing in self.objects:
+            material = material_of(thing)
+            if material not in materials:
+                materials.append(material)
+            bodies += bodies_of(thing, self.floor_m, len(self.world.covers) + materials.index(material))
+            points += points_of(thing, self.floor_m)
+        self._bodies = pack(bodies)
+        self._points = np.array(points).reshape(-1, 4)
+        self._tables = np.concatenate([floor_tables(scene, self.world.covers), material_tables(materials)])
+        self._beam = beam_table(sonar.vertical_beam_width_deg)
+        self._range_m = bin_ranges_m(sonar)
+        self._absorption = absorption_db_per_km(sonar, scene.world.depth_m)
+        self._width_m = math.radians(sonar.beam_width_deg) * self._range_m
+        self._loss = propagation(self._range_m, self._absorption)
+        reference_m = np.array([max(0.5 * sonar.range_m, 0.5 * (scene.track.altitude_m + sonar.range_m))])
+        self.reference: Final = float(
+            flat_floor_intensity(reference_m, scene.track.altitude_m, self._tables[0], sonar, self._absorption)[0]
+        )
+        self._gain = recorder_gain(self._range_m, sonar, self._absorption, float(reference_m[0])) / self.reference
+        self._taps = gaussian_taps(sonar.range_resolution_m / (sonar.range_m / sonar.n_samples))
+        self._threads = threads
+
+    def floor_m(self, east_m: float, north_m: float) -> float:
+        """Height of the bare floor above the datum at a place, bilinear between nodes."""
+        row, column = north_m / self.world.cell_m, east_m / self.world.cell_m
+        place = math.floor(row / PATCH), math.floor(column / PATCH)
+        if place != self._patch_here:
+            patches = self.world.patches(np.ones((1, 1), dtype=np.bool_), *place)
+            self._patch_here, self._heights_here = place, patches.elevation[int(patches.slots[0, 0])].astype(np.float64)
+        row, column = row - place[0] * PATCH, column - place[1] * PATCH
+        i, j = min(int(row), PATCH - 1), min(int(column), PATCH - 1)
+        heights, down, right = self._heights_here, row - i, column - j
+        south = heights[i, j] * (1.0 - right) + heights[i, j + 1] * right
+        north = heights[i + 1, j] * (1.0 - right) + heights[i + 1, j + 1] * right
+        return float(south * (1.0 - down) + north * down)
+
+    def altitude_m(self, pose: Pose) -> float:
+        """Height of the sonar over the bare floor."""
+        return self.scene.world.depth_m - pose.depth_m - self.floor_m(pose.east_m, pose.north_m)
+
+    def mean_intensity(self, poses: Sequence[Pose]) -> Floats:
+        """Mean received intensity, (n_poses, 2, n_samples), port first, without noise; a flat floor at half range gives `reference`."""
+        sonar, cell_m = self.scene.sonar, self.world.cell_m
+        floor = np.array([self.floor_m(pose.east_m, pose.north_m) for pose in poses])
+        fan = rays.fan(poses, floor, sonar, self.scene.world.depth_m, cell_m)
+        needed, first_row, first_column = rays.crossed(fan, cell_m)
+        patches = self.world.patches(needed, first_row, first_column)
+        lines = rays.lines(fan, cell_m, first_row, first_column)
+        bodies = self._bodies_near(fan)
+        n_rows, n_bins = 2 * len(poses), sonar.n_samples
+
+        def part(rows: tuple[int, int]) -> Floats:
+            mine = (lines.ping >= rows[0]) & (lines.ping < rows[1])
+            own = Lines(**{name: values[mine] for name, values in lines._asdict().items()})._replace(ping=lines.ping[mine] - rows[0])
+            return render(
+                own,
+                patches,
+                bodies,
+                self._tables,
+                self._beam,
+                cell_m=cell_m,
+                n_nodes=fan.n_nodes,
+                n_pings=rows[1] - rows[0],
+                n_bins=n_bins,
+                bin_m=sonar.range_m / n_bins,
+            ).energy
+
+        edges = np.linspace(0, n_rows, self._threads + 1).astype(int).tolist()
+        spans = [(first, stop) for first, stop in pairwise(edges) if stop > first]
+        if len(spans) == 1:
+            energy = part(spans[0])
+        else:
+            with ThreadPoolExecutor(len(spans)) as pool:
+                energy = np.concatenate(list(pool.map(part, spans)))
+        intensity = energy.reshape(len(poses), 2, n_bins) * (self._width_m * self._loss)
+        self._add_points(intensity, poses)
+        self._add_other_paths(intensity, poses, floor)
+        return intensity
+
+    def sound(self, poses: Sequence[Pose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
+        """Pings numbered from `first_number`, one per pose. altitudes_m: what the sonar's own altimeter says, unknown if left out."""
+        sonar = self.scene.sonar
+        noise = self.reference * 10.0 ** (0.1 * sonar.noise_db)
+        energy = (self.mean_intensity(poses) + noise) * (1.0 / self.reference)
+        told_mps = sonar.sound_speed_mps + self.scene.navigation_error.sound_speed_bias_mps
+        told_bin_m = sonar.range_m / sonar.n_samples * told_mps / sonar.sound_speed_mps
+        n_ringing = round(sonar.ring_down_m / sonar.range_m * sonar.n_samples)
+        gain = self._gain * self.reference
+        traces = []
+        for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM)):
+            intensity = self._speckled(energy[:, side], stream, first_number)
+            traces.append(record(intensity, gain, n_ringing, self.recorder, told_bin_m))
+        return [
+            Ping(
+                number=first_number + index,
+                time_s=pose.time_s,
+                port=traces[0][index],
+                starboard=traces[1][index],
+                sound_speed_mps=told_mps,
+                altitude_m=NAN if altitudes_m is None else altitudes_m[index],
+                place=f"simulated ping {first_number + index}",
+            )
+            for index, pose in enumerate(poses)
+        ]
+
+    def _speckled(self, energy: Floats, stream: int, first_number: int) -> NDArray[np.float32]:
+        sonar, track = self.scene.sonar, self.scene.track
+        n_pings, n_bins = energy.shape
+        streams = range(stream, stream + sonar.looks)
+        if sonar.speckle_along_track_m == 0.0:
+            return speckle_rows(energy, row_keys(self.scene.seed, streams, first_number, n_pings), self._taps)
+        along = gaussian_taps(sonar.speckle_along_track_m * sonar.ping_rate_hz / track.speed_mps)
+        total = np.zeros((n_pings, n_bins))
+        for look in streams:
+            field = band_limited_rows(self.scene.seed, look, first_number, n_pings, n_bins, along, self._taps)
+            total += field.real.astype(np.float64) ** 2 + field.imag.astype(np.float64) ** 2
+        return np.asarray(energy * total / sonar.looks, dtype=np.float32)
+
+    def _bodies_near(self, fan: rays.Fan) -> Bodies:
+        far_east, far_north = fan.east_m + fan.n_nodes * fan.step_east_m, fan.north_m + fan.n_nodes * fan.step_north_m
+        return near(
+            self._bodies,
+            float(min(fan.east_m.min(), far_east.min())),
+            float(max(fan.east_m.max(), far_east.max())),
+            float(min(fan.north_m.min(), far_north.min())),
+            float(max(fan.north_m.max(), far_north.max())),
+        )
+
+    def _add_points(self, intensity: Floats, poses: Sequence[Pose]) -> None:
+        """Echoes of points, which neither cast nor lie in shadows. Range r is seen from where the vehicle is r / c after transmission."""
+        if not len(self._points):
+            return
+        sonar = self.scene.sonar
+        bin_m, beam_rad = sonar.range_m / sonar.n_samples, math.radians(sonar.beam_width_deg)
+        east, north, height, strength = self._points.T
+        for index, pose in enumerate(poses):
+            sine, cosine = math.sin(pose.heading_rad), math.cos(pose.heading_rad)
+            ahead = (east - pose.east_m) * sine + (north - pose.north_m) * cosine
+            across = (east - pose.east_m) * cosine - (north - pose.north_m) * sine
+            below = self.scene.world.depth_m - pose.depth_m - height
+            slant = np.hypot(across, below / math.cos(pose.pitch_rad))
+            drift = pose.speed_mps / sonar.sound_speed_mps * slant
+            miss = ahead - below * math.tan(pose.pitch_rad) - drift * math.cos(pose.course_rad - pose.heading_rad)
+            width = np.maximum(slant * beam_rad, pose.speed_mps / sonar.ping_rate_hz)
+            for k in np.flatnonzero((np.abs(miss) < 2.0 * width) & (slant < sonar.range_m)):
+                side = int(across[k] > 0.0)
+                axis = math.radians(sonar.tilt_deg) + (pose.roll_rad if side else -pose.roll_rad)
+                off = (below[k] * math.cos(axis) - abs(across[k]) * math.sin(axis)) / slant[k]
+                echo = strength[k] * float(propagation(slant[k], self._absorption))
+                echo *= float(vertical_pattern(np.asarray(off), sonar.vertical_beam_width_deg))
+                echo *= math.exp(-4.0 * math.log(2.0) * (miss[k] / width[k]) ** 2)
+                at = slant[k] / bin_m - 0.5
+                low = math.floor(at)
+                for column, part in ((low, low + 1 - at), (low + 1, at - low)):
+                    if 0 <= column < sonar.n_samples:
+                        intensity[index, side, column] += echo * part
+
+    def _add_other_paths(self, intensity: Floats, poses: Sequence[Pose], floor_m: Floats) -> None:
+        sonar = self.scene.sonar
+        depth = np.array([pose.depth_m for pose in poses])[:, None]
+        altitude = self.scene.world.depth_m - depth - floor_m[:, None]
+
+        def mirrored(height_m: Floats, level_db: float) -> Floats:
+            echo = flat_floor_intensity(self._range_m[None, :], height_m, self._tables[0], sonar, self._absorption)
+            return np.asarray(echo * 10.0 ** (0.1 * level_db))[:, None, :]
+
+        if sonar.surface_echo_db is not None:
+            intensity += mirrored(depth, sonar.surface_echo_db)
+        if sonar.second_bottom_db is not None:
+            intensity += mirrored(2.0 * altitude + depth, sonar.second_bottom_db)
+        if sonar.crosstalk_db is not None:
+            intensity += intensity[:, ::-1].copy() * 10.0 ** (0.1 * sonar.crosstalk_db)
