@@ -75,7 +75,7 @@ def material_tables(materials: list[Material]) -> NDArray[np.float32]:
 
 def bin_ranges_m(sonar: Sonar) -> Floats:
     """Slant range of the middle of every bin, (n_samples,)."""
-    return (np.arange(sonar.n_samples) + 0.5) * (sonar.range_m / sonar.n_samples)
+    return np.asarray((np.arange(sonar.n_samples) + 0.5) * (sonar.range_m / sonar.n_samples), dtype=np.float64)
 
 
 def propagation(slant_range_m: Floats, absorption: float) -> Floats:
