@@ -14,6 +14,8 @@ _PERIODS: Final = (500, 567)
 # Of ripples with defects 1: the length over which crests stay in step, and the one over which their direction wanders, in wavelengths.
 _STEP_WAVELENGTHS: Final = 2.5
 _BEND_WAVELENGTHS: Final = 6.0
+# Against the mean square of that field: where it is far below, ripples are low.
+_VANISHING: Final = 0.15
 # Of outcrops: a stratum against the relief's root mean square, its dip, and how much of the way from ledge to ledge the steps take.
 _SURFACE_EXPONENT: Final = 4.2
 _STRATUM_SHARE: Final = 1.0
@@ -74,14 +76,6 @@ class RippleTrain:
             sine = row_sine * column_cosine + row_cosine * column_sine
         else:
             real, imaginary = refined_window(self._bent_envelope, self._step, row, column, n_rows, n_columns)
-            level = real * real
-            level += imaginary * imaginary
-            # Ripples keep their height but where the field nearly vanishes.
-            level += np.float32(0.15)
-            np.sqrt(level, out=level)
-            np.divide(np.float32(math.sqrt(1.15)), level, out=level)
-            real *= level
-            imaginary *= level
             turned = real * column_cosine
             turned -= imaginary * column_sine
             imaginary *= column_cosine
@@ -105,7 +99,9 @@ class RippleTrain:
         bend *= self._bend
         cosine, sine = np.cos(bend), np.sin(bend)
         real, imaginary = self._coherent + self._broken * real, self._broken * imaginary
-        return np.stack([real * cosine - imaginary * sine, real * sine + imaginary * cosine])
+        # Ripples keep their height but where the field nearly vanishes.
+        height = np.sqrt(np.float32(1.0 + _VANISHING) / (real * real + imaginary * imaginary + np.float32(_VANISHING)))
+        return np.stack([(real * cosine - imaginary * sine) * height, (real * sine + imaginary * cosine) * height])
 
 
 def _phase(first: int, n_nodes: int, turns_per_cell: float) -> FloatArray:

@@ -23,7 +23,8 @@ Spectrum: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 # Bottom roughness spectra measured for APL-UW TR 9407, Sec. IV: exponents 3.0 to 3.4, 3.25 where nothing is known.
 ROUGHNESS_EXPONENT: Final = 3.25
 _SPLINE_LIMIT: Final = 0.5
-_PADDING_STEP: Final = 264
+_PADDING_STEP: Final = 66
+_WIDEST_STEP: Final = 256
 _GAMMA_TABLE_SIZE: Final = 8192
 _GAMMA_TABLE_SIGMAS: Final = 5.0
 
@@ -188,8 +189,8 @@ def refine(coefficients: FloatArray, factor: int, n_rows: int, n_columns: int) -
 
 
 def step_for(length_m: float, cell_m: float) -> int:
-    """The largest power of two of cells that `length_m` holds, at least 1."""
-    return 1 << max(0, math.floor(math.log2(length_m / cell_m)))
+    """The largest power of two of cells that `length_m` holds, from 1 to 256: windows are widened to whole steps."""
+    return min(_WIDEST_STEP, 1 << max(0, math.floor(math.log2(length_m / cell_m))))
 
 
 class GammaLaw:

@@ -36,10 +36,10 @@ def _mixed(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return value ^ (value >> np.uint64(31))
 
 
-def _uniform(keys: NDArray[np.uint64], attribute: int) -> Array:
-    """Numbers in [0, 1) that belong to keys; another set for every attribute."""
-    step = np.uint64((attribute * 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF)
-    return (_mixed(keys + step) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+def _uniform(keys: NDArray[np.uint64], attributes: int) -> Array:
+    """Numbers in [0, 1) that belong to keys: (attributes, *shape of keys), those of an attribute independent of another's."""
+    steps = np.arange(1, attributes + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    return (_mixed(np.add.outer(steps, keys)) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def largest_m(stone_m: float) -> float:
@@ -79,28 +79,28 @@ class Stones:
         columns = np.arange(math.floor(east_min / _SQUARE_M), math.floor(east_max / _SQUARE_M) + 1)
         squares = _mixed(rows.astype(np.uint64) + np.array([self._seed], dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15))
         squares = _mixed(squares[:, None] ^ (columns.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F))[None, :])
-        counts = np.searchsorted(self._count_below, _uniform(squares, 1), side="right")
+        counts = np.searchsorted(self._count_below, _uniform(squares, 1)[0], side="right")
         if not counts.any():
             return np.empty((0, 6))
         row, column = np.nonzero(counts)
         repeats = counts[row, column]
         ordinal = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
         keys = _mixed(np.repeat(squares[row, column], repeats) + ordinal.astype(np.uint64) * np.uint64(0xD6E8FEB86659FD93))
-        north = (np.repeat(rows[row], repeats) + _uniform(keys, 2)) * _SQUARE_M
-        east = (np.repeat(columns[column], repeats) + _uniform(keys, 3)) * _SQUARE_M
-        inside = (east >= east_min) & (east < east_max) & (north >= north_min) & (north < north_max)
-        keys, north, east = keys[inside], north[inside], east[inside]
-        label = label_at(east, north)
-        kept = _uniform(keys, 4) * self._per_m2.max() < self._per_m2[label]
-        keys, north, east, label = keys[kept], north[kept], east[kept], label[kept]
+        draws = _uniform(keys, 7)
+        north = (np.repeat(rows[row], repeats) + draws[0]) * _SQUARE_M
+        east = (np.repeat(columns[column], repeats) + draws[1]) * _SQUARE_M
+        inside = np.flatnonzero((east >= east_min) & (east < east_max) & (north >= north_min) & (north < north_max))
+        label = label_at(east[inside], north[inside])
+        kept = draws[2, inside] * self._per_m2.max() < self._per_m2[label]
+        inside, label = inside[kept], label[kept]
         # Inverse of N(>d) = ((d / smallest)^-2.5 - rest) / (1 - rest), rest being what the law has beyond the largest.
         smallest, largest = self._smallest_m[label], self._largest_m[label]
         rest = np.where(largest > smallest, (largest / smallest) ** -_SIZE_EXPONENT, 0.0)
-        length = smallest * (rest + (1.0 - rest) * (1.0 - _uniform(keys, 5))) ** (-1.0 / _SIZE_EXPONENT)
-        length = np.minimum(length, largest)
-        width = length * (0.6 + 0.35 * _uniform(keys, 6))
-        height = width * (0.3 + 0.35 * _uniform(keys, 7))
-        return np.stack([east, north, length, width, height, 2.0 * math.pi * _uniform(keys, 8)], axis=1)
+        _, _, _, rank, slimness, flatness, turn = draws[:, inside]
+        length = np.minimum(smallest * (rest + (1.0 - rest) * (1.0 - rank)) ** (-1.0 / _SIZE_EXPONENT), largest)
+        width = length * (0.6 + 0.35 * slimness)
+        height = width * (0.3 + 0.35 * flatness)
+        return np.stack([east[inside], north[inside], length, width, height, 2.0 * math.pi * turn], axis=1)
 
 
 def raise_stones(layer: FloatArray, stones: Array, first_row: int, first_column: int, cell_m: float) -> None:

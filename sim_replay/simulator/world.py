@@ -181,16 +181,15 @@ class World:
     def _stones_within(
         self, patch_row: int, patch_column: int, fields: FloatArray | None, east: tuple[float, float], north: tuple[float, float]
     ) -> NDArray[np.float64]:
-        labels = None if fields is None else np.argmax(fields, axis=0).astype(np.uint8)
         nodes, before, spacing_m = PATCH // self._step, 1 + self._margin, self._step * self.cell_m
 
         def label_at(east_m: NDArray[np.float64], north_m: NDArray[np.float64]) -> Labels:
-            if labels is None:
+            if fields is None:
                 return np.zeros(east_m.shape, dtype=np.uint8)
             row = np.rint(north_m / spacing_m).astype(np.intp) - (patch_row * nodes - before)
             column = np.rint(east_m / spacing_m).astype(np.intp) - (patch_column * nodes - before)
-            own: Labels = labels[row, column]
-            return own
+            highest: Labels = np.argmax(fields[:, row, column], axis=0).astype(np.uint8)
+            return highest
 
         return self._stones.within(*east, *north, label_at)
 
