@@ -60,7 +60,7 @@ class Ripples(_Section, frozen=True, kw_only=True):
 
 
 class Seabed(_Section, frozen=True, kw_only=True):
-    """One kind of sea floor and what share of the area it takes. A key left out keeps what is usual for the type.
+    """One kind of sea floor and its share of the area, in proportion to the other shares. A key left out keeps what is usual for the type.
 
     texture_shape: of the Gamma-distributed texture whose patches of texture_m make echoes K-distributed; 0 for none.
     stones_per_ha: number of stones longer than stone_m per hectare; their number above a length d falls as d^-2.5.
@@ -68,7 +68,7 @@ class Seabed(_Section, frozen=True, kw_only=True):
     """
 
     type: SeabedType
-    share: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
+    share: Annotated[float, Meta(gt=0.0, le=1000.0)] = 1.0
     relief_rms_m: Annotated[float, Meta(ge=0.0, le=5.0)] | None = None
     ripples: Ripples | None = None
     texture_shape: Annotated[float, Meta(ge=0.0, le=1000.0)] | None = None

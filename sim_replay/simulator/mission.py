@@ -1,0 +1,62 @@
+"""A simulated mission: a vehicle flies over a sea, and what its sonar and navigation say comes out ping by ping."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from typing import Any, Final
+
+from auv_mcm.records import NavSample, Ping
+from sim_replay.simulator.faults import with_faults
+from sim_replay.simulator.navigation_error import NavigationModel
+from sim_replay.simulator.plan import Leg, planned_legs
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.sea import Sea
+from sim_replay.simulator.truth import Log, truth_of
+from sim_replay.simulator.vehicle import Vehicle
+
+_BLOCK: Final = 32  # pings rendered at a time
+
+
+class Mission:
+    """One flight through a scene.
+
+    `events` may be fed to a pipeline or a port as it is; `follow` changes the course on the way, and the vehicle sees the same world from
+    there. What comes out depends on the scene, its seed and the plans alone, not on block_pings or threads; a new plan takes effect after
+    the pings of the block under way. Raises UsageError for a scene that cannot be.
+    """
+
+    def __init__(self, scene: Scene, *, threads: int = 1, block_pings: int = _BLOCK) -> None:
+        self.scene: Final = scene
+        self.sea: Final = Sea(scene, threads=threads)
+        self.vehicle: Final = Vehicle(scene.track, planned_legs(scene.track.plan), scene.seed, self._depth_of_floor)
+        self._navigation = NavigationModel(scene.navigation_error, scene.origin, scene.seed)
+        self._log = Log(self.sea)
+        self._block = block_pings
+
+    def events(self) -> Iterator[NavSample | Ping]:
+        """Each ping after its navigation sample, as the payload is told, until the plan is done."""
+        return with_faults(self._events(), self.scene.faults, self.sea.recorder)
+
+    def follow(self, legs: Sequence[Leg]) -> None:
+        """Replaces what is left of the plan."""
+        self.vehicle.follow(legs)
+
+    def truth(self) -> dict[str, Any]:
+        """What has been flown over so far, in the form of truth.json."""
+        return truth_of(self.sea, self._log)
+
+    def _events(self) -> Iterator[NavSample | Ping]:
+        poses = self.vehicle.poses(self.scene.sonar.ping_rate_hz)
+        number = 0
+        while block := list(islice(poses, self._block)):
+            altitudes = [self.sea.altitude_m(pose) for pose in block]
+            told = [self._navigation.told(pose, altitude) for pose, altitude in zip(block, altitudes, strict=True)]
+            self._log.add(block, altitudes)
+            for sample, ping in zip(told, self.sea.sound(block, number, [sample.altitude_m for sample in told]), strict=True):
+                yield sample
+                yield ping
+            number += len(block)
+
+    def _depth_of_floor(self, east_m: float, north_m: float) -> float:
+        return self.scene.world.depth_m - self.sea.floor_m(east_m, north_m)
