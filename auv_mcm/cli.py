@@ -60,6 +60,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_replay(commands)
     _add_run(commands)
+    _add_simulate(commands)
+    _add_score(commands)
     _add_check(commands)
     _add_config(commands)
     _add_bench(commands)
@@ -127,6 +129,51 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     _add_config_option(parser)
     parser.set_defaults(command=_run)
+
+
+def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "simulate",
+        "fly a simulated mission and write its log and the truth",
+        "Writes mission.xtf, for 'auv-mcm replay', and truth.json, for 'auv-mcm score'. SCENE is a YAML file or the name of a\n"
+        "scene that ships with the package (--list). The same scene and seed give the same bytes.",
+        [
+            "auv-mcm simulate --list",
+            "auv-mcm simulate ripple --out sim",
+            "auv-mcm simulate my-scene.yaml --out sim --seed 7",
+        ],
+    )
+    parser.add_argument("scene", metavar="SCENE", nargs="?", help="YAML file, or name of a scene that ships with the package")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="directory for the results, made if it is not there")
+    parser.add_argument("--seed", metavar="N", type=_whole(0, 2**32 - 1), help="instead of the scene's own: another sea, other objects")
+    parser.add_argument(
+        "--threads", metavar="N", type=_whole(1, 64), default=1, help="threads that share the work; the bytes are the same (default 1)"
+    )
+    parser.add_argument("--list", action="store_true", help="list the scenes that ship with the package")
+    parser.set_defaults(command=_simulate)
+
+
+def _add_score(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "score",
+        "score contacts against the truth: detections, false alarms, errors",
+        "Takes pairs of a contacts.geojson and a truth.json; several pairs are pooled. Prints Pd with Wilson and false alarms\n"
+        "per km² with exact Poisson intervals (95 %) over thresholds of p_mine, and where they come from.",
+        [
+            "auv-mcm score results/contacts.geojson sim/truth.json",
+            "auv-mcm score r1/contacts.geojson s1/truth.json r2/contacts.geojson s2/truth.json --json score.json --plot froc.png",
+        ],
+    )
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="CONTACTS TRUTH, as often as there are missions")
+    parser.add_argument(
+        "--gate-m", metavar="M", type=float, default=2.0, help="farther from an object a contact is no call of it (default 2)"
+    )
+    parser.add_argument("--threshold", metavar="P", type=float, default=0.5, help="p_mine from which a contact is a call (default 0.5)")
+    parser.add_argument("--json", metavar="PATH", type=Path, help="write everything as JSON, too")
+    parser.add_argument("--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)")
+    parser.set_defaults(command=_score)
 
 
 def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -242,6 +289,42 @@ def _run(arguments: argparse.Namespace) -> int:
     )
     folder = serve(config)
     print(f"results: {folder}")
+    return 0
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from msgspec.structs import replace
+
+    from sim_replay.simulate import simulate
+    from sim_replay.simulator.scene_file import named_scenes, read_scene
+
+    if arguments.list:
+        print("\n".join(named_scenes()))
+        return 0
+    if arguments.scene is None or arguments.out is None:
+        raise UsageError("a SCENE and --out DIR are needed; 'auv-mcm simulate --help' explains")
+    scene = read_scene(arguments.scene)
+    if arguments.seed is not None:
+        scene = replace(scene, seed=arguments.seed)
+    start_s = time.perf_counter()
+    with _Progress("simulate") as progress:
+        done = simulate(scene, arguments.out, threads=arguments.threads, progress=progress.show)
+    speed = done.duration_s / (time.perf_counter() - start_s)
+    print(f"{done.n_pings} pings in {done.duration_s:.0f} s, {speed:.0f} times real time; {done.area_km2:g} km² swept")
+    print(f"{done.n_objects} objects, {done.n_targets} of them targets")
+    print(f"log: {done.log}\ntruth: {done.truth}")
+    return 0
+
+
+def _score(arguments: argparse.Namespace) -> int:
+    from sim_replay.scoring import plot, score_files, table, to_json
+
+    score = score_files(arguments.files, gate_m=arguments.gate_m, threshold=arguments.threshold)
+    print(table(score))
+    if arguments.json is not None:
+        arguments.json.write_bytes(to_json(score))
+    if arguments.plot is not None:
+        plot(score, arguments.plot)
     return 0
 
 

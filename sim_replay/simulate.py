@@ -1,0 +1,72 @@
+"""Fly a scene and write what it recorded: an XTF log, and the truth beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from auv_mcm.outputs import make_directory, write_json
+from auv_mcm.records import NavSample, Ping
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.plan import planned_legs
+from sim_replay.simulator.recording import sample_type
+from sim_replay.simulator.scene import Scene, Track
+from sim_replay.xtf_writer import write_xtf
+
+LOG_NAME: Final = "mission.xtf"
+TRUTH_NAME: Final = "truth.json"
+
+
+class Simulated(NamedTuple):
+    """What was written."""
+
+    log: Path
+    truth: Path
+    n_pings: int
+    duration_s: float
+    area_km2: float
+    n_objects: int
+    n_targets: int
+
+
+def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[float], None] = lambda fraction: None) -> Simulated:
+    """Write mission.xtf and truth.json into `out`, made if it is not there. Equal scenes give equal bytes, whatever the threads.
+
+    progress: called with the fraction flown, 0..1. Raises UsageError for a scene that cannot be or a directory that cannot be made.
+    """
+    folder = make_directory(out)
+    mission = Mission(scene, threads=threads)
+    expected_s = _expected_s(scene.track)
+    last_s = scene.track.start_time_s
+
+    def watched() -> Iterator[NavSample | Ping]:
+        nonlocal last_s
+        for event in mission.events():
+            if isinstance(event, Ping):
+                last_s = event.time_s
+                progress(min(1.0, (last_s - scene.track.start_time_s) / expected_s))
+            yield event
+
+    log, unfinished = folder / LOG_NAME, folder / f"{LOG_NAME}.part"
+    n_pings = write_xtf(unfinished, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz)
+    unfinished.replace(log)
+    facts = mission.truth()
+    write_json(folder / TRUTH_NAME, facts)
+    return Simulated(
+        log=log,
+        truth=folder / TRUTH_NAME,
+        n_pings=n_pings,
+        duration_s=last_s - scene.track.start_time_s,
+        area_km2=facts["area_km2"],
+        n_objects=len(facts["objects"]),
+        n_targets=sum(thing["is_target"] for thing in facts["objects"]),
+    )
+
+
+def _expected_s(track: Track) -> float:
+    """About how long the plan takes."""
+    legs = planned_legs(track.plan)
+    turning_s = 2.0 * math.pi / math.radians(track.turn_rate_deg_s)
+    return sum(leg.length_m for leg in legs) / track.speed_mps + turning_s * (len(legs) - 1)
