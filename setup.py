@@ -5,11 +5,13 @@ and numpy does the same work. No -march=native (one build serves every machine o
 fused multiply-adds, so that C and numpy round alike.
 """
 
+from glob import glob
+
 from setuptools import Extension, setup
 
 _SOURCES = {
-    "auv_mcm.kernels._kernels": ["auv_mcm/kernels/kernels.c"],
-    "sim_replay.simulator._simulator": ["sim_replay/simulator/render.c", "sim_replay/simulator/speckle.c"],
+    "auv_mcm.kernels._kernels": sorted(glob("auv_mcm/kernels/*.c")),
+    "sim_replay.simulator._simulator": sorted(glob("sim_replay/simulator/*.c")),
 }
 
 # The last two let the compiler use vector instructions; neither changes a result.

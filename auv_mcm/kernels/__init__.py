@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 VERSION: Final = 1  # of the C signatures; a library that reports another one is not called
 
@@ -57,6 +57,17 @@ def load_library(folder: Path, name: str, version: int, declare: Callable[[ctype
     except (OSError, AttributeError) as error:
         return Loaded(None, f"{found[0].name} cannot be loaded ({error}): reinstall the package")
     return Loaded(library, found[0].name)
+
+
+def c_function(name: str, *argument_types: Any) -> Callable[..., None] | None:
+    """The C function auv_mcm_<name> that returns nothing, None where numpy serves. Kernels ask once and keep it."""
+    library = loaded().library
+    if library is None:
+        return None
+    function: Callable[..., None] = getattr(library, f"auv_mcm_{name}")
+    function.argtypes = list(argument_types)  # type: ignore[attr-defined]  # ctypes' own way
+    function.restype = None  # type: ignore[attr-defined]
+    return function
 
 
 def _declare(library: ctypes.CDLL) -> None:
