@@ -257,7 +257,8 @@ def _polyhedron(thing: Placed, base_m: float, material: int) -> Body:
             corners = corners[(corners[:, 0] > 0.0) | (corners[:, 2] == 0.0)]
     sine, cosine = math.sin(thing.tilt_rad), math.cos(thing.tilt_rad)
     along, up = corners[:, 0] * cosine - corners[:, 2] * sine, corners[:, 0] * sine + corners[:, 2] * cosine
-    corners = np.stack([along, corners[:, 1], up - up.min() - thing.burial_m], axis=1)
+    lowest = 0.0 if thing.kind == "rock" else float(up.min())  # a rock is bedded in the floor as it is
+    corners = np.stack([along, corners[:, 1], up - lowest - thing.burial_m], axis=1)
     planes, n_sides = hull_planes(corners)
     reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + 1e-6
     return _body(thing, POLYHEDRON, base_m, (), material, reach, planes, n_sides)

@@ -273,7 +273,7 @@ STEADY: Final = Motion(
 
 
 class Track(_Section, frozen=True, kw_only=True):
-    """The plan and how it is flown. Without pings_in_turns the sonar is silent between legs."""
+    """The plan and how it is flown, at speed_mps through the water. Without pings_in_turns the sonar is silent between legs."""
 
     plan: Lawnmower | Spiral | Waypoints
     speed_mps: Annotated[float, Meta(gt=0.1, le=10.0)] = 1.8
@@ -310,9 +310,9 @@ EXACT: Final = NavigationError(
 
 
 class Fault(_Section, frozen=True, kw_only=True):
-    """Something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost (drop), all are (gap), the gain changes by
-    gain_db (gain_step), one side repeats its last samples (stuck_channel) or is missing (dead_channel), clocks jump by step_s and stay
-    there (clock_step), navigation stays away (navigation_loss)."""
+    """Something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost, that one first (drop), all are (gap), the gain
+    changes by gain_db (gain_step), one side repeats its last samples (stuck_channel) or is missing (dead_channel), navigation stays away
+    (navigation_loss). clock_step: clocks jump by step_s and stay there, whatever n_pings."""
 
     kind: Literal["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]
     at_ping: Annotated[int, Meta(ge=0)]

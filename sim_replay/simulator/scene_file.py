@@ -14,7 +14,9 @@ from auv_mcm.errors import UsageError
 from auv_mcm.strict_yaml import keyed, load_mapping
 from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
 from sim_replay.simulator.scene import Scene, SceneObject
+from sim_replay.simulator.vehicle import STRONGEST_CURRENT
 
+FIERCEST_TEXTURE: Final = 0.1  # a Gamma law of smaller shape is all zeros and spikes
 HIGHEST_SHARE: Final = 0.8  # of the altitude that an object may be high
 _SHIPPED: Final = resources.files("sim_replay") / "scenes"
 
@@ -69,6 +71,9 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         yield f"`track.altitude_m` is {track.altitude_m:g} m: a `sonar.range_m` of {sonar.range_m:g} does not reach the floor"
     if track.altitude_m >= world.depth_m:
         yield f"`track.altitude_m` is {track.altitude_m:g} m: above the surface, where `world.depth_m` is {world.depth_m:g}"
+    current, strongest = track.motion.current_mps, STRONGEST_CURRENT * track.speed_mps
+    if current > strongest:
+        yield f"`track.motion.current_mps` is {current:g}: the vehicle, at `track.speed_mps`, stays on track in {strongest:g}"
     travel_s = 2.0 * sonar.range_m / sonar.sound_speed_mps
     if sonar.synthetic_aperture is None and sonar.ping_rate_hz * travel_s > 1.0 + 1e-9:
         yield (
@@ -78,6 +83,9 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     aperture = sonar.synthetic_aperture
     if aperture is not None and aperture.view != "full" and aperture.view >= aperture.sub_apertures:
         yield f"`sonar.synthetic_aperture.view` is {aperture.view}: there are {aperture.sub_apertures} sub-apertures, the first is 0"
+    for index, seabed in enumerate(world.seabeds):
+        if seabed.texture_shape is not None and 0.0 < seabed.texture_shape < FIERCEST_TEXTURE:
+            yield f"`world.seabeds[{index}].texture_shape` is {seabed.texture_shape:g}; give 0 for none, or at least {FIERCEST_TEXTURE:g}"
     legs = planned_legs(track.plan)
     for index, leg in enumerate(legs):
         if leg.length_m < 1.0:

@@ -1,0 +1,137 @@
+"""Objects of a scene: where they come to lie and what bodies stand for them."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from auv_mcm.errors import UsageError
+from sim_replay.simulator.bodies import body_tops, pack
+from sim_replay.simulator.objects import USUAL, Placed, bodies_of, hull_planes, place_objects, points_of
+from sim_replay.simulator.plan import planned_legs
+from sim_replay.simulator.scene import Lawnmower, ObjectKind, Scatter, Scene, SceneObject, Track
+
+TRACK = Track(plan=Lawnmower(heading_deg=20.0, n_legs=2, leg_m=200.0, spacing_m=60.0))
+KINDS: list[ObjectKind] = list(USUAL)
+
+
+def named(**keys: object) -> Placed:
+    thing = SceneObject(east_m=30.0, north_m=40.0, **keys)  # type: ignore[arg-type]  # keys of one test each
+    return place_objects(Scene(track=TRACK, objects=(thing,)))[0]
+
+
+def highest_m(thing: Placed) -> float:
+    """Of its bodies over a fine grid around it."""
+    bodies = pack(bodies_of(thing, lambda east, north: 0.0, 0))
+    reach = thing.reach_m + 1.0
+    grid = np.linspace(-reach, reach, 401)
+    top = 0.0
+    for row in bodies.table:
+        east, north = (axis.ravel() for axis in np.meshgrid(thing.east_m + grid - row[1], thing.north_m + grid - row[2]))
+        u, v = east * row[4] + north * row[5], east * row[5] - north * row[4]
+        heights, _, _, covered = body_tops(row, bodies.planes, u, v)
+        top = max(top, float(heights[covered].max(initial=0.0)) + float(row[6]))
+    return top
+
+
+@pytest.mark.parametrize("kind", ["cylinder", "sphere", "truncated_cone", "wedge", "box", "rock", "tyre", "pipe"])
+@pytest.mark.parametrize("burial_m", [0.0, 0.1])
+def test_an_object_is_as_high_as_it_says_less_what_is_buried(kind: ObjectKind, burial_m: float) -> None:
+    thing = named(kind=kind, burial_m=burial_m)
+    assert highest_m(thing) == pytest.approx(thing.height_m - burial_m, abs=0.02)
+
+
+def test_a_tilted_cylinder_rests_on_its_lower_end() -> None:
+    thing = named(kind="cylinder", tilt_deg=30.0)
+    raised = 2.0 * math.sin(math.radians(30.0)) + 0.53 * math.cos(math.radians(30.0))
+    assert highest_m(thing) == pytest.approx(raised, abs=0.03)
+    assert highest_m(named(kind="cylinder", tilt_deg=-30.0)) == pytest.approx(raised, abs=0.03)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_echoes_by_bodies_or_by_points(kind: ObjectKind) -> None:
+    thing = named(kind=kind)
+    bodies, points = bodies_of(thing, lambda east, north: 0.0, 3), points_of(thing, lambda east, north: 0.0)
+    assert bool(bodies) != bool(points)
+    assert all(body.material == 3 for body in bodies)
+    assert all(math.hypot(body.east_m - 30.0, body.north_m - 40.0) <= 0.5 * math.hypot(thing.length_m, thing.width_m) for body in bodies)
+
+
+def test_only_mine_shapes_are_targets_unless_told_otherwise() -> None:
+    targets = {kind for kind in KINDS if named(kind=kind).is_target}
+    assert targets == {"cylinder", "sphere", "truncated_cone", "wedge", "box"}
+    assert named(kind="rock", is_target=True).is_target
+    assert not named(kind="sphere", is_target=False).is_target
+
+
+def test_sizes_that_a_kind_does_not_have_apart_follow_the_others() -> None:
+    assert named(kind="sphere", width_m=0.6).height_m == 0.6
+    assert named(kind="cylinder", width_m=0.4).height_m == 0.4
+    assert named(kind="truncated_cone", width_m=1.2).length_m == 1.2
+    assert named(kind="truncated_cone", width_m=0.49).top_m == pytest.approx(0.25)
+
+
+@given(st.integers(0, 10_000))
+def test_hull_planes_bound_exactly_the_hull(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    corners = random.normal(size=(12, 3))
+    planes, n_sides = hull_planes(corners)
+    sides, tops = np.array(planes[:n_sides]), np.array(planes[n_sides:])
+    hull = ConvexHull(corners)
+    for u, v in random.normal(size=(40, 2)):
+        below = (sides[:, 0] * u + sides[:, 1] * v <= sides[:, 2]).all()
+        top = (tops[:, 0] * u + tops[:, 1] * v + tops[:, 2]).min()
+        # The hull above (u, v): the highest z that satisfies all of its inequalities, if any does.
+        a, b, c, d = hull.equations.T
+        rest = -(a * u + b * v + d)
+        upper, lower = (rest[c > 1e-9] / c[c > 1e-9]).min(), (rest[c < -1e-9] / c[c < -1e-9]).max()
+        inside = upper >= lower
+        assert inside == below or abs(upper - lower) < 1e-6
+        if inside and below:
+            assert top == pytest.approx(upper, abs=1e-9)
+
+
+def scattered(*groups: Scatter, seed: int = 1) -> tuple[Placed, ...]:
+    return place_objects(Scene(track=TRACK, seed=seed, scatter=groups))
+
+
+def test_scattered_objects_lie_apart_and_within_the_ranges_asked_for() -> None:
+    group = Scatter(kind="rock", count=40, ground_range_m=(12.0, 35.0), apart_m=5.0, height_m=(0.3, 0.6), burial_m=(0.0, 0.1))
+    things = scattered(group, Scatter(kind="cylinder", count=10))
+    assert [thing.kind for thing in things] == ["rock"] * 40 + ["cylinder"] * 10
+    legs = planned_legs(TRACK.plan)
+    for thing in things[:40]:
+        nearest = min(abs(leg.along_across(thing.east_m, thing.north_m)[1]) for leg in legs)
+        assert 12.0 <= nearest <= 35.0
+        assert 0.3 <= thing.height_m <= 0.6
+        assert 0.0 <= thing.burial_m <= 0.1
+    for a, b in combinations(things, 2):
+        assert math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) >= 5.0 + 0.5 * math.hypot(a.length_m, a.width_m)
+
+
+def test_the_same_seed_scatters_the_same_objects_and_another_seed_others() -> None:
+    group = Scatter(kind="rock", count=5)
+    assert scattered(group, seed=4) == scattered(group, seed=4)
+    assert scattered(group, seed=4) != scattered(group, seed=5)
+
+
+def test_natural_sizes_follow_the_power_law() -> None:
+    group = Scatter(kind="rock", count=400, apart_m=0.0, length_m=(0.4, 4.0), natural_sizes=True)
+    lengths = np.array([thing.length_m for thing in scattered(group)])
+    assert lengths.min() >= 0.4
+    assert lengths.max() <= 4.0
+    # Of all stones longer than 0.4 m the share longer than d is (0.4 / d)^2.5, all but a 0.3 % above 4 m.
+    for size in (0.6, 0.8, 1.2):
+        share = (0.4 / size) ** 2.5
+        assert np.mean(lengths > size) == pytest.approx(share, abs=4.0 * math.sqrt(share / 400))
+
+
+def test_no_room_is_an_error_that_says_so() -> None:
+    with pytest.raises(UsageError, match=r"scatter\[0\].*no room for number .* of 5000"):
+        scattered(Scatter(kind="rock", count=5000, apart_m=20.0))
