@@ -1,0 +1,99 @@
+"""The simulate and score commands, as a person runs them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.config import SonarConfig
+from auv_mcm.records import NavSample, Ping
+from sim_replay.simulate import simulate
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import parse_scene
+from sim_replay.xtf import XtfLog
+
+TEXT = """
+name: a short leg
+world: {cell_m: 0.1}
+sonar: {range_m: 20, n_samples: 200, beam_lines: 1}
+track: {plan: {pattern: lawnmower, n_legs: 1, leg_m: 20}, altitude_m: 4}
+objects: [{kind: sphere, leg: 0, along_m: 10, across_m: 9}]
+"""
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return parse_scene(TEXT, "test")
+
+
+def test_the_log_holds_what_the_mission_told(scene: Scene, tmp_path: Path) -> None:
+    done = simulate(scene, tmp_path)
+    told = [event for event in Mission(scene).events() if isinstance(event, Ping)]
+    read = list(XtfLog(done.log, SonarConfig()))
+    pings = [event for event in read if isinstance(event, Ping)]
+    assert len(pings) == done.n_pings == len(told)
+    for ping, original in zip(pings, told, strict=True):
+        assert ping.time_s == pytest.approx(original.time_s, abs=0.006)
+        assert ping.starboard is not None
+        assert original.starboard is not None
+        assert np.array_equal(ping.starboard.samples, original.starboard.samples)
+    assert any(isinstance(event, NavSample) for event in read)
+    facts = json.loads(done.truth.read_text("utf-8"))
+    assert [thing["kind"] for thing in facts["objects"]] == ["sphere"]
+    assert done.n_targets == 1
+
+
+def test_equal_scenes_give_equal_bytes(scene: Scene, tmp_path: Path) -> None:
+    first, second = simulate(scene, tmp_path / "a"), simulate(scene, tmp_path / "b", threads=2)
+    assert first.log.read_bytes() == second.log.read_bytes()
+    assert first.truth.read_bytes() == second.truth.read_bytes()
+
+
+def test_simulate_replay_and_score_follow_one_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(TEXT, "utf-8")
+    assert main(["simulate", str(path), "--out", str(tmp_path / "sim"), "--seed", "5"]) == 0
+    assert "1 objects, 1 of them targets" in capsys.readouterr().out
+    assert main(["replay", str(tmp_path / "sim" / "mission.xtf"), "--out", str(tmp_path / "results")]) == 0
+    capsys.readouterr()
+    files = [str(tmp_path / "results" / "contacts.geojson"), str(tmp_path / "sim" / "truth.json")]
+    assert main(["score", *files, "--json", str(tmp_path / "score.json"), "--plot", str(tmp_path / "froc.png")]) == 0
+    assert "1 target" in capsys.readouterr().out
+    assert json.loads((tmp_path / "score.json").read_text("utf-8"))
+    assert (tmp_path / "froc.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["simulate"], "SCENE and --out"),
+        (["simulate", "nowhere.yaml", "--out", "x"], "no such scene file"),
+        (["score", "contacts.geojson"], "pair"),
+        (["score", "nowhere.geojson", "truth.json"], "nowhere.geojson"),
+    ],
+)
+def test_mistakes_are_refused_with_a_reason(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) in (2, 3)
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_bad_scene_file_is_refused_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(TEXT.replace("altitude_m: 4", "altitude_m: 40"), "utf-8")
+    assert main(["simulate", str(path), "--out", str(tmp_path / "x")]) == 2
+    assert "track.altitude_m" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_the_scenes_that_ship_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--list"]) == 0
+    assert "flat" in capsys.readouterr().out.split()
