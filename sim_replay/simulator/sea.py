@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +29,7 @@ from sim_replay.simulator.echo import (
 from sim_replay.simulator.objects import Material, Placed, bodies_of, material_of, place_objects, points_of
 from sim_replay.simulator.recording import complete, record
 from sim_replay.simulator.render import Lines, render
-from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene import Scene, Sonar
 from sim_replay.simulator.scene_file import check_scene
 from sim_replay.simulator.speckle import band_limited_rows, gaussian_taps, row_keys, speckle_rows
 from sim_replay.simulator.vehicle import Pose
@@ -42,13 +43,17 @@ _PORT_STREAM, _STARBOARD_STREAM = 0, 1 << 32
 class Sea:
     """World, objects and sonar of a scene. What a ping hears depends on scene, seed, pose and ping number alone.
 
-    objects: all of them, placed. Raises UsageError for a scene that cannot be, or whose objects find no room.
+    sonar: the scene's, with the n_samples that are recorded. objects: all of them, placed. points: (n_points, 4) east, north, height above
+    the datum (m) and target strength (m2) of echoes without a body. spreading: (n_samples,) received intensity per energy that comes back
+    from a metre of width. reference: mean intensity of a flat floor at half range; noise: that of noise.
+    Raises UsageError for a scene that cannot be, or whose objects find no room.
     """
 
     def __init__(self, scene: Scene, *, threads: int = 1) -> None:
         check_scene(scene)
-        sonar = scene.sonar
+        sonar = _as_recorded(scene.sonar)
         self.scene: Final = scene
+        self.sonar: Final = sonar
         self.world: Final = World(scene.world, scene.seed)
         self.objects: Final[tuple[Placed, ...]] = place_objects(scene)
         self.recorder: Final = complete(sonar.recorder)
@@ -64,18 +69,19 @@ class Sea:
             bodies += bodies_of(thing, self.floor_m, len(self.world.covers) + materials.index(material))
             points += points_of(thing, self.floor_m)
         self._bodies = pack(bodies)
-        self._points = np.array(points).reshape(-1, 4)
+        self.points: Final = np.array(points).reshape(-1, 4)
         self._tables = np.concatenate([floor_tables(scene, self.world.covers), material_tables(materials)])
         self._beam = beam_table(sonar.vertical_beam_width_deg)
         self._range_m = bin_ranges_m(sonar)
         self._absorption = absorption_db_per_km(sonar, scene.world.depth_m)
-        self._width_m = math.radians(sonar.beam_width_deg) * self._range_m
-        self._loss = propagation(self._range_m, self._absorption)
+        width_m = math.radians(sonar.beam_width_deg) * self._range_m
+        self.spreading: Final = width_m * propagation(self._range_m, self._absorption)
         reference_m = np.array([max(0.5 * sonar.range_m, 0.5 * (scene.track.altitude_m + sonar.range_m))])
         self.reference: Final = float(
             flat_floor_intensity(reference_m, scene.track.altitude_m, self._tables[0], sonar, self._absorption)[0]
         )
-        self._gain = recorder_gain(self._range_m, sonar, self._absorption, float(reference_m[0])) / self.reference
+        self.noise: Final = self.reference * 10.0 ** (0.1 * sonar.noise_db)
+        self._gain = recorder_gain(self._range_m, sonar, self._absorption, float(reference_m[0]))
         self._taps = gaussian_taps(sonar.range_resolution_m / (sonar.range_m / sonar.n_samples))
         self._threads = threads
 
@@ -99,14 +105,29 @@ class Sea:
 
     def mean_intensity(self, poses: Sequence[Pose]) -> Floats:
         """Mean received intensity, (n_poses, 2, n_samples), port first, without noise; a flat floor at half range gives `reference`."""
-        sonar, cell_m = self.scene.sonar, self.world.cell_m
+        sonar, datum_m, cell_m = self.sonar, self.scene.world.depth_m, self.world.cell_m
         floor = np.array([self.floor_m(pose.east_m, pose.north_m) for pose in poses])
-        fan = rays.fan(poses, floor, sonar, self.scene.world.depth_m, cell_m)
+        fan = rays.fan(poses, floor, sonar, datum_m, cell_m)
+        energy = self.energy(fan, 2 * len(poses), sonar.range_m / sonar.n_samples)
+        intensity = energy.reshape(len(poses), 2, sonar.n_samples) * self.spreading
+        self._add_points(intensity, poses)
+        self.add_other_paths(intensity, poses, floor)
+        return intensity
+
+    def energy(self, fan: rays.Fan, n_rows: int, bin_m: float, corner: tuple[int, int] | None = None) -> Floats:
+        """Energy that rays bring back from floor and bodies, (n_rows, n_samples), before spreading and absorption.
+
+        corner: row and column of a patch south-west of all rays that places are counted from. Blocks of rays with the same corner give the
+        same bytes however they are cut.
+        """
+        cell_m, n_bins = self.world.cell_m, self.sonar.n_samples
         needed, first_row, first_column = rays.crossed(fan, cell_m)
+        if corner is not None:
+            needed = np.pad(needed, ((first_row - corner[0], 0), (first_column - corner[1], 0)))
+            first_row, first_column = corner
         patches = self.world.patches(needed, first_row, first_column)
         lines = rays.lines(fan, cell_m, first_row, first_column)
         bodies = self._bodies_near(fan)
-        n_rows, n_bins = 2 * len(poses), sonar.n_samples
 
         def part(rows: tuple[int, int]) -> Floats:
             mine = (lines.ping >= rows[0]) & (lines.ping < rows[1])
@@ -121,34 +142,31 @@ class Sea:
                 n_nodes=fan.n_nodes,
                 n_pings=rows[1] - rows[0],
                 n_bins=n_bins,
-                bin_m=sonar.range_m / n_bins,
+                bin_m=bin_m,
             ).energy
 
         edges = np.linspace(0, n_rows, self._threads + 1).astype(int).tolist()
         spans = [(first, stop) for first, stop in pairwise(edges) if stop > first]
         if len(spans) == 1:
-            energy = part(spans[0])
-        else:
-            with ThreadPoolExecutor(len(spans)) as pool:
-                energy = np.concatenate(list(pool.map(part, spans)))
-        intensity = energy.reshape(len(poses), 2, n_bins) * (self._width_m * self._loss)
-        self._add_points(intensity, poses)
-        self._add_other_paths(intensity, poses, floor)
-        return intensity
+            return part(spans[0])
+        with ThreadPoolExecutor(len(spans)) as pool:
+            return np.concatenate(list(pool.map(part, spans)))
 
     def sound(self, poses: Sequence[Pose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
         """Pings numbered from `first_number`, one per pose. altitudes_m: what the sonar's own altimeter says, unknown if left out."""
-        sonar = self.scene.sonar
-        noise = self.reference * 10.0 ** (0.1 * sonar.noise_db)
-        energy = (self.mean_intensity(poses) + noise) * (1.0 / self.reference)
+        energy = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
+        sides = [self._speckled(energy[:, side], stream, first_number) for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))]
+        return self.record(np.stack(sides, axis=1), poses, first_number, altitudes_m)
+
+    def record(
+        self, intensity: NDArray[np.float32], poses: Sequence[Pose], first_number: int, altitudes_m: Sequence[float] | None = None
+    ) -> list[Ping]:
+        """Pings of received intensity, (n_poses, 2, n_samples) in units of `reference`; the rest as in `sound`."""
+        sonar = self.sonar
         told_mps = sonar.sound_speed_mps + self.scene.navigation_error.sound_speed_bias_mps
         told_bin_m = sonar.range_m / sonar.n_samples * told_mps / sonar.sound_speed_mps
         n_ringing = round(sonar.ring_down_m / sonar.range_m * sonar.n_samples)
-        gain = self._gain * self.reference
-        traces = []
-        for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM)):
-            intensity = self._speckled(energy[:, side], stream, first_number)
-            traces.append(record(intensity, gain, n_ringing, self.recorder, told_bin_m))
+        traces = [record(intensity[:, side], self._gain, n_ringing, self.recorder, told_bin_m) for side in range(2)]
         return [
             Ping(
                 number=first_number + index,
@@ -163,7 +181,7 @@ class Sea:
         ]
 
     def _speckled(self, energy: Floats, stream: int, first_number: int) -> NDArray[np.float32]:
-        sonar, track = self.scene.sonar, self.scene.track
+        sonar, track = self.sonar, self.scene.track
         n_pings, n_bins = energy.shape
         streams = range(stream, stream + sonar.looks)
         if sonar.speckle_along_track_m == 0.0:
@@ -187,11 +205,11 @@ class Sea:
 
     def _add_points(self, intensity: Floats, poses: Sequence[Pose]) -> None:
         """Echoes of points, which neither cast nor lie in shadows. Range r is seen from where the vehicle is r / c after transmission."""
-        if not len(self._points):
+        if not len(self.points):
             return
-        sonar = self.scene.sonar
+        sonar = self.sonar
         bin_m, beam_rad = sonar.range_m / sonar.n_samples, math.radians(sonar.beam_width_deg)
-        east, north, height, strength = self._points.T
+        east, north, height, strength = self.points.T
         for index, pose in enumerate(poses):
             sine, cosine = math.sin(pose.heading_rad), math.cos(pose.heading_rad)
             ahead = (east - pose.east_m) * sine + (north - pose.north_m) * cosine
@@ -214,8 +232,12 @@ class Sea:
                     if 0 <= column < sonar.n_samples:
                         intensity[index, side, column] += echo * part
 
-    def _add_other_paths(self, intensity: Floats, poses: Sequence[Pose], floor_m: Floats) -> None:
-        sonar = self.scene.sonar
+    def add_other_paths(self, intensity: Floats, poses: Sequence[Pose], floor_m: Floats) -> None:
+        """Adds to intensity (n_poses, 2, n_samples) what comes by way of the surface and from the other side, as far as the scene has it.
+
+        floor_m: (n_poses,) height of the floor below the sonar above the datum.
+        """
+        sonar = self.sonar
         depth = np.array([pose.depth_m for pose in poses])[:, None]
         altitude = self.scene.world.depth_m - depth - floor_m[:, None]
 
@@ -229,3 +251,12 @@ class Sea:
             intensity += mirrored(2.0 * altitude + depth, sonar.second_bottom_db)
         if sonar.crosstalk_db is not None:
             intensity += intensity[:, ::-1].copy() * 10.0 ** (0.1 * sonar.crosstalk_db)
+
+
+def _as_recorded(sonar: Sonar) -> Sonar:
+    """Synthetic apertures are sampled as their resolution asks for, whatever n_samples says."""
+    aperture = sonar.synthetic_aperture
+    if aperture is None:
+        return sonar
+    n_samples = round(sonar.range_m * aperture.pixels_per_resolution / aperture.range_resolution_m)
+    return msgspec.structs.replace(sonar, n_samples=max(n_samples, 1), range_resolution_m=aperture.range_resolution_m)

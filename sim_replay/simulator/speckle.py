@@ -156,20 +156,33 @@ def white_rows(keys: NDArray[np.uint64], n_columns: int, first_column: int = 0) 
 
 
 def band_limited_rows(
-    seed: int, stream: int, first_row: int, n_rows: int, n_columns: int, row_taps: Float32s, column_taps: Float32s
+    seed: int,
+    stream: int,
+    first_row: int,
+    n_rows: int,
+    n_columns: int,
+    row_taps: Float32s,
+    column_taps: Float32s,
+    amplitude: Float32s | None = None,
 ) -> NDArray[np.complex64]:
     """White field filtered along both axes; low_pass_taps give that of a synthetic-aperture image, gaussian_taps that of a real beam.
 
     row_taps mix neighbouring rows (along-track), column_taps neighbouring columns (range); each as in speckle_rows, [1] for none. Rows and
     columns outside the block are drawn as well, so that blocks of any size join without a seam.
-    Returns (n_rows, n_columns) complex64 of unit mean power. Raises ValueError as row_keys and speckle_rows do.
+    amplitude: what the white field is multiplied by before it is filtered, (n_rows + row_taps.size - 1, n_columns + column_taps.size - 1)
+    float32 with the block in its middle; 1 if left out.
+    Returns (n_rows, n_columns) complex64, its mean power that of the amplitude around. Raises ValueError as row_keys and speckle_rows do.
     """
     row_taps, column_taps = _checked_taps(row_taps), _checked_taps(column_taps)
     row_half, column_half = row_taps.size // 2, column_taps.size // 2
+    if amplitude is not None and amplitude.shape != (n_rows + 2 * row_half, n_columns + 2 * column_half):
+        raise ValueError(f"amplitude must have shape ({n_rows + 2 * row_half}, {n_columns + 2 * column_half}), not {amplitude.shape}")
     keys = row_keys(seed, [stream], first_row - row_half, n_rows + 2 * row_half)[0]
     smooth_columns = np.empty((keys.size, 2 * n_columns), dtype=np.float32)
     for rows in _blocks(keys.size, n_columns):
         interleaved = white_rows(keys[rows], n_columns + 2 * column_half, -column_half).view(np.float32)
+        if amplitude is not None:
+            interleaved.reshape(len(interleaved), -1, 2)[...] *= amplitude[rows, :, None]
         smooth_columns[rows] = _mixed(_window_of_columns(interleaved, 2 * n_columns, step=2), column_taps)
     field = np.empty((n_rows, 2 * n_columns), dtype=np.float32)
     for rows in _blocks(n_rows, n_columns):
