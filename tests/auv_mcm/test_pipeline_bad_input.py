@@ -10,12 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from short_missions import flown, one_leg
 
 from auv_mcm.config import Config
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import NAN, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
-from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+from sim_replay.simulator.scene import SceneObject, Sonar
 
 LATITUDE, LONGITUDE = 50.0, -4.0
 TARGET = (22.0, 9.0)  # along, across, metres
@@ -25,9 +26,8 @@ Change = Callable[[int, Ping], Ping | None]
 @cache
 def mission() -> tuple[SourceEvent, ...]:
     target = SceneObject(kind="box", leg=0, along_m=TARGET[0], across_m=TARGET[1], length_m=0.9, width_m=0.7, height_m=0.45)
-    leg = Leg(latitude_deg=LATITUDE, longitude_deg=LONGITUDE, heading_deg=0.0, length_m=44.0)
-    scene = SyntheticScene(legs=(leg,), objects=(target,), altitude_m=4.0, range_m=22.0, n_samples=512, ping_rate_hz=12.0)
-    return tuple(synthetic_mission(scene))
+    sonar = Sonar(range_m=22.0, n_samples=512, ping_rate_hz=12.0, range_resolution_m=0.0, beam_lines=3)
+    return flown(one_leg([target], sonar, length_m=44.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE))
 
 
 def run(events: Iterable[SourceEvent]) -> tuple[Pipeline, list[PipelineEvent]]:

@@ -6,13 +6,17 @@ import math
 
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
+from short_missions import one_leg
 
 from auv_mcm.config import Config, SonarConfig
 from auv_mcm.pipeline import Pipeline
-from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission, truth
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import STEADY, Recorder, Scene, SceneObject, Sonar
 
 WGS84_A_M, WGS84_F = 6378137.0, 1.0 / 298.257223563
 TOLERANCE_M = 0.3
+POINT_DB = -5.0  # target strength that stands out of sand at any range asked for
 
 
 def distance_m(latitude_a: float, longitude_a: float, latitude_b: float, longitude_b: float) -> float:
@@ -25,12 +29,13 @@ def distance_m(latitude_a: float, longitude_a: float, latitude_b: float, longitu
     return math.hypot(north, east)
 
 
-def closest_contact_m(scene: SyntheticScene) -> float:
-    pipeline = Pipeline(Config(sonar=SonarConfig(beam_width_deg=0.7)))
-    for event in synthetic_mission(scene):
+def closest_contact_m(scene: Scene) -> float:
+    pipeline = Pipeline(Config(sonar=SonarConfig(beam_width_deg=scene.sonar.beam_width_deg)))
+    mission = Mission(scene)
+    for event in mission.events():
         pipeline.feed(event)
     pipeline.finish()
-    target = truth(scene)["objects"][0]
+    target = mission.truth()["objects"][0]
     strong = [contact for contact in pipeline.contacts if contact.views[0].score > 4.2]
     return min((distance_m(c.latitude_deg, c.longitude_deg, target["lat"], target["lon"]) for c in strong), default=math.inf)
 
@@ -61,22 +66,25 @@ def test_point_target_is_reported_within_a_third_of_a_metre(
     seed: int,
 ) -> None:
     range_m = 1.1 * math.hypot(ground_range_m, altitude_m / math.cos(math.radians(pitch_deg))) + 4.0
-    leg = Leg(latitude_deg=latitude_deg, longitude_deg=longitude_deg, heading_deg=heading_deg, length_m=24.0)
     across_m = ground_range_m if to_starboard else -ground_range_m
-    target = SceneObject(kind="point", leg=0, along_m=12.0, across_m=across_m, highlight_db=38.0)
-    scene = SyntheticScene(
-        legs=(leg,),
-        objects=(target,),
-        seed=seed,
-        altitude_m=altitude_m,
-        pitch_deg=pitch_deg,
-        seabed_depth_m=40.0,
+    sonar = Sonar(
         range_m=range_m,
         n_samples=int(range_m / 0.05),
-        speed_mps=0.9,
         ping_rate_hz=min(9.0, 700.0 / range_m),
         beam_width_deg=0.7,  # so that some ping sees the point at every range
-        samples="amplitude_float32",
-        full_scale=10**9,
+        beam_lines=1,
+        recorder=Recorder(samples="amplitude_float32"),
+    )
+    scene = one_leg(
+        [SceneObject(kind="point", leg=0, along_m=12.0, across_m=across_m, strength_db=POINT_DB)],
+        sonar,
+        length_m=24.0,
+        altitude_m=altitude_m,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_deg=heading_deg,
+        speed_mps=0.9,
+        motion=replace(STEADY, pitch_offset_deg=pitch_deg),
+        seed=seed,
     )
     assert closest_contact_m(scene) < TOLERANCE_M

@@ -11,33 +11,49 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from short_missions import flown, one_leg
 
 from auv_mcm.config import Config, WaterfallConfig
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Ping, PipelineEvent, SourceEvent
-from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+from sim_replay.simulator.scene import Recorder, Scene, SceneObject, Sonar
 
 LENGTH_M = 44.0
 OBJECTS = (
     SceneObject(kind="box", leg=0, along_m=14.0, across_m=9.0, azimuth_deg=20.0, length_m=0.8, width_m=0.6, height_m=0.4),
     SceneObject(kind="box", leg=0, along_m=24.0, across_m=-12.0, azimuth_deg=70.0, length_m=1.2, width_m=0.5, height_m=0.5),
-    SceneObject(kind="sphere", leg=0, along_m=33.0, across_m=15.0, height_m=0.6),
+    SceneObject(kind="sphere", leg=0, along_m=33.0, across_m=15.0, width_m=0.6),
 )
 
 
-def scene(latitude_deg: float = 50.0, longitude_deg: float = -4.0, heading_deg: float = 0.0, seed: int = 3) -> SyntheticScene:
-    turned = tuple(msgspec.structs.replace(thing, azimuth_deg=thing.azimuth_deg + heading_deg) for thing in OBJECTS)
-    leg = Leg(latitude_deg=latitude_deg, longitude_deg=longitude_deg, heading_deg=heading_deg, length_m=LENGTH_M)
-    return SyntheticScene(
-        legs=(leg,), objects=turned, seed=seed, altitude_m=4.0, range_m=22.0, n_samples=512, ping_rate_hz=12.0, samples="amplitude_float32"
+SONAR = Sonar(
+    range_m=22.0,
+    n_samples=512,
+    ping_rate_hz=12.0,
+    range_resolution_m=0.0,
+    beam_lines=3,
+    recorder=Recorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
+)
+
+
+def scene(latitude_deg: float = 50.0, longitude_deg: float = -4.0, heading_deg: float = 0.0) -> Scene:
+    turned = [msgspec.structs.replace(thing, azimuth_deg=thing.azimuth_deg + heading_deg) for thing in OBJECTS]
+    return one_leg(
+        turned,
+        SONAR,
+        length_m=LENGTH_M,
+        altitude_m=4.0,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_deg=heading_deg,
     )
 
 
 @cache
 def mission() -> tuple[SourceEvent, ...]:
-    return tuple(synthetic_mission(scene()))
+    return flown(scene())
 
 
 def run(events: Sequence[SourceEvent], config: Config | None = None, threads: int = 1) -> tuple[Pipeline, list[PipelineEvent]]:
@@ -76,9 +92,9 @@ def assert_same(found: Sequence[Contact], expected: Sequence[Contact], *, pixels
 def test_finds_every_object_of_an_easy_mission_as_mine_like() -> None:
     for thing in OBJECTS:
         frame = LocalFrame(latitude_deg=50.0, longitude_deg=-4.0)
-        offsets = [frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in reference() if c.p_mine >= 0.5]
-        distances = [math.hypot(east - thing.across_m, north - thing.along_m) for east, north in offsets]
-        assert min(distances) < 0.6
+        place = np.array([thing.across_m, thing.along_m])
+        found = [frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in reference() if c.p_mine >= 0.5]
+        assert min(np.linalg.norm(offset - place) for offset in found) < 0.6
 
 
 @settings(max_examples=8)
@@ -121,7 +137,7 @@ def test_where_tiles_are_cut_changes_nothing(tile_rows: int) -> None:
     ],
 )
 def test_place_and_heading_on_earth_change_nothing_relative(latitude_deg: float, longitude_deg: float, heading_deg: float) -> None:
-    moved = run(tuple(synthetic_mission(scene(latitude_deg, longitude_deg, heading_deg))))[0].contacts
+    moved = run(flown(scene(latitude_deg, longitude_deg, heading_deg)))[0].contacts
 
     def along_across(contacts: Sequence[Contact], latitude: float, longitude: float, heading: float) -> np.ndarray:
         frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
