@@ -1,4 +1,4 @@
-"""Replays of small synthetic missions: every file, the same contacts whatever the circumstances."""
+"""Replays of small simulated missions: every file, the same contacts whatever the circumstances."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from auv_mcm.records import NavSample
 from auv_mcm.service import Service, open_source, parse_source_uri
 from sim_replay.recorded import Pace, RecordedMission, parse_speed
 from sim_replay.replay import replay
-from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from sim_replay.xtf_writer import write_xtf
 
 ROOT = Path(__file__).parents[2]
@@ -31,14 +32,16 @@ FILES = {
 SAME = ("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson")
 
 
-def scene(start_s: float, along_m: float) -> SyntheticScene:
+def scene(start_s: float, north_m: float) -> Scene:
     """A short leg past a sphere and a cylinder."""
-    leg = Leg(latitude_deg=43.09 + along_m / 111_000.0, longitude_deg=5.88, heading_deg=0.0, length_m=16.0)
-    things = (
-        SceneObject(kind="sphere", leg=0, along_m=6.0, across_m=10.0, height_m=0.8),
-        SceneObject(kind="cylinder", leg=0, along_m=11.0, across_m=-12.0, azimuth_deg=10.0, length_m=1.8, height_m=0.5),
+    return Scene(
+        sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, beam_lines=3),
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=16.0, start_north_m=north_m), altitude_m=5.0, start_time_s=start_s),
+        objects=(
+            SceneObject(kind="sphere", leg=0, along_m=6.0, across_m=10.0),
+            SceneObject(kind="cylinder", leg=0, along_m=11.0, across_m=-12.0, azimuth_deg=10.0, length_m=1.8, width_m=0.5),
+        ),
     )
-    return SyntheticScene(legs=(leg,), objects=things, start_time_s=start_s)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +49,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two logs of one mission, the earlier one second by name."""
     folder = tmp_path_factory.mktemp("logs")
     first, second = folder / "z.xtf", folder / "a.xtf"
-    write_xtf(first, synthetic_mission(scene(1_700_000_000.0, 0.0)))
-    write_xtf(second, synthetic_mission(scene(1_700_000_100.0, 40.0)))
+    write_xtf(first, Mission(scene(1_700_000_000.0, 0.0)).events())
+    write_xtf(second, Mission(scene(1_700_000_100.0, 40.0)).events())
     return first, second
 
 

@@ -16,7 +16,8 @@ from xtf_logs import edit_headers
 
 from auv_mcm.cli import main
 from auv_mcm.records import EchoTrace, NavSample, Ping
-from sim_replay.synthetic import Leg, SceneObject, SyntheticScene, synthetic_mission
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from sim_replay.xtf_writer import SampleType, write_xtf
 
 Events = list[NavSample | Ping]
@@ -26,9 +27,10 @@ REPLACE = msgspec.structs.replace
 
 @cache
 def mission() -> tuple[NavSample | Ping, ...]:
-    leg = Leg(latitude_deg=43.09, longitude_deg=5.88, heading_deg=20.0, length_m=24.0)
     target = SceneObject(kind="box", leg=0, along_m=12.0, across_m=9.0, length_m=0.9, width_m=0.7, height_m=0.45)
-    return tuple(synthetic_mission(SyntheticScene(legs=(leg,), objects=(target,), range_m=20.0, n_samples=400)))
+    sonar = Sonar(range_m=20.0, n_samples=400, ping_rate_hz=15.0, beam_lines=3)
+    track = Track(plan=Lawnmower(heading_deg=20.0, n_legs=1, leg_m=24.0), altitude_m=5.0)
+    return tuple(Mission(Scene(objects=(target,), sonar=sonar, track=track)).events())
 
 
 def log_of(path: Path, events: Iterable[NavSample | Ping], sample_type: SampleType = "uint16") -> Path:

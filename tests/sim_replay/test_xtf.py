@@ -33,7 +33,8 @@ from xtf_logs import (
 from auv_mcm.config import SonarConfig
 from auv_mcm.records import NavSample, Notice, Ping
 from sim_replay.port_order import DECISIVE, port_order_evidence
-from sim_replay.synthetic import Leg, SyntheticScene, synthetic_mission
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Recorder, Scene, Seabed, Sonar, Track, World
 from sim_replay.xtf import XtfLog
 
 
@@ -101,9 +102,12 @@ def test_the_order_of_port_samples_is_seen(tmp_path: Path, stored_far_to_near: b
 def test_the_order_is_seen_in_port_alone_whatever_the_samples_mean(
     kind: Literal["amplitude_uint16", "log_uint8"], altitude_m: float, ring_down_m: float
 ) -> None:
-    leg = Leg(latitude_deg=43.0, longitude_deg=5.5, heading_deg=0.0, length_m=6.0)
-    scene = SyntheticScene(legs=(leg,), samples=kind, altitude_m=altitude_m, ring_down_m=ring_down_m, texture_nu=3.0)
-    traces = [event.port for event in synthetic_mission(scene) if isinstance(event, Ping) and event.port is not None]
+    scene = Scene(
+        world=World(depth_m=25.0, seabeds=(Seabed(type="sand", texture_shape=3.0, texture_m=0.5),)),
+        sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, ring_down_m=ring_down_m, beam_lines=1, recorder=Recorder(samples=kind)),
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=6.0), altitude_m=altitude_m),
+    )
+    traces = [event.port for event in Mission(scene).events() if isinstance(event, Ping) and event.port is not None]
     port = np.stack([t.samples for t in traces])
     evidence = port_order_evidence(port[:, ::-1], None, traces[0].spacing_m, 1.0)
     assert evidence.total > DECISIVE
