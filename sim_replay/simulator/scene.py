@@ -161,8 +161,8 @@ class TimeVariedGain(_Section, frozen=True, kw_only=True):
 
 
 class Recorder(_Section, frozen=True, kw_only=True):
-    """How echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root mean square) at half
-    range; for logarithms that is the count of its mean intensity. Above `full_scale` it clips."""
+    """How echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root mean square) midway
+    between its first return and range_m; for logarithms that is the count of its mean intensity. Above `full_scale` it clips."""
 
     samples: Literal["amplitude_uint8", "amplitude_uint16", "amplitude_float32", "log_uint8", "log_uint16"] = "amplitude_uint16"
     seabed_counts: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
@@ -186,7 +186,8 @@ class Sonar(_Section, frozen=True, kw_only=True):
     """The sonar and the water. Beam widths are two-way, at half power; `tilt_deg` is the depression of the vertical beam's axis.
 
     absorption_db_per_km: left out, from the frequency. noise_db: noise floor against the echo of a flat floor of the scene's first type
-    at half range. range_resolution_m: half power; its point-spread function correlates the speckle (0: independent samples).
+    midway between its first return and range_m. range_resolution_m: half power; its point-spread function correlates the speckle (0:
+    independent samples).
     speckle_along_track_m: distance over which speckle stays correlated from ping to ping, 0 for none. looks: averaged per sample.
     beam_lines: rays that stand for the horizontal beam. ring_down_m: of the transmitter. *_db: level of the echo of the surface, of the
     other side, and of the bottom by way of the surface, against what the direct echo of the bottom is; left out: none.
