@@ -211,11 +211,12 @@ def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = _command(
         commands,
         "bench",
-        "measure speed and memory",
-        "waterfall: pings to tiles, with a cost table per stage; detect: tiles to contacts.\nFurther arguments go to the bench.",
-        ["auv-mcm bench waterfall", "auv-mcm bench detect --help"],
+        "measure speed, memory and what is found",
+        "waterfall: the whole chain, cost per stage; detect: the detector's cost per tile; simulate: the simulator's cost;\n"
+        "scenes: what is found in the named scenes. Further arguments go to the bench.",
+        ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
     )
-    parser.add_argument("bench", choices=("waterfall", "detect"), help="what to measure")
+    parser.add_argument("bench", choices=("waterfall", "detect", "simulate", "scenes"), help="what to measure")
     parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
     parser.set_defaults(command=_bench)
 

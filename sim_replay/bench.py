@@ -1,15 +1,18 @@
-"""Benches: what the chain costs, and what it finds for that.
+"""Benches: what the chain costs.
 
 auv-mcm bench waterfall [LOG]   the whole chain on one core, per stage, at two mission lengths
-auv-mcm bench detect            cost per tile of the detector, and its rates on synthetic missions
+auv-mcm bench detect [LOG]      cost of the detector per tile
+auv-mcm bench simulate          cost of the simulator
+auv-mcm bench scenes            what the chain finds in the named scenes
 
-Costs of the chain are medians over fresh processes, those of the detector over repetitions in one; rates are pooled over held-out
-seeds. Times on a shared machine move by half; compare figures of one run only.
+Costs of the chain are medians over fresh processes, those of the detector over repetitions in one. Times on a shared machine move by
+half; compare figures of one run only.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import math
 import os
@@ -20,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,14 +32,15 @@ import numpy as np
 
 from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.records import Contact, NavSample, Ping, Tile
-from sim_replay.synthetic import SceneObject, SyntheticScene, demo_scene, lawnmower, synthetic_mission, truth
+from auv_mcm.records import NavSample, Ping, Tile
 from sim_replay.xtf import XtfLog
 from sim_replay.xtf_writer import write_xtf
 
-_MATCH_GATE_M: Final = 2.0
-_HELD_OUT_SEEDS: Final = range(7100, 7108)
+_SCENE: Final = "demo"
+_ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
+    "simulate": ("sim_replay.bench_simulate", "cost of the simulator"),
+    "scenes": ("sim_replay.bench_scenes", "what the chain finds in the named scenes"),
+}
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -44,30 +48,41 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="auv-mcm bench", description="Measure cost and quality; medians over one run.")
     benches = parser.add_subparsers(dest="bench", required=True)
     waterfall = benches.add_parser("waterfall", help="the whole chain on one core, cost per stage, at two mission lengths")
-    waterfall.add_argument("log", nargs="?", type=Path, help="an XTF log; without it a synthetic mission of about a minute")
     waterfall.add_argument("--minutes", type=float, default=30.0, help="length of the tiled version (default 30)")
-    waterfall.add_argument("--repeat", type=int, default=5, help="repetitions per length (default 5)")
-    detect = benches.add_parser("detect", help="cost of the detector per tile, and its rates on synthetic missions")
-    detect.add_argument("log", nargs="?", type=Path, help="an XTF log for the costs; without it a synthetic mission")
-    detect.add_argument("--repeat", type=int, default=5, help="repetitions of the costs (default 5)")
-    detect.add_argument("--seeds", type=int, default=len(_HELD_OUT_SEEDS), help="synthetic missions for the rates (default 8)")
+    detect = benches.add_parser("detect", help="cost of the detector per tile")
+    for bench in (waterfall, detect):
+        bench.add_argument("log", nargs="?", type=Path, help=f"an XTF log; without it the scene '{_SCENE}' is flown")
+        bench.add_argument("--repeat", type=int, default=5, help="repetitions (default 5)")
     chain = benches.add_parser("chain", help="one run over a log; prints JSON (what the waterfall bench starts)")
     chain.add_argument("log", type=Path)
     chain.add_argument("--exhaustive", action="store_true")
+    for name, (module, does) in _ELSEWHERE.items():
+        bench = benches.add_parser(name, help=does)
+        if name in arguments[:1]:
+            chosen_module = importlib.import_module(module)
+            chosen_module.add_arguments(bench)
+            bench.set_defaults(run=chosen_module.run)
     chosen = parser.parse_args(arguments)
+    if chosen.bench in _ELSEWHERE:
+        return int(chosen.run(chosen))
     if chosen.bench == "chain":
         print(json.dumps(_chain(chosen.log, chosen.exhaustive)))
         return 0
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
-        log = chosen.log
-        if log is None:
-            log = Path(folder) / "synthetic.xtf"
-            write_xtf(log, synthetic_mission(demo_scene(1, 1)))
+        log = chosen.log or _flown(Path(folder))
         if chosen.bench == "waterfall":
             _bench_waterfall(log, Path(folder), chosen.minutes, chosen.repeat)
         else:
-            _bench_detect(log, chosen.repeat, chosen.seeds)
+            _bench_detect(log, chosen.repeat)
     return 0
+
+
+def _flown(folder: Path) -> Path:
+    """A log of a simulated mission."""
+    from sim_replay.simulate import simulate
+    from sim_replay.simulator.scene_file import read_scene
+
+    return simulate(read_scene(_SCENE), folder).log
 
 
 def _bench_waterfall(log: Path, folder: Path, minutes: float, repeat: int) -> None:
@@ -168,7 +183,7 @@ def _sample_type(log: Path) -> Any:
     return str(trace.samples.dtype)
 
 
-def _bench_detect(log: Path, repeat: int, n_seeds: int) -> None:
+def _bench_detect(log: Path, repeat: int) -> None:
     from auv_mcm.detect.measure import measure
     from auv_mcm.detect.prescreen import find_peaks, score_tile
     from auv_mcm.detect.stage import STEP_M
@@ -199,105 +214,6 @@ def _bench_detect(log: Path, repeat: int, n_seeds: int) -> None:
     for step, values in costs.items():
         cost_s = statistics.median(values)
         print(f"{step:<20}{cost_s * 1e3:>9.1f}{cost_s / pixels * 1e9:>10.1f}{cost_s / max(n_peaks, 1) * 1e6:>9.1f}")
-    print()
-    _print_rates(n_seeds)
-
-
-def rate_scene(seed: int) -> SyntheticScene:
-    """One leg with targets of four kinds and mine-sized rocks at random places and aspects; sea floor and altitude vary with the seed."""
-    random = np.random.default_rng(seed)
-    objects = []
-    for index in range(10):
-        place = {
-            "leg": 0,
-            "along_m": 8.0 + 14.0 * index + float(random.uniform(0.0, 5.0)),
-            "across_m": float(random.choice([-1.0, 1.0]) * random.uniform(6.0, 26.0)),
-            "azimuth_deg": float(random.uniform(0.0, 180.0)),
-            "highlight_db": float(random.uniform(3.0, 10.0)),
-        }
-        kind = ("cylinder", "sphere", "box", "box", "rock")[index % 5]
-        sizes: dict[str, dict[str, float]] = {
-            "cylinder": {"length_m": 1.8, "height_m": 0.5},
-            "sphere": {"height_m": 0.7},
-            "box": {"length_m": 1.0, "width_m": 0.8, "height_m": 0.42},
-            "rock": {"length_m": float(random.uniform(0.4, 1.5)), "width_m": 0.6, "height_m": float(random.uniform(0.15, 0.5))},
-        }
-        fields: dict[str, Any] = {**place, **sizes[kind], "kind": kind, "is_target": kind != "rock"}
-        objects.append(SceneObject(**fields))
-    legs = lawnmower(50.0, -4.0, float(random.uniform(0.0, 360.0)), n_legs=1, length_m=156.0, spacing_m=40.0)
-    return SyntheticScene(
-        legs=legs,
-        objects=tuple(objects),
-        seed=seed,
-        altitude_m=float(random.uniform(3.5, 8.0)),
-        altitude_wave_m=0.3,
-        texture_nu=float(random.choice([0.0, 8.0, 3.0])),
-        texture_m=0.5,
-        psf_sigma_samples=float(random.choice([0.0, 1.0])),
-        noise_db=float(random.uniform(-25.0, -15.0)),
-        n_samples=1024,
-        ping_rate_hz=15.0,
-    )
-
-
-def _print_rates(n_seeds: int) -> None:
-    thresholds = (0.2, 0.5, 0.8)
-    found, targets, false_alarms, area_km2 = dict.fromkeys(thresholds, 0), 0, dict.fromkeys(thresholds, 0), 0.0
-    bins: dict[int, list[bool]] = defaultdict(list)
-    for seed in range(_HELD_OUT_SEEDS.start, _HELD_OUT_SEEDS.start + n_seeds):
-        scene = rate_scene(seed)
-        contacts, told = _contacts_of(scene), truth(scene)
-        area_km2 += told["area_km2"]
-        matched = _matches(contacts, told["objects"], scene)
-        for thing, contact in zip(told["objects"], matched, strict=True):
-            targets += thing["is_target"]
-            for threshold in thresholds:
-                found[threshold] += bool(thing["is_target"] and contact is not None and contact.p_mine >= threshold)
-        real = {
-            id(contact): bool(thing["is_target"]) for thing, contact in zip(told["objects"], matched, strict=True) if contact is not None
-        }
-        for contact in contacts:
-            bins[min(int(contact.p_mine * 5.0), 4)].append(real.get(id(contact), False))
-            for threshold in thresholds:
-                false_alarms[threshold] += contact.p_mine >= threshold and not real.get(id(contact), False)
-    print(
-        f"synthetic missions: {n_seeds} held-out seeds, {targets} targets, {area_km2:.4f} km2; rocks called mines count as false alarms\n"
-    )
-    print(f"{'p_mine >=':<12}{'Pd':>8}{'false alarms per km2':>24}")
-    for threshold in thresholds:
-        print(f"{threshold:<12}{found[threshold] / max(targets, 1):>8.2f}{false_alarms[threshold] / area_km2:>24.0f}")
-    print(f"\n{'p_mine':<12}{'contacts':>10}{'of them targets':>17}")
-    for index in sorted(bins):
-        print(f"{index / 5:.1f} - {(index + 1) / 5:.1f}{'':<3}{len(bins[index]):>10}{sum(bins[index]) / len(bins[index]):>17.2f}")
-
-
-def _contacts_of(scene: SyntheticScene) -> tuple[Contact, ...]:
-    from auv_mcm.pipeline import Pipeline
-
-    pipeline = Pipeline(Config())
-    for event in synthetic_mission(scene):
-        pipeline.feed(event)
-    pipeline.finish()
-    return pipeline.contacts
-
-
-def _matches(contacts: Iterable[Contact], objects: Sequence[dict[str, Any]], scene: SyntheticScene) -> list[Contact | None]:
-    """Per true object its contact, one-to-one by least distance within the gate."""
-    frame = LocalFrame(latitude_deg=scene.legs[0].latitude_deg, longitude_deg=scene.legs[0].longitude_deg, height_m=0.0)
-    pairs = []
-    for contact in contacts:
-        place = frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0)
-        for index, thing in enumerate(objects):
-            distance_m = float(np.linalg.norm((place - frame.to_enu(thing["lat"], thing["lon"], 0.0))[:2]))
-            if distance_m <= _MATCH_GATE_M + 0.5 * thing["length_m"]:
-                pairs.append((distance_m, contact.id, index, contact))
-    matched: list[Contact | None] = [None] * len(objects)
-    used: set[str] = set()
-    for _, contact_id, index, contact in sorted(pairs, key=lambda pair: pair[:3]):
-        if matched[index] is None and contact_id not in used:
-            matched[index] = contact
-            used.add(contact_id)
-    return matched
 
 
 if __name__ == "__main__":
