@@ -9,7 +9,7 @@ from typing import Final
 
 from auv_mcm.kernels import Loaded, load_library
 
-VERSION: Final = 1  # of the C signatures; a library that reports another one is not called
+VERSION: Final = 2  # of the C signatures; a library that reports another one is not called
 
 
 @functools.cache
@@ -25,7 +25,7 @@ def library() -> ctypes.CDLL | None:
 
 def _declare(library: ctypes.CDLL) -> None:
     pointer, integer, real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-    library.auv_mcm_render_lines.argtypes = [integer] * 3 + [real] * 4 + [integer] + [pointer] * 5 + [integer] + [pointer] * 9
+    library.auv_mcm_render_lines.argtypes = [integer] * 3 + [real] * 2 + [integer] * 3 + [pointer] * 5 + [integer] + [pointer] * 9
     library.auv_mcm_render_lines.restype = None
     library.auv_mcm_speckle_rows.argtypes = [integer, integer, pointer, pointer, integer, pointer, pointer, integer, pointer]
     library.auv_mcm_speckle_rows.restype = None

@@ -51,7 +51,8 @@ def fan(
     """Rays of both sides of all poses: pose i adds to rows 2 i for port and 2 i + 1 for starboard.
 
     floor_m: (n_poses,) height of the floor below the sonar above the datum. While echoes come in the vehicle travels on; range r is seen
-    from where it is r / c after transmission, midway between transmitting and receiving.
+    from where it is r / c after transmission, midway between transmitting and receiving. Pitch tilts the plane that a side looks in; on a
+    level floor the strip within the beam widens by 1 / cos(pitch).
     """
     angle, share = beam_rays(sonar)
     columns = {name: np.array([getattr(pose, name) for pose in poses])[:, None, None] for name in Pose._fields}
@@ -74,7 +75,6 @@ def fan(
     def flat(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(values, shape).ravel()
 
-    lowest = max(0.5, 0.5 * float(altitude.min()))
     return Fan(
         east_m=flat(columns["east_m"] + tilted * ahead_east + at_once * drift_east),
         north_m=flat(columns["north_m"] + tilted * ahead_north + at_once * drift_north),
@@ -83,9 +83,9 @@ def fan(
         elevation_m=flat(elevation),
         slant_factor=flat(1.0 / np.cos(pitch)),
         axis_rad=flat(math.radians(sonar.tilt_deg) + side * columns["roll_rad"]),
-        weight=flat(share[None, None, :]),
+        weight=flat(share[None, None, :] / np.cos(pitch)),
         ping=flat(np.arange(2 * len(poses), dtype=np.float64).reshape(len(poses), 2, 1)).astype(np.int64),
-        n_nodes=math.ceil(math.sqrt(max(sonar.range_m**2 - lowest**2, cell_m**2)) / cell_m) + 2,
+        n_nodes=math.ceil(sonar.range_m / cell_m) + 2,
     )
 
 
@@ -105,11 +105,11 @@ def crossed(rays: Fan, cell_m: float) -> tuple[NDArray[np.bool_], int, int]:
     return needed, low_row, low_column
 
 
-def lines(rays: Fan, cell_m: float, first_patch_row: int, first_patch_column: int) -> Lines:
-    """The rays in cells of the patches."""
+def lines(rays: Fan, cell_m: float) -> Lines:
+    """The rays in cells."""
     return Lines(
-        north_cells=rays.north_m / cell_m - first_patch_row * PATCH,
-        east_cells=rays.east_m / cell_m - first_patch_column * PATCH,
+        north_cells=rays.north_m / cell_m,
+        east_cells=rays.east_m / cell_m,
         step_north=rays.step_north_m / cell_m,
         step_east=rays.step_east_m / cell_m,
         elevation_m=rays.elevation_m,

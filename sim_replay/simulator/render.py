@@ -14,7 +14,7 @@ The C kernel and the numpy twin give the same bytes.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,16 @@ from sim_replay.simulator.world import NODES, PATCH, Patches
 
 TABLE_SIZE: Final = 4096
 LINE_WIDTH: Final = 12
-_NUMPY_LINES: Final = 16  # at a time, so that the intermediate arrays stay in the cache
+_PATCH_SHIFT: Final = PATCH.bit_length() - 1
+_NUMPY_LINES: Final = 32  # at a time: fewer cost more calls, more do not stay in the cache
+
+Singles: TypeAlias = NDArray[np.float32]
 
 
 class Lines(NamedTuple):
     """Rays; every array is (n_lines,) float64 but `ping` int64.
 
-    north_cells, east_cells: place of node 0 in cells from the south-west corner of the patches. step_*: cells per node.
+    north_cells, east_cells: place of node 0 in cells from the origin of the scene. step_*: cells per node.
     elevation_m: of the sonar above the datum. slant_factor: slant depth per depth, from pitch. axis_cos, axis_sin: of the depression
     of the vertical beam's axis. weight: share of the beam. ping: row of the energy that the ray adds to.
     """
@@ -86,24 +89,24 @@ def render(
     energy = np.zeros((n_pings, n_bins + 1))
     lit = np.empty((len(packed), n_nodes), dtype=np.float32) if keep_nodes else None
     owner = np.empty((len(packed), n_nodes), dtype=np.int16) if keep_nodes else None
-    origin = patches.first_patch_row * PATCH * cell_m, patches.first_patch_column * PATCH * cell_m
     library = backend.library()
     if library is None:
         for start in range(0, len(packed), _NUMPY_LINES):
             part = slice(start, start + _NUMPY_LINES)
-            nodes = _render_numpy(packed[part], patches, bodies, tables, beam, cell_m, n_nodes, n_bins, bin_m, origin, energy)
+            nodes = _render_numpy(packed[part], patches, bodies, tables, beam, cell_m, n_nodes, n_bins, bin_m, energy)
             if lit is not None and owner is not None:
                 lit[part], owner[part] = nodes
     else:
         tables, beam = np.ascontiguousarray(tables), np.ascontiguousarray(beam)
-        scratch, row = np.empty((14, n_nodes), dtype=np.float32), np.empty(2 * (n_bins + 1))
+        scratch, row = np.empty((21, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
         library.auv_mcm_render_lines(
             len(packed),
             n_nodes,
             n_bins,
             cell_m,
             1.0 / bin_m,
-            *origin,
+            patches.first_patch_row * PATCH,
+            patches.first_patch_column * PATCH,
             patches.slots.shape[1],
             patches.slots.ctypes.data,
             patches.elevation.ctypes.data,
@@ -134,94 +137,155 @@ def _render_numpy(
     n_nodes: int,
     n_bins: int,
     bin_m: float,
-    origin: tuple[float, float],
     energy: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
     single = np.float32
-    north0, east0, step_north, step_east = (lines[:, column, None] for column in range(4))
     altitude, slant, axis_cos, axis_sin, weight = (lines[:, column, None].astype(single) for column in range(4, 9))
-    step_cells = np.sqrt(step_north * step_north + step_east * step_east)
-    dy, per_dy = (step_cells * cell_m).astype(single), (1.0 / (step_cells * cell_m)).astype(single)
-    ahead_north, ahead_east = (-step_east / (step_cells * cell_m)).astype(single), (step_north / (step_cells * cell_m)).astype(single)
-
-    index = np.arange(n_nodes, dtype=np.float64)
-    z, q, nearest = _gather(patches, north0 + index * step_north, east0 + index * step_east, ahead_north, ahead_east)
+    step_m = np.sqrt(lines[:, 2:3] * lines[:, 2:3] + lines[:, 3:4] * lines[:, 3:4]) * cell_m
+    dy, per_dy = step_m.astype(single), (1.0 / step_m).astype(single)
+    index = np.arange(n_nodes, dtype=single)
+    z, q, nearest = _gather(patches, lines, step_m, index)
     texture = patches.texture.ravel().take(nearest)
     material = patches.seabed.ravel().take(nearest).astype(np.int32)
     owner = np.full(z.shape, -1, dtype=np.int16)
     if len(bodies.table):
         for row in range(len(lines)):
-            if _raise_bodies(lines[row], cell_m, origin, bodies, z[row], q[row], texture[row], material[row], owner[row]):
-                _turn_walls(lines[row], cell_m, origin, bodies, z[row], q[row], texture[row], material[row], owner[row])
+            if _raise_bodies(lines[row], cell_m, bodies, z[row], q[row], texture[row], material[row], owner[row]):
+                _turn_walls(lines[row], cell_m, bodies, z[row], q[row], texture[row], material[row], owner[row])
 
-    y = index.astype(single) * dy
+    y = index * dy
     depth = altitude - z
-    with np.errstate(divide="ignore"):
-        t = np.divide(depth, y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = depth * (single(1.0) / index)
     t[:, 0] = np.inf
     depth *= slant
-    r = np.sqrt(y * y + depth * depth)
-    lit = np.zeros_like(t)
-    least = np.minimum.accumulate(t, axis=1)[:, :-1]
-    here, before = t[:, 1:], t[:, :-1]
-    seen = here < least
-    np.copyto(lit[:, 1:], seen)
-    rows, columns = np.nonzero(seen & (before > least))
-    lit[rows, columns + 1] = (least[rows, columns] - here[rows, columns]) / (before[rows, columns] - here[rows, columns])
+    y *= y
+    y += depth * depth
+    r = np.sqrt(y, out=y)
+    lit = _lit(t, index)
 
-    middle_y = (index[1:].astype(single) - single(0.5)) * dy
-    middle_depth = single(0.5) * (depth[:, 1:] + depth[:, :-1])
-    middle_r = single(0.5) * (r[:, 1:] + r[:, :-1])
-    s = (z[:, 1:] - z[:, :-1]) * per_dy
-    across = q[:, 1:]
-    stretch = np.sqrt(single(1.0) + s * s + across * across)
+    middle_y = (index - single(0.5)) * dy
+    middle_depth = _with_last(np.add, depth)
+    middle_depth *= single(0.5)
+    middle_r = _with_last(np.add, r)
+    middle_r *= single(0.5)
+    s = _with_last(np.subtract, z)
+    s *= per_dy
+    q *= q
+    stretch = s * s
+    stretch += single(1.0)
+    stretch += q
+    np.sqrt(stretch, out=stretch)
+    middle_r *= stretch
+    per = np.divide(single(1.0), middle_r, out=middle_r)
     s *= middle_y
-    s += middle_depth
-    sine = s / (middle_r * stretch)
-    off_axis = (middle_depth * axis_cos - middle_y * axis_sin) / middle_r
-    entry = np.clip((sine * single(TABLE_SIZE)).astype(np.int32), 0, TABLE_SIZE - 1)
-    beam_entry = np.clip(((off_axis + single(1.0)) * single(0.5 * TABLE_SIZE)).astype(np.int32), 0, TABLE_SIZE - 1)
-    entry += material[:, 1:] * TABLE_SIZE
-    sent = stretch
-    sent *= dy
-    sent *= lit[:, 1:]
-    sent *= weight
-    sent *= sine > 0.0
+    s += middle_depth * (1.0 / lines[:, 5:6]).astype(single)
+    s *= per
+    sine = s
+    middle_depth *= axis_cos
+    middle_y *= axis_sin
+    middle_depth -= middle_y
+    per *= stretch
+    middle_depth *= per
+    off_axis = middle_depth
+
+    area = stretch
+    area *= dy * weight
+    area *= lit
+    area *= texture
+    area *= sine > 0.0
+    sine *= single(TABLE_SIZE)
+    entry = sine.astype(np.int32)
+    np.clip(entry, 0, TABLE_SIZE - 1, out=entry)
+    material *= TABLE_SIZE
+    entry += material
+    off_axis += single(1.0)
+    off_axis *= single(0.5 * TABLE_SIZE)
+    beam_entry = off_axis.astype(np.int32)
+    np.clip(beam_entry, 0, TABLE_SIZE - 1, out=beam_entry)
     strength = tables.ravel().take(entry)
     strength *= beam.take(beam_entry)
-    strength *= texture[:, 1:]
-    sent *= strength
-
-    far_end = r[:, 1:] * single(1.0 / bin_m)
-    near_end = (r[:, 1:] - lit[:, 1:] * (r[:, 1:] - r[:, :-1])) * single(1.0 / bin_m)
-    _deposit(lines[:, 9].astype(np.int64), sent, np.minimum(near_end, far_end), np.maximum(near_end, far_end), n_bins, energy)
+    strength *= area
+    _deposit(lines[:, 9].astype(np.int64), strength, r, lit, single(1.0 / bin_m), n_bins, energy)
     return lit, owner
 
 
+def _with_last(operation: np.ufunc, values: Singles) -> Singles:
+    """Of every value and the one before it; what comes of first nodes means nothing, as no facet ends there."""
+    out = np.empty_like(values)
+    flat, flat_out = values.ravel(), out.ravel()
+    operation(flat[1:], flat[:-1], out=flat_out[1:])
+    operation(flat[:1], flat[-1:], out=flat_out[:1])
+    return out
+
+
 def _gather(
-    patches: Patches,
-    north: NDArray[np.float64],
-    east: NDArray[np.float64],
-    ahead_north: NDArray[np.float32],
-    ahead_east: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-    """Height, slope along the track, and index of the nearest node in the pool, at places in cells."""
-    row, column = north.astype(np.int32), east.astype(np.int32)
-    part_north, part_east = (north - row).astype(np.float32), (east - column).astype(np.float32)
-    slot = patches.slots[row // PATCH, column // PATCH]
-    base = slot.astype(np.int64) * (NODES * NODES) + ((row & (PATCH - 1)) * NODES + (column & (PATCH - 1)))
+    patches: Patches, lines: NDArray[np.float64], step_m: NDArray[np.float64], index: Singles
+) -> tuple[Singles, Singles, NDArray[np.int64]]:
+    """Height, slope along the track, and index of the nearest node in the pool."""
+    n_patch_columns = patches.slots.shape[1]
+    row, part_north = _cells(lines[:, 0:1], lines[:, 2:3], patches.first_patch_row, index)
+    column, part_east = _cells(lines[:, 1:2], lines[:, 3:4], patches.first_patch_column, index)
+    patch = (row >> _PATCH_SHIFT) * np.int32(n_patch_columns)
+    patch += column >> _PATCH_SHIFT
+    row *= np.int32(NODES)
+    row += column
+    # Where in the pool a patch starts, less what its nodes count from the first patch.
+    slot_row, slot_column = np.indices(patches.slots.shape)
+    start = patches.slots.astype(np.int64) * (NODES * NODES) - PATCH * (slot_row * NODES + slot_column)
+    base = start.ravel().take(patch)
+    base += row
     elevation = patches.elevation.ravel()
-    here, east_of = elevation.take(base), elevation.take(base + 1)
-    north_of, beyond = elevation.take(base + NODES), elevation.take(base + (NODES + 1))
-    south, far = east_of - here, beyond - north_of
+    here, south = elevation.take(base), elevation[1:].take(base)
+    north_of, far = elevation[NODES:].take(base), elevation[NODES + 1 :].take(base)
+    south -= here
+    far -= north_of
     here += part_east * south
     north_of += part_east * far
-    rise = north_of - here
+    north_of -= here
+    rise = north_of
     z = here + part_north * rise
-    q = rise * ahead_north + (south + part_north * (far - south)) * ahead_east
-    base += np.where(part_north >= 0.5, NODES, 0)
-    base += part_east >= 0.5
-    return z, q, base
+    far -= south
+    far *= part_north
+    far += south
+    far *= (lines[:, 2:3] / step_m).astype(np.float32)
+    rise *= (-lines[:, 3:4] / step_m).astype(np.float32)
+    rise += far
+    part_north += np.float32(0.5)
+    part_east += np.float32(0.5)
+    nearest = part_north.astype(np.int32)
+    nearest *= np.int32(NODES)
+    nearest += part_east.astype(np.int32)
+    base += nearest
+    return z, rise, base
+
+
+def _cells(first: NDArray[np.float64], step: NDArray[np.float64], first_patch: int, index: Singles) -> tuple[NDArray[np.int32], Singles]:
+    """Cells from the first patch on along one axis, and where in them."""
+    whole = np.floor(first)
+    place = index * step.astype(np.float32)
+    place += (first - whole).astype(np.float32)
+    cell = np.floor(place)
+    place -= cell
+    count = cell.astype(np.int32)
+    count += (whole - first_patch * PATCH).astype(np.int32)
+    return count, place
+
+
+def _lit(t: Singles, index: Singles) -> Singles:
+    """The share of each facet that no nearer node hides."""
+    least = np.minimum.accumulate(t, axis=1)
+    lit = np.zeros_like(t)
+    flat, before, after = lit.ravel()[1:], least.ravel()[:-1], least.ravel()[1:]
+    seen = after < before
+    np.copyto(flat, seen)
+    seen &= before < t.ravel()[:-1]
+    cut = np.flatnonzero(seen)
+    j = (cut + 1) % t.shape[1]
+    out, hidden = (before[cut] - t.ravel()[cut + 1]) * index[j], (t.ravel()[cut] - before[cut]) * (index[j] - np.float32(1.0))
+    flat[cut] = out / (out + hidden)
+    lit[:, 0] = 0.0
+    return lit
 
 
 def _away(line: NDArray[np.float64], cell_m: float) -> tuple[float, float, float]:
@@ -233,7 +297,6 @@ def _away(line: NDArray[np.float64], cell_m: float) -> tuple[float, float, float
 def _raise_bodies(
     line: NDArray[np.float64],
     cell_m: float,
-    origin: tuple[float, float],
     bodies: Bodies,
     z: NDArray[np.float32],
     q: NDArray[np.float32],
@@ -244,7 +307,7 @@ def _raise_bodies(
     """Put the bodies on one profile, in place; False if the ray meets none."""
     step_m, away_north, away_east = _away(line, cell_m)
     table = bodies.table
-    norths, easts = origin[0] + line[0] * cell_m - table[:, 2], origin[1] + line[1] * cell_m - table[:, 1]
+    norths, easts = line[0] * cell_m - table[:, 2], line[1] * cell_m - table[:, 1]
     along = -(norths * away_north + easts * away_east)
     miss = norths * -away_east + easts * away_north
     inside = table[:, 3] * table[:, 3] - miss * miss
@@ -280,7 +343,6 @@ def _raise_bodies(
 def _turn_walls(
     line: NDArray[np.float64],
     cell_m: float,
-    origin: tuple[float, float],
     bodies: Bodies,
     z: NDArray[np.float32],
     q: NDArray[np.float32],
@@ -299,8 +361,8 @@ def _turn_walls(
             continue
         b = bodies.table[owner[inner]]
         sine, cosine = b[4], b[5]
-        east = (origin[1] + line[1] * cell_m - b[1]) + float(outer) * step_m * away_east
-        north = (origin[0] + line[0] * cell_m - b[2]) + float(outer) * step_m * away_north
+        east = (line[1] * cell_m - b[1]) + float(outer) * step_m * away_east
+        north = (line[0] * cell_m - b[2]) + float(outer) * step_m * away_north
         normal_u, normal_v = body_wall(b, bodies.planes, east * sine + north * cosine, east * cosine - north * sine)
         towards = normal_u * (away_east * sine + away_north * cosine) + normal_v * (away_east * cosine - away_north * sine)
         aside = normal_u * (ahead_east * sine + ahead_north * cosine) + normal_v * (ahead_east * cosine - ahead_north * sine)
@@ -310,28 +372,47 @@ def _turn_walls(
 
 
 def _deposit(
-    ping: NDArray[np.int64],
-    sent: NDArray[np.float32],
-    start: NDArray[np.float32],
-    stop: NDArray[np.float32],
-    n_bins: int,
-    energy: NDArray[np.float64],
+    ping: NDArray[np.int64], sent: Singles, r: Singles, lit: Singles, bins_per_m: np.float32, n_bins: int, energy: NDArray[np.float64]
 ) -> None:
-    """Spread each facet's energy evenly over [start, stop), in bins; bin n_bins takes what lies beyond."""
-    first, final = (np.minimum(ends, np.float32(n_bins)).astype(np.int32) for ends in (start, stop))
-    span = final - first
-    split = span > 0
-    density = sent / np.where(split, stop - start, np.float32(1.0))
-    high = np.where(split, (stop - final.astype(np.float32)) * density, np.float32(0.0))
-    low = sent - high
-    long = np.nonzero(span > 1)
-    low[long] -= (span[long] - 1).astype(np.float32) * density[long]
-    offset = np.arange(len(sent), dtype=np.int32)[:, None] * (n_bins + 1)
+    """Spread each facet's energy evenly over the slant ranges that its lit part spans; bin n_bins takes what lies beyond."""
+    single = np.float32
+    near_end = _with_last(np.subtract, r)
+    near_end *= lit
+    np.subtract(r, near_end, out=near_end)
+    near_end *= bins_per_m
+    far_end = r * bins_per_m
+    stop = np.maximum(near_end, far_end)
+    start = np.minimum(near_end, far_end, out=near_end)
+    np.minimum(start, single(n_bins), out=far_end)
+    first = far_end.astype(np.int32)
+    np.minimum(stop, single(n_bins), out=far_end)
+    final = far_end.astype(np.int32)
+    np.floor(far_end, out=far_end)
+    np.subtract(stop, start, out=start)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_bin = np.divide(single(1.0), start, out=start)
+        stop -= far_end
+        stop *= per_bin
+        past = stop
+    past[final == first] = 0.0
+    past *= sent
+    own = sent - past
+    final -= first
+    line = np.arange(len(sent), dtype=np.int32)[:, None] * (n_bins + 1)
+    first += line
+    where, what = first.ravel(), own.ravel()
+    long = np.flatnonzero(final.ravel() > 1)
+    final -= final > 0
+    if len(long):
+        between, each = final.ravel()[long], sent.ravel()[long] * per_bin.ravel()[long]
+        what[long] -= between.astype(single) * each
+        steps = np.arange(between.sum(), dtype=np.int32) - np.repeat(np.cumsum(between, dtype=np.int32) - between, between)
+        where = np.concatenate([where, np.repeat(where[long] + 1, between) + steps])
+        what = np.concatenate([what, np.repeat(each, between)])
     n_total = len(sent) * (n_bins + 1)
-    starts = np.bincount((first + offset).ravel(), low.ravel(), n_total).reshape(len(sent), n_bins + 1)
-    ends = np.bincount((final + offset).ravel(), high.ravel(), n_total).reshape(len(sent), n_bins + 1)
-    for row, facet in zip(*long, strict=True):
-        starts[row, first[row, facet] + 1 : final[row, facet]] += density[row, facet]
-    starts += ends
-    for one, values in zip(ping, starts, strict=True):
+    rows = np.bincount(where, what, n_total).reshape(len(sent), n_bins + 1)
+    first += final
+    ends = np.bincount(first.ravel(), past.ravel(), n_total).reshape(len(sent), n_bins + 1)
+    rows[:, 1:] += ends[:, :-1]
+    for one, values in zip(ping, rows, strict=True):
         energy[one] += values

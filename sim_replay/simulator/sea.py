@@ -126,7 +126,7 @@ class Sea:
             needed = np.pad(needed, ((first_row - corner[0], 0), (first_column - corner[1], 0)))
             first_row, first_column = corner
         patches = self.world.patches(needed, first_row, first_column)
-        lines = rays.lines(fan, cell_m, first_row, first_column)
+        lines = rays.lines(fan, cell_m)
         bodies = self._bodies_near(fan)
 
         def part(rows: tuple[int, int]) -> Floats:
