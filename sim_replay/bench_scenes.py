@@ -1,0 +1,190 @@
+"""How much the training-free chain finds in the named scenes, and how much a plain script finds in the same pings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
+
+import msgspec
+
+from auv_mcm.config import Config
+from auv_mcm.contacts.export import contacts_geojson
+from auv_mcm.errors import UsageError
+from auv_mcm.outputs import write_file
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import NavSample, Ping
+from sim_replay.rival import rival_contacts
+from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring.intervals import Density, Proportion
+from sim_replay.simulator import mission as simulated
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import named_scenes, read_scene
+
+SCENES: Final = ("flat", "ripple", "mixed", "rough", "boulders", "seagrass", "slope", "shallow", "deep", "sas")
+FIRST_SEED: Final = 9100  # neither scenes nor constants were ever tried on seeds from here on
+_LIMIT_PER_KM2: Final = 100.0
+_NOTHING: Final = "-"
+
+System: TypeAlias = Literal["chain", "rival"]
+SYSTEMS: Final[tuple[System, ...]] = get_args(System)
+_HEADER: Final = (
+    "scene",
+    "system",
+    "targets",
+    "km²",
+    f"Pd at {_LIMIT_PER_KM2:g} FA/km²",
+    "Pd at p_mine 0.5",
+    "FA/km² at p_mine 0.5",
+    "rocks called",
+    "error m",
+)
+_SEABED_HEADER: Final = ("sea floor", "system", "targets", "km²", "Pd at p_mine 0.5", "FA/km² at p_mine 0.5")
+
+
+class Flown(NamedTuple):
+    """One mission as both systems reported it."""
+
+    chain: Mission
+    rival: Mission
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=int, default=3, help="missions per scene (default 3)")
+    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
+    parser.add_argument("--workers", type=int, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
+    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Fly, score and print. Raises UsageError for unknown scenes or counts below 1."""
+    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
+    unknown = [name for name in names if name not in named_scenes()]
+    if unknown or len(set(names)) < len(names):
+        raise UsageError(f"--scenes {arguments.scenes}: give each of {', '.join(named_scenes())} once at most")
+    for option, value in (("--seeds", arguments.seeds), ("--workers", arguments.workers)):
+        if value < 1:
+            raise UsageError(f"{option} {value}: at least 1")
+    if arguments.first_seed < 0:
+        raise UsageError(f"--first-seed {arguments.first_seed}: at least 0")
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    flown: dict[str, list[Flown]] = {name: [] for name in names}
+    for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers), 1):
+        flown[name].append(mission)
+        print(f"\r{done} of {len(names) * len(seeds)} missions flown", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    pooled = dict(flown)
+    if len(names) > 1:
+        pooled["all"] = [mission for missions in flown.values() for mission in missions]
+    scores = {
+        (name, system): score_missions([getattr(mission, system) for mission in missions])
+        for name, missions in pooled.items()
+        for system in SYSTEMS
+    }
+    print(f"{len(seeds)} missions per scene, seeds {seeds.start} to {seeds.stop - 1}")
+    print("intervals are 95 %: Wilson's for Pd, exact Poisson for FA; rocks called and errors at p_mine 0.5\n")
+    laid_out = _markdown if arguments.markdown else _columns
+    print(laid_out(_HEADER, [_row(name, system, score) for (name, system), score in scores.items()]))
+    print()
+    *_, last = pooled
+    print(laid_out(_SEABED_HEADER, list(_seabed_rows({system: scores[last, system] for system in SYSTEMS}))))
+    if arguments.json is not None:
+        told = {f"{name} {system}": json.loads(to_json(score)) for (name, system), score in scores.items()}
+        try:
+            write_file(arguments.json, json.dumps(told, indent=1).encode())
+        except OSError as error:
+            raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
+
+
+def fly(name: str, seed: int) -> Flown:
+    """One mission through a named scene, seen by both systems."""
+    scene = msgspec.structs.replace(read_scene(name), seed=seed)
+    mission = simulated.Mission(scene)
+    pipeline = Pipeline(config_for(scene))
+    kept: list[NavSample | Ping] = []
+    for event in mission.events():
+        kept.append(event)
+        pipeline.feed(event)
+    pipeline.finish()
+    place = f"{name}, seed {seed}"
+    truth = parse_truth(mission.truth(), place)
+    chain = parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), place)
+    return Flown(Mission(chain, truth, place), Mission(tuple(rival_contacts(kept)), truth, place))
+
+
+def config_for(scene: Scene) -> Config:
+    """The default configuration with what an operator knows of the sonar: its beam width. That of a synthetic aperture is the angle that
+    its resolution takes at half range."""
+    sonar = scene.sonar
+    width_deg = sonar.beam_width_deg
+    if sonar.synthetic_aperture is not None:
+        width_deg = math.degrees(sonar.synthetic_aperture.along_track_resolution_m / (0.5 * sonar.range_m))
+    config = Config()
+    return msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=width_deg))
+
+
+def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int) -> Iterator[tuple[str, Flown]]:
+    """Every scene with every seed, in order."""
+    tasks = [(name, seed) for name in names for seed in seeds]
+    if workers == 1:
+        yield from ((name, fly(name, seed)) for name, seed in tasks)
+        return
+    with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=get_context("spawn")) as pool:
+        for (name, _), mission in zip(tasks, pool.map(fly, *zip(*tasks, strict=True)), strict=True):
+            yield name, mission
+
+
+def _row(name: str, system: str, score: Score) -> list[str]:
+    headline = next(headline for headline in score.headlines if headline.limit_per_km2 == _LIMIT_PER_KM2)
+    rocks, error = score.rocks_called_mines, score.position_errors.total_m.median
+    return [
+        name,
+        system,
+        str(score.n_targets),
+        f"{score.area_km2:.3f}",
+        _share(headline.pd),
+        _share(score.at_threshold.pd),
+        _density(score.at_threshold.false_alarms),
+        f"{rocks.count} of {rocks.of}",
+        _NOTHING if error is None else f"{error:.2f}",
+    ]
+
+
+def _seabed_rows(scores: dict[System, Score]) -> Iterator[list[str]]:
+    for name in sorted({group.name for score in scores.values() for group in score.seabeds}):
+        for system, score in scores.items():
+            for group in score.seabeds:
+                if group.name == name:
+                    area = group.false_alarms.area_km2
+                    area_text = _NOTHING if area is None else f"{area:.3f}"
+                    yield [name.replace("_", " "), system, str(group.pd.of), area_text, _share(group.pd), _density(group.false_alarms)]
+
+
+def _share(share: Proportion) -> str:
+    return _NOTHING if share.value is None else f"{share.value:.2f} ({share.low:.2f}-{share.high:.2f})"
+
+
+def _density(density: Density) -> str:
+    if density.per_km2 is None or density.low is None or density.high is None:
+        return _NOTHING
+    return f"{density.per_km2:.0f} ({density.low:.0f}-{density.high:.0f})"
+
+
+def _columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in (header, *rows)]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *rows))
