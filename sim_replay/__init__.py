@@ -1,1 +1,1 @@
-"""Everything that stands in for the sea: log readers, synthetic missions, benches, reports."""
+"""Everything that stands in for the sea: a simulator, log readers, replay, scoring, reports, benches."""

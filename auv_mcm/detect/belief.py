@@ -1,7 +1,7 @@
 """How mine-like a measured candidate is, from its score, its size and its surroundings; and the words for it.
 
 Log-odds add: evidence of highlight and shadow (the score), plausibility of size and height, crowding by equals nearby. The
-constants are set on synthetic missions (`auv-mcm bench detect` prints the reliability of the result).
+constants are set on simple simulated missions; `auv-mcm score` says per tenth of the result how many contacts are targets.
 """
 
 from __future__ import annotations

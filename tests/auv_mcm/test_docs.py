@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene_file import parse_scene
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "auv_mcm" / "docs").glob("*.md")])
 
@@ -20,6 +23,12 @@ def test_every_local_link_and_picture_of_a_page_exists(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_module_named_by_a_page_exists(page: Path) -> None:
-    places = (ROOT, ROOT / "auv_mcm", ROOT / "auv_mcm" / "waterfall", ROOT / "auv_mcm" / "detect")
+    payload = ROOT / "auv_mcm"
+    places = (ROOT, payload, payload / "waterfall", payload / "detect", ROOT / "sim_replay" / "simulator")
     for name in re.findall(r"`([a-z_/]+\.py)`", page.read_text()):
         assert any((place / name).exists() for place in places), f"{page.name} names {name}"
+
+
+def test_the_scene_of_the_readme_can_be_flown() -> None:
+    (scene,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert len(Mission(parse_scene(scene, "README.md")).sea.objects) == 11

@@ -17,7 +17,8 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NAN, Contact
 from sim_replay.scoring import parse_contacts, parse_truth, read_contacts, read_truth, score_files
-from sim_replay.synthetic import demo_scene, truth
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 
 TRUTH: dict[str, Any] = {"area_km2": 0.1, "objects": [thing(0.0, 0.0), thing(20.0, 0.0)]}
 
@@ -60,10 +61,21 @@ def test_contacts_as_the_payload_writes_them_are_understood() -> None:
     assert np.isnan([told.width_m, told.ground_range_m]).all()
 
 
-def test_truth_as_the_synthetic_missions_tell_it_is_understood() -> None:
-    told = parse_truth(truth(demo_scene()), "truth")
-    assert sum(one.is_target for one in told.objects) == 6
-    assert told.seabed_map is None
+def test_truth_as_the_simulator_tells_it_is_understood() -> None:
+    things = (
+        SceneObject(kind="cylinder", leg=0, along_m=10.0, across_m=9.0, length_m=1.8, width_m=0.5, height_m=0.5),
+        SceneObject(kind="rock", leg=0, along_m=5.0, across_m=-12.0),
+    )
+    track = Track(plan=Lawnmower(n_legs=1, leg_m=20.0), altitude_m=4.0)
+    mission = Mission(Scene(objects=things, sonar=Sonar(range_m=20.0, n_samples=64, beam_lines=1), track=track))
+    for _ in mission.events():
+        pass
+    told = parse_truth(mission.truth(), "truth")
+    assert [(one.kind, one.is_target) for one in told.objects] == [("cylinder", True), ("rock", False)]
+    (look,) = told.objects[0].looks or ()
+    assert look.ground_range_m == pytest.approx(9.0, abs=0.5)
+    assert told.seabed_map is not None
+    assert told.area_km2 == pytest.approx(20.0 * 35.0e-6, rel=0.2)
 
 
 def test_least_that_other_producers_write_is_enough(tmp_path: Path) -> None:
