@@ -15,7 +15,19 @@ from auv_mcm.records import NavSample, Ping
 from sim_replay.scoring.seabed_map import SeabedMap, decode
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import Leg, local_frame
-from sim_replay.simulator.scene import EXACT, STEADY, Fault, Lawnmower, Scene, SceneObject, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import (
+    EXACT,
+    STEADY,
+    Fault,
+    Lawnmower,
+    Scene,
+    SceneObject,
+    Seabed,
+    Sonar,
+    SyntheticAperture,
+    Track,
+    World,
+)
 
 SCENE = Scene(
     seed=3,
@@ -160,3 +172,23 @@ def test_before_anything_is_flown_nothing_was_swept() -> None:
 def test_a_scene_that_cannot_be_is_refused() -> None:
     with pytest.raises(UsageError, match="altitude_m"):
         Mission(msgspec.structs.replace(SCENE, track=msgspec.structs.replace(SCENE.track, altitude_m=30.0)))
+
+
+def test_a_synthetic_aperture_delivers_lines_leg_by_leg_and_takes_a_new_plan_after_a_leg() -> None:
+    aperture = SyntheticAperture(along_track_resolution_m=0.2, range_resolution_m=0.2, sub_apertures=1)
+    scene = msgspec.structs.replace(SCENE, sonar=msgspec.structs.replace(SCENE.sonar, synthetic_aperture=aperture), navigation_error=EXACT)
+    mission = Mission(scene)
+    pings: list[Ping] = []
+    for event in mission.events():
+        if isinstance(event, Ping):
+            if not pings:
+                mission.follow([Leg(5.0, 5.0, 1.0, 8.0)])
+            pings.append(event)
+    line_m = 0.2 / 1.25
+    first, second = math.floor(24.0 / line_m) + 1, math.floor(8.0 / line_m) + 1
+    assert abs(len(pings) - first - second) <= 2
+    assert [ping.number for ping in pings] == list(range(len(pings)))
+    spacing_s = np.diff([ping.time_s for ping in pings[:first]])
+    assert spacing_s == pytest.approx(line_m / 1.8, abs=1e-6)
+    assert pings[0].altitude_m == pytest.approx(4.0, abs=0.5)
+    assert mission.truth()["area_km2"] > 0.0
