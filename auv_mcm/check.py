@@ -59,6 +59,7 @@ def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
     for package, module in _BENCH_PACKAGES.items():
         yield _package(package, module, "warning", "no replay, no report; python -m pip install 'auv-mcm[bench]'")
     yield _kernels()
+    yield _simulator()
     config = Config()
     try:
         config = read_config()
@@ -93,6 +94,20 @@ def _kernels() -> Finding:
     (cost, back), (cost_numpy, back_numpy) = viterbi_forward(score[0], score, 5, 0.3), viterbi_forward_numpy(score[0], score, 5, 0.3)
     same = np.array_equal(cost, cost_numpy) and np.array_equal(back, back_numpy)
     return Finding("C kernels", "ok" if same else "FAILED", f"{kernels.loaded().reason}, {'equal to' if same else 'NOT EQUAL to'} numpy")
+
+
+def _simulator() -> Finding:
+    import numpy as np
+
+    from sim_replay.simulator import backend
+    from sim_replay.simulator.speckle import gaussian_taps, row_keys, speckle_rows, speckle_rows_numpy
+
+    name, loaded = "simulator kernels", backend.loaded()
+    if loaded.library is None:
+        return Finding(name, "warning", f"numpy does their work, more slowly: {loaded.reason}")
+    energy, keys, taps = np.linspace(0.0, 2.0, 4 * 300).reshape(4, 300), row_keys(0, [0], 0, 4), gaussian_taps(1.5)
+    same = np.array_equal(speckle_rows(energy, keys, taps), speckle_rows_numpy(energy, keys, taps))
+    return Finding(name, "ok" if same else "FAILED", f"{loaded.reason}, {'equal to' if same else 'NOT EQUAL to'} numpy")
 
 
 def _output(folder: Path) -> Finding:
