@@ -13,7 +13,7 @@ angles. Its shadows are sheared by its squint, tan theta, and sharper; its resol
 The mean image is the mean over rays that leave the track at angles theta spread over the aperture. Each is a vertical slice through floor
 and bodies as in side-scan, and what it meets at y goes to line x_s + y tan theta, x_s being where it started. Angles are of horizontal
 bearing. Approximations: y is worked out for the height of the floor below the vehicle, so something z higher is off by tan theta H z / y,
-a centimetre or so; the sine of the grazing angle and the loss by spreading are taken at closest approach, an error of theta^2 / 2.
+a centimetre or so; spreading and absorption are those at closest approach, an error of second order in theta.
 
 The speckled image is |h * (sqrt(E) w)|^2, E being the mean image, w white complex Gaussian noise and h the point-spread function, a low
 pass along both axes. Every sub-aperture, being another part of the spectrum, has speckle of its own.
@@ -56,16 +56,12 @@ _STREAMS_PER_SIDE: Final = 1 << 32
 
 
 class Strip(NamedTuple):
-    """The image of one leg, flown at depth_m. Line i lies `i * Aperture.line_m` from the leg's start.
-
-    number: of the leg. corner: row and column of a patch south-west of all that the image shows.
-    """
+    """The image of leg `number`, flown at depth_m. Line i lies `i * Aperture.line_m` from the leg's start."""
 
     leg: Leg
     number: int
     n_lines: int
     depth_m: float
-    corner: tuple[int, int]
 
 
 class Aperture:
@@ -117,7 +113,7 @@ class Aperture:
         Raises UsageError where the floor leaves no room for a track at one depth.
         """
         track, world = self.sea.scene.track, self.sea.scene.world
-        strip = Strip(leg, number, math.floor(leg.length_m / self.line_m + 1e-9) + 1, 0.0, (0, 0))
+        strip = Strip(leg, number, math.floor(leg.length_m / self.line_m + 1e-9) + 1, 0.0)
         floor = self._floor_m(strip, 0, strip.n_lines)
         depth = world.depth_m - float(floor.mean()) - track.altitude_m
         least = world.depth_m - depth - float(floor.max())
@@ -127,13 +123,7 @@ class Aperture:
                 f"{depth:.1f} m below the surface; it needs {LEAST_ALTITUDE_M:g} and {LEAST_DEPTH_M:g}: give another `track.altitude_m`, "
                 "a larger `world.depth_m` or a gentler slope"
             )
-        strip = strip._replace(depth_m=depth)
-        margin = math.ceil(self._farthest_lines()) + max(taps.size for taps in self._line_taps.values())
-        outline = [
-            self._fan(strip, np.array([-margin, strip.n_lines + margin]), angle) for angle in (self._angles[0][0], self._angles[-1][-1])
-        ]
-        corners = [rays.crossed(fan, self.sea.world.cell_m)[1:] for fan in outline]
-        return strip._replace(corner=(min(row for row, _ in corners), min(column for _, column in corners)))
+        return strip._replace(depth_m=depth)
 
     def poses(self, strip: Strip, start_s: float, first_line: int, n_lines: int) -> list[Pose]:
         """Where the vehicle was abeam of lines, having passed the first of the strip at `start_s`."""
@@ -221,7 +211,7 @@ class Aperture:
         first = first_line - int(whole.max()) - 1
         stop = first_line + n_lines - int(whole.min())
         fan = self._fan(strip, np.arange(first, stop), angle_rad)
-        rendered = self.sea.energy(fan, 2 * (stop - first), self.bin_m / math.cos(angle_rad), strip.corner)
+        rendered = self.sea.energy(fan, 2 * (stop - first), self.bin_m / math.cos(angle_rad))
         rendered = rendered.reshape(stop - first, 2, n_samples)
         source = (np.arange(n_lines)[:, None] + (first_line - first) - whole)[:, None, :]
         nearer = np.take_along_axis(rendered, source, axis=0)
@@ -257,10 +247,6 @@ class Aperture:
         """Height of the bare floor below lines, (n_lines,)."""
         places = [strip.leg.at(line * self.line_m, 0.0) for line in range(first_line, first_line + n_lines)]
         return self.sea.world.elevation_m(*np.array(places).T)
-
-    def _farthest_lines(self) -> float:
-        """Lines between where a ray starts and where it ends, at most."""
-        return (self.sea.sonar.range_m + 2.0 * self._step_m) * math.tan(0.5 * self.integration_rad) / self.line_m
 
     def _add_points(self, image: Floats, strip: Strip, first_line: int) -> None:
         """Echoes of points, focused like everything else; they neither cast nor lie in shadows."""

@@ -114,17 +114,10 @@ class Sea:
         self.add_other_paths(intensity, poses, floor)
         return intensity
 
-    def energy(self, fan: rays.Fan, n_rows: int, bin_m: float, corner: tuple[int, int] | None = None) -> Floats:
-        """Energy that rays bring back from floor and bodies, (n_rows, n_samples), before spreading and absorption.
-
-        corner: row and column of a patch south-west of all rays that places are counted from. Blocks of rays with the same corner give the
-        same bytes however they are cut.
-        """
+    def energy(self, fan: rays.Fan, n_rows: int, bin_m: float) -> Floats:
+        """Energy that rays bring back from floor and bodies, (n_rows, n_samples), before spreading and absorption."""
         cell_m, n_bins = self.world.cell_m, self.sonar.n_samples
         needed, first_row, first_column = rays.crossed(fan, cell_m)
-        if corner is not None:
-            needed = np.pad(needed, ((first_row - corner[0], 0), (first_column - corner[1], 0)))
-            first_row, first_column = corner
         patches = self.world.patches(needed, first_row, first_column)
         lines = rays.lines(fan, cell_m)
         bodies = self._bodies_near(fan)
