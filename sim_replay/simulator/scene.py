@@ -173,7 +173,8 @@ class Recorder(_Section, frozen=True, kw_only=True):
 class SyntheticAperture(_Section, frozen=True, kw_only=True):
     """Image lines instead of pings: resolution and pixel do not depend on range. Shadows are blurred by the integration angle, wavelength
     over twice the along-track resolution, which `sub_apertures` parts of the spectrum share. `view`: which of them is recorded, `full`
-    for all together."""
+    for all together. Of the sonar n_samples, ping_rate_hz, range_resolution_m, beam_width_deg, beam_lines and speckle_along_track_m do
+    not count then."""
 
     along_track_resolution_m: Annotated[float, Meta(ge=0.005, le=1.0)] = 0.05
     range_resolution_m: Annotated[float, Meta(ge=0.005, le=1.0)] = 0.05
