@@ -1,0 +1,260 @@
+"""Long chains, sure contradictions and likelihoods without bounds: beliefs stay exact, finite and honest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from auv_mcm.classify.beliefs import (
+    EVERYTHING,
+    FRAME,
+    N_CLASSES,
+    N_SUBSETS,
+    Array,
+    ViewMass,
+    belief,
+    cautious,
+    combine,
+    conjunctive,
+    dempster,
+    discount,
+    dubois_prade,
+    p_mine,
+    pignistic,
+    plausibility,
+    subset,
+    vacuous,
+    yager,
+)
+from auv_mcm.classify.evidence import ClassEvidence, appriou_mass, view_mass
+from auv_mcm.records import ContactClass
+
+GRID = 1 << 20  # masses that are multiples of 1 / GRID are whole numbers to the oracle
+
+
+@pytest.fixture(autouse=True)
+def _no_floating_point_flag() -> Iterator[None]:
+    with np.errstate(all="raise", under="ignore"):
+        yield
+
+
+def generator(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def whole_masses(seed: int, n: int, ignorance: int = GRID // 20) -> list[list[int]]:
+    """n masses in units of 1 / GRID, every other one of a few sets only."""
+    random = generator(seed)
+    masses = []
+    for k in range(n):
+        weights = random.exponential(size=N_SUBSETS) ** 6 * (random.random(N_SUBSETS) < (1.0, 0.2)[k % 2])
+        weights[[0, EVERYTHING]] = 0.0
+        weights[1 + k % EVERYTHING] += 1.0
+        mass = np.floor(weights / weights.sum() * (GRID - ignorance)).astype(int).tolist()
+        mass[EVERYTHING] += GRID - sum(mass)
+        masses.append(mass)
+    return masses
+
+
+def exact_chain(masses: list[list[int]]) -> list[int]:
+    """Conjunctive sums of all masses, in units of GRID ** -len(masses)."""
+    joint = masses[0]
+    for mass in masses[1:]:
+        fused = [0] * N_SUBSETS
+        for a, share in enumerate(joint):
+            for b, other in enumerate(mass):
+                fused[a & b] += share * other
+        joint = fused
+    return joint
+
+
+def floats(masses: list[list[int]]) -> Array:
+    return np.array(masses) / GRID
+
+
+def shares(joint: list[int], total: int) -> list[float]:
+    return [float(Fraction(share, total)) for share in joint]
+
+
+def seen(mass: Array, k: int, n: int) -> ViewMass:
+    return ViewMass(mass=mass, aspect_rad=math.pi * k / n, pass_id=f"pass {k}", half_turn_symmetric=False)
+
+
+SURE = {name: np.eye(N_SUBSETS)[subset(name)] for name in FRAME}
+ZADEH = 0.99 * SURE["cylinder"] + 0.01 * SURE["wedge"], 0.99 * SURE["clutter"] + 0.01 * SURE["wedge"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sixty_views_are_exact_against_rational_arithmetic(seed: int) -> None:
+    masses = whole_masses(seed, 60)
+    joint = exact_chain(masses)
+    total = GRID ** len(masses)
+    fused = dempster(floats(masses))
+    np.testing.assert_allclose(fused.mass, shares([0, *joint[1:]], total - joint[0]), rtol=1e-12, atol=0)
+    unit = Fraction(total - joint[0], total)
+    assert fused.log_agreement == pytest.approx(math.log(unit.numerator) - math.log(unit.denominator), rel=1e-12)
+    np.testing.assert_allclose(
+        yager(floats(masses)), shares([0, *joint[1:EVERYTHING], joint[EVERYTHING] + joint[0]], total), rtol=1e-12, atol=0
+    )
+
+
+def test_sixty_views_by_dubois_and_prade_are_exact_against_rational_arithmetic() -> None:
+    masses = whole_masses(9, 60)
+    states = {(index, index): share for index, share in enumerate(masses[0]) if share}
+    for mass in masses[1:]:
+        fused: dict[tuple[int, int], int] = {}
+        for (both, either), share in states.items():
+            for index, other in enumerate(mass):
+                if other:
+                    state = both & index, either | index
+                    fused[state] = fused.get(state, 0) + share * other
+        states = fused
+    expected = [0] * N_SUBSETS
+    for (both, either), share in states.items():
+        expected[both or either] += share
+    np.testing.assert_allclose(dubois_prade(floats(masses)), shares(expected, GRID**60), rtol=1e-12, atol=1e-300)
+
+
+def test_a_thousand_views_neither_underflow_nor_drift() -> None:
+    masses = floats(whole_masses(1, 1000))
+    fused = dempster(masses)
+    assert fused.mass.sum() == pytest.approx(1.0, abs=1e-12)
+    assert -math.inf < fused.log_agreement < -100.0
+    assert yager(masses).sum() == pytest.approx(1.0, abs=1e-12)
+    assert dubois_prade(masses).sum() == pytest.approx(1.0, abs=1e-12)
+    assert cautious(masses).sum() == pytest.approx(1.0, abs=1e-12)
+    halves = dempster(np.stack((dempster(masses[:500]).mass, dempster(masses[500:]).mass)))
+    np.testing.assert_allclose(halves.mass, fused.mass, rtol=0, atol=1e-12)
+
+
+def test_two_hundred_views_of_one_contact_are_fused() -> None:
+    masses = floats(whole_masses(2, 200))
+    views = [seen(mass, k, 200) for k, mass in enumerate(masses)]
+    fusion = combine(views)
+    assert fusion.mass.sum() == pytest.approx(1.0, abs=1e-12)
+    again = combine(views[::-1])
+    np.testing.assert_array_equal(fusion.mass, again.mass)
+
+
+def test_sure_sources_that_contradict_each_other_give_a_flag_and_no_nan() -> None:
+    pair = np.stack((SURE["cylinder"], SURE["clutter"]))
+    mass, conflict = conjunctive(pair[0], pair[1])
+    assert float(conflict) == float(mass[0]) == 1.0
+    fused = dempster(pair)
+    assert fused.log_agreement == -math.inf
+    np.testing.assert_array_equal(fused.mass, vacuous())
+    np.testing.assert_array_equal(yager(pair), vacuous())
+    np.testing.assert_array_equal(dubois_prade(pair), np.eye(N_SUBSETS)[subset("cylinder", "clutter")])
+    joint = cautious(pair)
+    assert np.isfinite(joint).all()
+    assert joint[0] > 0.99
+    fusion = combine([seen(pair[0], 0, 2), seen(pair[1], 1, 2)])
+    assert fusion.rule == "apart"
+    np.testing.assert_array_equal(fusion.mass, vacuous())
+
+
+def test_a_contradiction_stays_one_whatever_follows() -> None:
+    fused = dempster(np.stack((SURE["cylinder"], SURE["clutter"], SURE["sphere"], vacuous())))
+    assert fused.log_agreement == -math.inf
+    np.testing.assert_array_equal(fused.mass, vacuous())
+
+
+def test_a_contradiction_in_one_stack_does_not_touch_the_others() -> None:
+    first = np.stack((SURE["cylinder"], SURE["cylinder"], vacuous()))
+    second = np.stack((SURE["clutter"], SURE["cylinder"], SURE["sphere"]))
+    fused = dempster(np.stack((first, second)))
+    np.testing.assert_array_equal(fused.log_agreement, [-math.inf, 0.0, 0.0])
+    np.testing.assert_array_equal(fused.mass, np.stack((vacuous(), SURE["cylinder"], SURE["sphere"])))
+
+
+@pytest.mark.parametrize("doubt", [0.0, 1e-300, 1e-16, 1e-13, 1e-9, 1e-3])
+def test_the_nearer_to_sure_contradictory_sources_are_the_less_is_made_of_what_they_share(doubt: float) -> None:
+    pair = [(1.0 - doubt) * SURE["cylinder"] + doubt * SURE["wedge"], (1.0 - doubt) * SURE["clutter"] + doubt * SURE["wedge"]]
+    fused = dempster(np.stack(pair))
+    assert np.isfinite(fused.mass).all()
+    if doubt**2 < 1e-12:
+        np.testing.assert_array_equal(fused.mass, vacuous())
+    assert combine([seen(mass, k, 2) for k, mass in enumerate(pair)]).rule == "apart"
+
+
+@pytest.mark.parametrize("reliability", [0.5, 0.7, 0.8, 0.95, 1.0])
+def test_zadehs_doctors_never_agree_on_what_both_doubt(reliability: float) -> None:
+    fusion = combine([seen(discount(mass, reliability), k, 2) for k, mass in enumerate(ZADEH)])
+    assert belief(fusion.mass)[subset("wedge")] < 0.02
+    assert pignistic(fusion.mass).max() < 0.5
+    if reliability >= 0.8:
+        assert fusion.mass[EVERYTHING] > 0.6
+
+
+def test_sure_sources_are_combined_within_a_pass_and_between() -> None:
+    views = [seen(SURE["cylinder"], k, 7) for k in range(7)]
+    fusion = combine(views)
+    assert fusion.rule == "dempster"
+    assert belief(fusion.mass)[subset("cylinder")] == pytest.approx(1.0, abs=1e-5)
+    mixed = [ViewMass(mass=SURE[name], aspect_rad=0.1 * k, pass_id="a") for k, name in enumerate(FRAME)]
+    joint = combine(mixed)
+    assert np.isfinite(joint.mass).all()
+    assert joint.mass[EVERYTHING] > 0.99
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-6, 1.0, 1e3, 1e6, 1e12, 1e300, math.inf])
+def test_likelihoods_of_any_size_give_masses(scale: float) -> None:
+    for signs in ((1, 1, 1, 1, 1), (0, 1, 1, 1, 1), (1, 0, 0, 1, 1), (1, 1, 1, 1, 0), (-1, 1, 0, 1, -1), (-1, -1, -1, -1, -1)):
+        if scale == math.inf and -1 in signs:
+            continue
+        for sure in (0.0, 1.0, 1e-310, 1.0 - 2.0**-53, math.nan):
+            evidence: dict[ContactClass, ClassEvidence] = {
+                name: ClassEvidence(nll=sign * scale if sign else 0.0, plausibility=sure, highlight_consistency=sure)
+                for name, sign in zip(FRAME, signs, strict=True)
+            }
+            for rule in (view_mass, appriou_mass):
+                mass = rule(evidence, 1.0)
+                assert (mass >= 0.0).all()
+                assert mass.sum() == pytest.approx(1.0, abs=1e-12)
+                assert np.isfinite(pignistic(mass)).all()
+                assert (belief(mass) <= plausibility(mass) + 1e-12).all()
+
+
+def test_likelihoods_of_a_million_nats_keep_their_differences() -> None:
+    random = generator(3)
+    for _ in range(200):
+        nll = np.round(random.uniform(0.0, 40.0, N_CLASSES), 3)
+        plain, far = (
+            view_mass({name: ClassEvidence(nll=x + shift) for name, x in zip(FRAME, nll.tolist(), strict=True)}, 0.95)
+            for shift in (0.0, 1e6)
+        )
+        np.testing.assert_allclose(far, plain, rtol=0, atol=1e-9)
+
+
+def test_the_cautious_rule_is_stable_for_the_surest_sources_there_are() -> None:
+    random = generator(4)
+    for _ in range(100):
+        sources = []
+        for _ in range(5):
+            nll = random.exponential(100.0, N_CLASSES).tolist()
+            sources.append(view_mass({name: ClassEvidence(nll=x) for name, x in zip(FRAME, nll, strict=True)}, 1.0))
+        joint = cautious(np.stack(sources))
+        assert joint.sum() == pytest.approx(1.0, abs=1e-12)
+        # These sources say something of single classes only: the least plausibility of each, over all sources, is all there is.
+        least = np.min([[plausibility(mass)[1 << i] for i in range(N_CLASSES)] for mass in sources], axis=0)
+        expected = [math.prod(p if index >> i & 1 else 1.0 - p for i, p in enumerate(least.tolist())) for index in range(N_SUBSETS)]
+        np.testing.assert_allclose(joint, expected, rtol=0, atol=1e-12)
+
+
+def test_permutations_of_sixty_views_give_the_same_bits() -> None:
+    random = generator(6)
+    views = []
+    for k in range(60):
+        nll = random.exponential(20.0, N_CLASSES).tolist()
+        mass = view_mass({name: ClassEvidence(nll=x) for name, x in zip(FRAME, nll, strict=True)}, 0.6)
+        views.append(ViewMass(mass=mass, aspect_rad=float(random.uniform(0.0, 7.0)), pass_id=f"pass {k // 3}"))
+    fusion = combine(views)
+    for _ in range(5):
+        again = combine([views[i] for i in random.permutation(60)])
+        np.testing.assert_array_equal(again.mass, fusion.mass)
+        assert (again.rule, again.conflict) == (fusion.rule, fusion.conflict)
+    assert 0.0 <= p_mine(fusion.mass) <= 1.0
