@@ -136,10 +136,10 @@ def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> tuple[Floats, 
         s, t = u / p0, v / p1
         along, across = 1.0 - s * s, 1.0 - t * t
         covered = (along > 0.0) & (across > 0.0)
-        end = np.where(along < 0.19, along / 0.19, 1.0)
+        end, ramp = np.where(along < 0.19, along / 0.19, 1.0), np.where(along < 0.19, -2.0 * s / (0.19 * p0), 0.0)
         shape = across * across * (1.0 - 6.0 * t * t)
         steep_ = -4.0 * t * across * (1.0 - 6.0 * t * t) - 12.0 * t * across * across
-        top, slope_v = -p2 * end * shape, -p2 * end * steep_ / p1
+        top, slope_u, slope_v = -p2 * end * shape, -p2 * ramp * shape, -p2 * end * steep_ / p1
     else:
         s, t = u / p0, v / p1
         across = np.sqrt(s * s + t * t)

@@ -102,9 +102,10 @@ static inline top body_top(const double *restrict b, const double *restrict plan
     case SCAR: { /* half length p0, half width p1 of trench and banks, depth p2 */
         const double s = u / p0, t = v / p1, along = 1.0 - s * s, across = 1.0 - t * t;
         if (along > 0.0 && across > 0.0) {
-            const double end = along < 0.19 ? along / 0.19 : 1.0, shape = across * across * (1.0 - 6.0 * t * t);
+            const double end = along < 0.19 ? along / 0.19 : 1.0, ramp = along < 0.19 ? -2.0 * s / (0.19 * p0) : 0.0;
+            const double shape = across * across * (1.0 - 6.0 * t * t);
             const double steep = -4.0 * t * across * (1.0 - 6.0 * t * t) - 12.0 * t * across * across;
-            out = (top){-p2 * end * shape, 0.0, -p2 * end * steep / p1, 1};
+            out = (top){-p2 * end * shape, -p2 * ramp * shape, -p2 * end * steep / p1, 1};
         }
         break;
     }
