@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_replay.simulator import backend
+from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import MOVES_FLOOR, Bodies, body_tops, body_wall
 from sim_replay.simulator.world import NODES, PATCH, Patches
 
-TABLE_SIZE: Final = 4096
 LINE_WIDTH: Final = 12
 _PATCH_SHIFT: Final = PATCH.bit_length() - 1
 _NUMPY_LINES: Final = 32  # at a time: fewer cost more calls, more do not stay in the cache
@@ -83,51 +83,95 @@ def render(
     tables: (n_materials, 4096) float32 of sigma over the sine of grazing, those of the sea floor first. beam: (4096,) float32, the
     two-way power pattern over the sine of the angle off the axis from -1 to 1. Every cell that the rays cross must be in `patches`.
     """
-    packed = np.zeros((len(lines.ping), LINE_WIDTH))
-    for column, values in enumerate(lines):
-        packed[:, column] = values
-    energy = np.zeros((n_pings, n_bins + 1))
-    lit = np.empty((len(packed), n_nodes), dtype=np.float32) if keep_nodes else None
-    owner = np.empty((len(packed), n_nodes), dtype=np.int16) if keep_nodes else None
     library = backend.library()
     if library is None:
-        for start in range(0, len(packed), _NUMPY_LINES):
-            part = slice(start, start + _NUMPY_LINES)
-            nodes = _render_numpy(packed[part], patches, bodies, tables, beam, cell_m, n_nodes, n_bins, bin_m, energy)
-            if lit is not None and owner is not None:
-                lit[part], owner[part] = nodes
-    else:
-        tables, beam = np.ascontiguousarray(tables), np.ascontiguousarray(beam)
-        scratch, row = np.empty((21, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
-        library.auv_mcm_render_lines(
-            len(packed),
-            n_nodes,
-            n_bins,
-            cell_m,
-            1.0 / bin_m,
-            patches.first_patch_row * PATCH,
-            patches.first_patch_column * PATCH,
-            patches.slots.shape[1],
-            patches.slots.ctypes.data,
-            patches.elevation.ctypes.data,
-            patches.texture.ctypes.data,
-            patches.seabed.ctypes.data,
-            packed.ctypes.data,
-            len(bodies.table),
-            bodies.table.ctypes.data,
-            bodies.planes.ctypes.data,
-            tables.ctypes.data,
-            beam.ctypes.data,
-            scratch.ctypes.data,
-            row.ctypes.data,
-            energy.ctypes.data,
-            None if lit is None else lit.ctypes.data,
-            None if owner is None else owner.ctypes.data,
+        return render_numpy(
+            lines,
+            patches,
+            bodies,
+            tables,
+            beam,
+            cell_m=cell_m,
+            n_nodes=n_nodes,
+            n_pings=n_pings,
+            n_bins=n_bins,
+            bin_m=bin_m,
+            keep_nodes=keep_nodes,
         )
+    packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
+    tables, beam = np.ascontiguousarray(tables), np.ascontiguousarray(beam)
+    scratch, bins = np.empty((21, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
+    library.auv_mcm_render_lines(
+        len(packed),
+        n_nodes,
+        n_bins,
+        cell_m,
+        1.0 / bin_m,
+        patches.first_patch_row * PATCH,
+        patches.first_patch_column * PATCH,
+        patches.slots.shape[1],
+        patches.slots.ctypes.data,
+        patches.elevation.ctypes.data,
+        patches.texture.ctypes.data,
+        patches.seabed.ctypes.data,
+        packed.ctypes.data,
+        len(bodies.table),
+        bodies.table.ctypes.data,
+        bodies.planes.ctypes.data,
+        tables.ctypes.data,
+        beam.ctypes.data,
+        scratch.ctypes.data,
+        bins.ctypes.data,
+        energy.ctypes.data,
+        None if lit is None else lit.ctypes.data,
+        None if owner is None else owner.ctypes.data,
+    )
     return Rendered(energy[:, :-1], energy[:, -1], lit, owner)
 
 
-def _render_numpy(
+def render_numpy(
+    lines: Lines,
+    patches: Patches,
+    bodies: Bodies,
+    tables: NDArray[np.float32],
+    beam: NDArray[np.float32],
+    *,
+    cell_m: float,
+    n_nodes: int,
+    n_pings: int,
+    n_bins: int,
+    bin_m: float,
+    keep_nodes: bool = False,
+) -> Rendered:
+    """render in numpy alone."""
+    packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
+    for start in range(0, len(packed), _NUMPY_LINES):
+        part = slice(start, start + _NUMPY_LINES)
+        nodes = _render_some(packed[part], patches, bodies, tables, beam, cell_m, n_nodes, n_bins, bin_m, energy)
+        if lit is not None and owner is not None:
+            lit[part], owner[part] = nodes
+    return Rendered(energy[:, :-1], energy[:, -1], lit, owner)
+
+
+def _packed(lines: Lines) -> NDArray[np.float64]:
+    """Rows as render.c has them."""
+    packed = np.zeros((len(lines.ping), LINE_WIDTH))
+    for column, values in enumerate(lines):
+        packed[:, column] = values
+    return packed
+
+
+def _empty(
+    n_lines: int, n_nodes: int, n_pings: int, n_bins: int, keep_nodes: bool
+) -> tuple[NDArray[np.float64], Singles | None, NDArray[np.int16] | None]:
+    """Room for what comes out; the energy of a ping ends with what lies beyond."""
+    energy = np.zeros((n_pings, n_bins + 1))
+    if not keep_nodes:
+        return energy, None, None
+    return energy, np.empty((n_lines, n_nodes), dtype=np.float32), np.empty((n_lines, n_nodes), dtype=np.int16)
+
+
+def _render_some(
     lines: NDArray[np.float64],
     patches: Patches,
     bodies: Bodies,

@@ -16,7 +16,7 @@ from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone,
 from sim_replay.simulator import backend
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, MOAT, POLYHEDRON, SCAR, TORUS, Bodies, Body, pack
-from sim_replay.simulator.render import Lines, Rendered, render
+from sim_replay.simulator.render import Lines, Rendered, render, render_numpy
 from sim_replay.simulator.world import NODES, PATCH, Patches
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -462,12 +462,6 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
 # --- C and numpy ----------------------------------------------------------------------------------------------------------------------
 
 
-def with_numpy(work: Callable[[], Rendered]) -> Rendered:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(backend, "library", lambda: None)
-        return work()
-
-
 PLACE, PART = st.floats(-12.0, 12.0), st.floats(0.1, 1.0)
 
 
@@ -523,8 +517,8 @@ def test_c_and_numpy_give_the_same_bytes(
     tables = random.uniform(0.0, 1.0, (3, TABLE_SIZE)).astype(np.float32)
     beam = random.uniform(0.0, 1.0, TABLE_SIZE).astype(np.float32)
 
-    def work() -> Rendered:
-        return render(
+    compiled, plain = (
+        work(
             lines,
             patches,
             bodies,
@@ -537,8 +531,8 @@ def test_c_and_numpy_give_the_same_bytes(
             bin_m=bin_m,
             keep_nodes=True,
         )
-
-    compiled, plain = work(), with_numpy(work)
+        for work in (render, render_numpy)
+    )
     for name, one, other in zip(Rendered._fields, compiled, plain, strict=True):
         assert one is not None
         assert other is not None
