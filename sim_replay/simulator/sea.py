@@ -45,7 +45,8 @@ class Sea:
 
     sonar: the scene's, with the n_samples that are recorded. objects: all of them, placed. points: (n_points, 4) east, north, height above
     the datum (m) and target strength (m2) of echoes without a body. spreading: (n_samples,) received intensity per energy that comes back
-    from a metre of width. reference: mean intensity of a flat floor at half range; noise: that of noise.
+    from a metre of width. reference: mean intensity of a flat floor midway between its first return
+    and the end of the range; noise: that of noise.
     Raises UsageError for a scene that cannot be, or whose objects find no room.
     """
 
@@ -76,7 +77,7 @@ class Sea:
         self._absorption = absorption_db_per_km(sonar, scene.world.depth_m)
         width_m = math.radians(sonar.beam_width_deg) * self._range_m
         self.spreading: Final = width_m * propagation(self._range_m, self._absorption)
-        reference_m = np.array([max(0.5 * sonar.range_m, 0.5 * (scene.track.altitude_m + sonar.range_m))])
+        reference_m = np.array([0.5 * (scene.track.altitude_m + sonar.range_m)])
         self.reference: Final = float(
             flat_floor_intensity(reference_m, scene.track.altitude_m, self._tables[0], sonar, self._absorption)[0]
         )
@@ -104,7 +105,7 @@ class Sea:
         return self.scene.world.depth_m - pose.depth_m - self.floor_m(pose.east_m, pose.north_m)
 
     def mean_intensity(self, poses: Sequence[Pose]) -> Floats:
-        """Mean received intensity, (n_poses, 2, n_samples), port first, without noise; a flat floor at half range gives `reference`."""
+        """Mean received intensity, (n_poses, 2, n_samples), port first, without noise."""
         sonar, datum_m, cell_m = self.sonar, self.scene.world.depth_m, self.world.cell_m
         floor = np.array([self.floor_m(pose.east_m, pose.north_m) for pose in poses])
         fan = rays.fan(poses, floor, sonar, datum_m, cell_m)

@@ -1,4 +1,4 @@
-"""What a ping hears obeys geometry and statistics that are known in closed form."""
+"""What a ping hears lies where geometry says, from the place in the scene to the place told on the globe."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from sim_replay.simulator.scene import (
     SceneObject,
     Seabed,
     Sonar,
-    TimeVariedGain,
     Track,
     World,
 )
@@ -92,41 +91,7 @@ def intensities(pings: list[Ping], side: Side = "starboard") -> Floats:
     return np.stack([trace.samples for p in pings if (trace := getattr(p, side)) is not None]).astype(np.float64) ** 2
 
 
-def two_way_pattern(off_axis_rad: Floats, width_deg: float) -> Floats:
-    """sinc^4, half of its peak at half the width."""
-    half_width = math.sin(math.radians(0.5 * width_deg))
-    return np.asarray(np.sinc(1.0019 / math.pi * np.sin(off_axis_rad) / half_width) ** 4)
-
-
 # --- floor ---
-
-
-@pytest.mark.parametrize("altitude_m", [2.0, 5.0, 12.0])
-@pytest.mark.parametrize(("pitch_deg", "roll_deg", "side"), [(0.0, 0.0, "port"), (8.0, 0.0, "starboard"), (0.0, 10.0, "port")])
-def test_flat_floor_follows_the_sonar_equation(altitude_m: float, pitch_deg: float, roll_deg: float, side: Side) -> None:
-    scene = replace(PLAIN, sonar=replace(PLAIN.sonar, absorption_db_per_km=120.0))
-    got = heard(scene, pose(altitude_m, 30.0, pitch_deg, roll_deg), side)
-    nadir = altitude_m / math.cos(math.radians(pitch_deg))
-    seen = 1.2 * nadir < RANGE_M
-    r = RANGE_M[seen]
-    # Rolling starboard down turns its beam down and the other side's up.
-    tilt = math.radians(scene.sonar.tilt_deg + (roll_deg if side == "starboard" else -roll_deg))
-    pattern = two_way_pattern(np.arcsin(nadir / r) - tilt, scene.sonar.vertical_beam_width_deg)
-    footprint = r / np.sqrt(1.0 - (nadir / r) ** 2)
-    expected = (nadir / r) ** 2 * pattern * footprint * r**-4 * 10.0 ** (-0.2 * 120.0 * r / 1000.0)
-    level = 10.0 * np.log10(got[seen] / expected)
-    loud = expected > 1e-4 * expected.max()  # tables of the beam are coarse about its nulls
-    assert np.ptp(level[loud]) < 0.35
-    assert np.median(np.abs(level[loud] - np.median(level[loud]))) < 0.05
-    assert np.all(got[nadir - 0.1 > RANGE_M] == 0.0)
-
-
-def test_the_level_is_that_of_lamberts_law_in_the_footprint() -> None:
-    got = heard(PLAIN, pose())
-    sand = replace(PLAIN, world=replace(PLAIN.world, seabeds=(replace(BARE, level_db=7.0),)))
-    assert heard(sand, pose())[1000:] == pytest.approx(10.0**0.7 * got[1000:], rel=1e-4)
-    wide = replace(PLAIN, sonar=replace(PLAIN.sonar, beam_width_deg=0.8))
-    assert heard(wide, pose())[1000:] == pytest.approx(2.0 * got[1000:], rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -149,18 +114,6 @@ def test_the_floor_midway_is_stored_as_what_the_recorder_has_for_it(recorder: Re
     assert counts is not None
     intensity = (stored / counts) ** 2 if decibel_per_count is None else 10.0 ** (0.1 * decibel_per_count * (stored - counts))
     assert np.mean(intensity) == pytest.approx(1.0, abs=0.02)
-
-
-def test_a_range_gain_of_30_db_and_the_waters_absorption_level_out_what_scatters_alike() -> None:
-    """Spreading 40 dB less the beam's width 10 dB; what is left is the grazing angle's."""
-    gain = TimeVariedGain(spreading_db=30.0)
-    sonar = replace(PLAIN.sonar, absorption_db_per_km=100.0, gain=gain, looks=64, vertical_beam_width_deg=180.0)
-    _, pings = flown(replace(PLAIN, sonar=sonar))
-    far = RANGE_M > 10.0
-    sine = 5.0 / RANGE_M[far]
-    pattern = two_way_pattern(np.arcsin(sine) - math.radians(sonar.tilt_deg), 180.0)
-    level = intensities(pings).mean(axis=0)[far] / (sine**2 * pattern / np.sqrt(1.0 - sine**2))
-    assert np.std(10.0 * np.log10(level)) < 0.15
 
 
 def test_texture_lies_fixed_on_the_floor() -> None:
@@ -318,7 +271,7 @@ def test_a_small_thing_is_seen_when_abeam_at_its_slant_range(
     thing = SceneObject(
         kind=kind, leg=0, along_m=5.0, across_m=across if side == "starboard" else -across, width_m=2.0 * radius or None, strength_db=30.0
     )
-    sonar = replace(PLAIN.sonar, n_samples=1024, ping_rate_hz=15.0, looks=64, beam_width_deg=0.5, beam_lines=5 if radius else 1)
+    sonar = replace(PLAIN.sonar, n_samples=1024, ping_rate_hz=15.0, looks=16, beam_width_deg=0.5, beam_lines=5 if radius else 1)
     track = replace(
         PLAIN.track,
         plan=Lawnmower(heading_deg=heading, n_legs=1, leg_m=10.0),
@@ -381,17 +334,3 @@ def test_crosstalk_is_the_other_sides_echo() -> None:
     leaking = replace(scene, sonar=replace(scene.sonar, crosstalk_db=-20.0))
     assert heard(leaking, pose(), "port") == pytest.approx(port + 0.01 * starboard)
     assert heard(leaking, pose()) == pytest.approx(starboard + 0.01 * port)
-
-
-@pytest.mark.parametrize(("looks", "resolution_m"), [(1, 0.0), (4, 0.0), (1, 0.12), (2, 0.12)])
-def test_echo_and_noise_share_speckle_of_the_variance_of_its_looks(looks: int, resolution_m: float) -> None:
-    sonar = replace(PLAIN.sonar, n_samples=512, looks=looks, range_resolution_m=resolution_m, noise_db=-10.0)
-    scene = replace(PLAIN, sonar=sonar)
-    _, pings = flown(scene)
-    sea = Sea(scene)
-    slant = (np.arange(512) + 0.5) * sonar.range_m / 512
-    expected = (sea.mean_intensity([pose()])[0, 1] + 0.1 * sea.reference) * slant**3
-    far = slice(200, 512)
-    speckle = intensities(pings)[:, far] / expected[far]
-    assert speckle.var() / speckle.mean() ** 2 == pytest.approx(1.0 / looks, rel=0.1)
-    assert np.ptp([part.mean() for part in np.array_split(speckle, 6, axis=1)]) / speckle.mean() < 0.1
