@@ -1,0 +1,45 @@
+"""The benches, as a person runs them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from xtf_logs import written
+
+from auv_mcm.cli import main
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("bench", ["waterfall", "detect", "simulate", "scenes"])
+def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", bench, "--help"])
+    assert ended.value.code == 0
+    assert f"auv-mcm bench {bench}" in capsys.readouterr().out
+
+
+def test_a_bench_loads_no_other_ones_modules() -> None:
+    code = (
+        "import sys; from sim_replay.bench import main\n"
+        "try: main(['detect', '--help'])\n"
+        "except SystemExit: print(sorted(name for name in sys.modules if name.startswith('sim_replay.bench')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "['sim_replay.bench']"
+
+
+def test_detect_tells_what_each_step_costs_per_pixel_and_peak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "detect", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1"]) == 0
+    told = capsys.readouterr().out
+    assert "log: log.xtf" in told
+    assert all(step in told for step in ("score every pixel", "find peaks", "measure peaks"))
+
+
+def test_waterfall_tells_costs_per_stage_of_a_short_and_a_long_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "waterfall", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1", "--minutes", "0.5"]) == 0
+    told = capsys.readouterr().out
+    assert all(word in told for word in ("waterfall", "detect", "total", "short", "long", "x real time", "--exhaustive"))
