@@ -1,0 +1,96 @@
+"""What an intensity costs under each class: minus the logarithm of its probability density, less what all classes share.
+
+Intensities are means over blocks of speckle, Gamma distributed with L looks (L = 1: exponential intensity, Rayleigh amplitude). A spiky
+sea floor adds a Gamma texture of shape nu: the K distribution (Jakeman and Pusey 1976), told from the mean and variance of the
+logarithm (log-cumulants, Nicolas 2002). Left out of every cost is minus the logarithm of L^L I^(L-1) / Gamma(L), with the looks L
+of the sea floor.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Plane = NDArray[np.float64]
+
+_SPIKY_BELOW_NU: Final = 20.0  # smoother texture is not told from none
+_LEAST_NU: Final = 0.3
+_MOST_LOOKS: Final = 50.0
+_SIGMAS: Final = 3.0  # of the log-variance's scatter before a texture or more looks are believed
+_MORE_LOOKS: Final = 0.25  # of the nominal variance; the nominal looks themselves are measured
+_TABLE_BINS: Final = 2048
+_TABLE_LOG_RANGE: Final = (math.log(1e-7), math.log(1e7))
+
+
+class BackgroundLaw(NamedTuple):
+    """Gamma with `looks`, times a Gamma texture of shape `nu`; nu is infinite for none."""
+
+    looks: float
+    nu: float
+
+
+def choose_background_law(log_variance: float, nominal_looks: float, n_independent: float) -> BackgroundLaw:
+    """The law of a sea floor whose log-intensity has this variance.
+
+    nominal_looks: what speckle alone gives. n_independent: number of independent samples the variance comes from. The Gamma law of the
+    nominal looks stands unless the variance differs by more than three times its own scatter: a larger one means texture, a
+    smaller one more looks.
+    """
+    nominal = trigamma(nominal_looks)
+    # Variance of a sample variance: 2 trigamma^2 and the fourth cumulant, the polygamma of order 3, here to 20 % for one look or more.
+    scatter = nominal * math.sqrt((2.0 + 2.4 / nominal_looks) / max(n_independent, 1.0))
+    excess = log_variance - nominal
+    if excess > max(_SIGMAS * scatter, trigamma(_SPIKY_BELOW_NU)):
+        return BackgroundLaw(nominal_looks, max(_LEAST_NU, inverse_trigamma(excess)))
+    if excess < -max(_SIGMAS * scatter, _MORE_LOOKS * nominal):
+        return BackgroundLaw(min(_MOST_LOOKS, inverse_trigamma(log_variance)), math.inf)
+    return BackgroundLaw(nominal_looks, math.inf)
+
+
+def background_cost(intensity: Plane, mean: float, law: BackgroundLaw) -> Plane:
+    """Cost of intensities (> 0, any shape) under the sea floor's law with this mean (> 0)."""
+    if math.isinf(law.nu):
+        return gamma_cost(intensity, mean, law.looks)
+    log_ratio, cost = k_table(law.looks, law.nu)
+    return np.asarray(np.interp(np.log(intensity / mean), log_ratio, cost) + law.looks * math.log(mean))
+
+
+def gamma_cost(intensity: Plane, mean: float, looks: float) -> Plane:
+    """Cost under a Gamma law with the looks of the sea floor, L (ln mean + I / mean): shadow, highlight, and sea floor without texture."""
+    return np.asarray(looks * (intensity / mean + math.log(mean)))
+
+
+@functools.lru_cache(maxsize=8)
+def k_table(looks: float, nu: float) -> tuple[Plane, Plane]:
+    """Logarithm of intensity over mean, and the cost there, for the K law with mean 1; (2048,) float64 each."""
+    from scipy.special import kve  # late: most regions never need it
+
+    log_ratio = np.linspace(*_TABLE_LOG_RANGE, _TABLE_BINS)
+    argument = 2.0 * np.sqrt(looks * nu * np.exp(log_ratio))
+    log_bessel = np.log(kve(nu - looks, argument)) - argument
+    cost = 0.5 * (looks - nu) * log_ratio - log_bessel - math.log(2.0) + math.lgamma(nu)
+    return log_ratio, cost - 0.5 * (looks + nu) * math.log(looks * nu) + looks * math.log(looks)
+
+
+def trigamma(x: float) -> float:
+    """Second derivative of ln Gamma at x > 0, to 1e-10: recurrence up to 8, then the asymptotic series (Abramowitz and Stegun 6.4.12)."""
+    total = 0.0
+    while x < 8.0:
+        total += 1.0 / (x * x)
+        x += 1.0
+    square = 1.0 / (x * x)
+    series = 1.0 / 6.0 - square * (1.0 / 30.0 - square * (1.0 / 42.0 - square * (1.0 / 30.0 - square * 5.0 / 66.0)))
+    return total + 1.0 / x + 0.5 * square + square / x * series
+
+
+def inverse_trigamma(value: float) -> float:
+    """x > 0 with trigamma(x) = value > 0, by bisection in ln x over 1e-4 to 1e8; the nearer end beyond."""
+    low, high = math.log(1e-4), math.log(1e8)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if trigamma(math.exp(middle)) > value else (low, middle)
+    return math.exp(0.5 * (low + high))

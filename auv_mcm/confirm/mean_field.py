@@ -1,0 +1,126 @@
+"""Class means estimated in context: expectation maximisation with the mean-field approximation of the label field.
+
+After Celeux, Forbes and Peyrard, Pattern Recognition 36 (2003) 131-144. A mixture fitted without context moves its rare classes into
+the tails of the common one; from a start that physics gives, with neighbours heard, they stay where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.confirm.likelihoods import BackgroundLaw, background_cost, gamma_cost
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
+
+Plane = NDArray[np.float64]
+
+SHADOW_START: Final = 0.15  # times the background
+HIGHLIGHT_START: Final = 5.0
+_ROUNDS: Final = 4
+_SWEEPS: Final = 2
+_SHADOW_RANGE: Final = (1e-3, 0.5)  # times the background; a lighter shadow is sea floor
+_HIGHLIGHT_RANGE: Final = (2.0, 1e3)
+_GLINT: Final = 3.0  # times the highlight's mean
+_ABSENT_BELOW: Final = 8.0  # independent samples
+_OWN_WEIGHT: Final = 12.0  # independent samples that the start counts for
+
+
+class ClassMeans(NamedTuple):
+    """Mean intensity of each class, and the independent samples it rests on; few mean that the class is absent and its mean a guess."""
+
+    background: float
+    shadow: float
+    highlight: float
+    n_shadow: float
+    n_highlight: float
+
+    @property
+    def has_shadow(self) -> bool:
+        return self.n_shadow >= _ABSENT_BELOW
+
+    @property
+    def has_highlight(self) -> bool:
+        return self.n_highlight >= _ABSENT_BELOW
+
+
+def data_costs(intensity: Plane, information: Plane, means: ClassMeans, law: BackgroundLaw) -> Plane:
+    """Cost of each label of each cell, nats per independent sample, (3, n_rows, n_columns) float64; cells without data cost 0.
+
+    information: independent samples per cell over the looks of its mean. A cell's costs are cut at 50 above the least, so that one
+    outlier does not outweigh the rest of the image.
+    """
+    # A glint says no more than highlight: under a K law it would be sea floor again, whose tail falls slower.
+    intensity = np.minimum(intensity, _GLINT * means.highlight)
+    cost = np.empty((3, *intensity.shape))
+    cost[BACKGROUND] = background_cost(intensity, means.background, law)
+    cost[SHADOW] = gamma_cost(intensity, means.shadow, law.looks)
+    cost[HIGHLIGHT] = gamma_cost(intensity, means.highlight, law.looks)
+    cost -= cost.min(axis=0)
+    return np.asarray(np.minimum(cost * information, 50.0))
+
+
+def start_means(background: float) -> ClassMeans:
+    """What physics leads to expect around a sea floor of this mean."""
+    return ClassMeans(background, SHADOW_START * background, HIGHLIGHT_START * background, 0.0, 0.0)
+
+
+def fit_means(
+    intensity: Plane,
+    samples: Plane,
+    information: Plane,
+    start: ClassMeans,
+    law: BackgroundLaw,
+    weight: Plane,
+    prior: Callable[[NDArray[np.uint8]], Plane],
+) -> tuple[ClassMeans, Plane]:
+    """Means after four rounds from `start`, and the probability of each label, (3, n_rows, n_columns).
+
+    intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64. weight: (4,), the smoothness of the edges
+    right, down-left, down, down-right. prior: cost (3, n_rows, n_columns) of each label given
+    labels (n_rows, n_columns). A class with hardly any samples keeps its start.
+    """
+    means = start
+    probability = _softmin(data_costs(intensity, information, means, law))
+    for _ in range(_ROUNDS):
+        cost = data_costs(intensity, information, means, law) + prior(probability.argmax(axis=0).astype(np.uint8))
+        for _ in range(_SWEEPS):
+            probability = _softmin(cost - _heard(probability, weight))
+        share = probability * samples
+        number = share.sum(axis=(1, 2))
+        total = (share * intensity).sum(axis=(1, 2))
+        first = (start.background, start.shadow, start.highlight)
+        level = [float((total[k] + _OWN_WEIGHT * first[k]) / (number[k] + _OWN_WEIGHT)) for k in range(3)]
+        background = level[BACKGROUND]
+        n_shadow, n_highlight = float(number[SHADOW]), float(number[HIGHLIGHT])
+        means = ClassMeans(
+            background,
+            _within(level[SHADOW] if n_shadow >= _ABSENT_BELOW else start.shadow, _SHADOW_RANGE, background),
+            _within(level[HIGHLIGHT] if n_highlight >= _ABSENT_BELOW else start.highlight, _HIGHLIGHT_RANGE, background),
+            n_shadow,
+            n_highlight,
+        )
+    return means, probability
+
+
+def _within(level: float, limits: tuple[float, float], background: float) -> float:
+    return min(max(level, limits[0] * background), limits[1] * background)
+
+
+def _heard(probability: Plane, weight: Plane) -> Plane:
+    """Weighted sum of the probabilities of the eight neighbours; both diagonals count alike."""
+    beside = np.zeros_like(probability)
+    beside[:, :, 1:] += probability[:, :, :-1]
+    beside[:, :, :-1] += probability[:, :, 1:]
+    across = weight[2] * probability + weight[3] * beside
+    heard: Plane = weight[0] * beside
+    heard[:, 1:] += across[:, :-1]
+    heard[:, :-1] += across[:, 1:]
+    return heard
+
+
+def _softmin(cost: Plane) -> Plane:
+    probability = np.exp(cost.min(axis=0) - cost)
+    return np.asarray(probability / probability.sum(axis=0))

@@ -1,0 +1,119 @@
+"""How far speckle is correlated from pixel to pixel, and blocks of pixels that are independent again.
+
+An image sampled finer than its resolution shows each speckle grain in several pixels. A likelihood that takes them for independent
+counts every grain several times over, more than any smoothness prior can outweigh.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Plane = NDArray[np.float64]
+
+_FURTHEST_LAG: Final = 4  # pixels; grains of well processed images are 1 to 4 pixels
+_PLATEAU_LAGS: Final = range(7, 10)
+_NO_CORRELATION: Final = 0.05
+_LEAST_PAIRS: Final = 200
+_CLIP: Final = 5.0  # times the mean: one speckle in 150 is brighter; bright texture would outweigh all grains
+_LARGEST_BLOCK_M: Final = 0.25  # blocks must stay small against the shadow of the smallest mine
+_UNCORRELATED: Final = 1.15  # pixels; measurement scatter about 1
+
+
+class Correlation(NamedTuple):
+    """Length of one speckle grain along each axis, pixels, 1 or more: the sum of the correlation over all lags."""
+
+    rows: float
+    columns: float
+
+    @property
+    def spread_rows(self) -> float:
+        """1-sigma of the Gaussian point-spread function of intensity along rows, pixels; 0 without correlation."""
+        return _spread(self.rows)
+
+    @property
+    def spread_columns(self) -> float:
+        """As spread_rows, along columns."""
+        return _spread(self.columns)
+
+
+def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Correlation:
+    """Grain size of the sea floor's speckle.
+
+    intensity: (n_rows, n_columns) float64, mean about 1. background: same shape bool, pixels to look at; pairs with another pixel
+    are left out. From half the mean squared difference at each lag over that at lags no grain spans: what varies slowly (texture,
+    a gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count as uncorrelated.
+    """
+    clipped = np.minimum(intensity, _CLIP)
+    return Correlation(_grain(clipped.T, background.T), _grain(clipped, background))
+
+
+def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
+    """Rows and columns of a block that holds about one grain, but is no longer than a quarter of a metre."""
+    return tuple(  # type: ignore[return-value]  # two of them
+        max(1, min(round(length), int(_LARGEST_BLOCK_M / spacing_m)))
+        for length, spacing_m in zip(correlation, (row_spacing_m, column_spacing_m), strict=True)
+    )
+
+
+def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int]) -> tuple[Plane, Plane]:
+    """Mean of the usable pixels of each block, 1 where there are none, and the fraction of a whole block they are.
+
+    plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64; the last blocks
+    may reach over the edge.
+    """
+    rows, columns = factors
+    short_rows, short_columns = -plane.shape[0] % rows, -plane.shape[1] % columns
+    padding = ((0, short_rows), (0, short_columns))
+    shape = ((plane.shape[0] + short_rows) // rows, rows, (plane.shape[1] + short_columns) // columns, columns)
+    number = np.pad(usable.astype(np.float64), padding).reshape(shape).sum(axis=(1, 3))
+    total = np.pad(np.where(usable, plane, 0.0), padding).reshape(shape).sum(axis=(1, 3))
+    return np.where(number > 0.0, total / np.maximum(number, 1.0), 1.0), number / (rows * columns)
+
+
+def looks_of_blocks(correlation: Correlation, factors: tuple[int, int]) -> float:
+    """Looks of the mean over a block of single-look pixels: one over its variance, for a Gaussian point-spread function.
+
+    Goodman, Speckle Phenomena in Optics, sec. 4.6: the correlation of intensity is exp(-lag^2 / (4 spread^2)) for a spread of the
+    intensity's point-spread function.
+    """
+    variance = 1.0
+    for factor, spread in zip(factors, (correlation.spread_rows, correlation.spread_columns), strict=True):
+        lag = np.subtract.outer(np.arange(factor), np.arange(factor)).astype(np.float64)
+        shared = np.exp(-0.25 * (lag / spread) ** 2) if spread > 0.0 else np.equal(lag, 0.0)
+        variance *= float(shared.mean())
+    return 1.0 / variance
+
+
+def _spread(length: float) -> float:
+    # The correlation exp(-lag^2 / (4 s^2)) sums to 2 s sqrt(pi) over all lags.
+    return length / (2.0 * math.sqrt(math.pi)) if length > _UNCORRELATED else 0.0
+
+
+def _grain(plane: Plane, background: NDArray[np.bool_]) -> float:
+    """Along the second axis."""
+    plateau = [half for lag in _PLATEAU_LAGS if (half := _half_difference(plane, background, lag)) is not None]
+    if not plateau or max(plateau) <= 0.0:
+        return 1.0
+    far = sum(plateau) / len(plateau)
+    length = 1.0
+    for lag in range(1, _FURTHEST_LAG + 1):
+        near = _half_difference(plane, background, lag)
+        if near is None or 1.0 - near / far < _NO_CORRELATION:
+            break
+        length += 2.0 * (1.0 - near / far)
+    return length
+
+
+def _half_difference(plane: Plane, background: NDArray[np.bool_], lag: int) -> float | None:
+    if plane.shape[1] <= lag:
+        return None
+    both = background[:, lag:] & background[:, :-lag]
+    number = int(both.sum())
+    if number < _LEAST_PAIRS:
+        return None
+    difference = np.where(both, plane[:, lag:] - plane[:, :-lag], 0.0)
+    return float(0.5 * (difference**2).sum() / number)

@@ -1,0 +1,199 @@
+"""Borders of a label field moved to where an image of finite resolution has them.
+
+The mean intensity a sonar shows is the mean of each label smeared by the point-spread function: m = spread * level[x]. Under
+exponential speckle the cost of labels x is
+
+    information sum_s (ln m_s + I_s / m_s) + sum_<s,t> weight_st [x_s != x_t]
+
+A likelihood without the smearing puts the border of a shadow where its intensity is the geometric kind of middle between shadow and
+sea floor, inside the true one by about the spread. Lowered here one pixel at a time, in raster order there and back; only pixels
+beside another label change, to one of the labels beside them, and only if the cost falls.
+
+C and numpy round alike: same operations, same order, no fused ones.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import math
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+
+Plane = NDArray[np.float64]
+Labels = NDArray[np.uint8]
+
+_REACH: Final = 2.5  # of the point spread, in its sigmas
+_NEIGHBOURS: Final = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))
+
+_P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+
+
+def point_spread(sigma: float) -> Plane:
+    """Gaussian of 1-sigma `sigma` pixels, cut at 2.5 sigma, its sum 1; (2 reach + 1,) float64; just 1 for sigma 0."""
+    reach = math.ceil(_REACH * sigma)
+    if reach == 0:
+        return np.ones(1)
+    spread = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return np.asarray(spread / spread.sum())
+
+
+def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
+    """plane (n_rows, n_columns) smeared along both axes; beyond its edges it goes on as at the edge."""
+    for axis, spread in enumerate((spread_rows, spread_columns)):
+        reach = len(spread) // 2
+        padded = np.pad(plane, [(reach, reach) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
+        length = plane.shape[axis]
+        plane = sum(value * padded.take(range(k, k + length), axis=axis) for k, value in enumerate(spread))
+    return plane
+
+
+def soft_edges(
+    intensity: Plane,
+    usable: NDArray[np.bool_],
+    labels: Labels,
+    *,
+    level: Plane,
+    spread_rows: Plane,
+    spread_columns: Plane,
+    weight: Plane,
+    information: float,
+    n_sweeps: int,
+) -> Labels:
+    """The labels after at most n_sweeps (>= 1) sweeps, fewer once nothing changes; (n_rows, n_columns) uint8.
+
+    intensity: (n_rows, n_columns) float64, not negative; usable: same shape bool, False for no data. labels: same shape uint8 of
+    0, 1, 2. level: (3,) float64 > 0, mean intensity of each label. spread_rows, spread_columns: point spread along each axis,
+    odd length. weight: (4,) right, down-left, down, down-right. information: independent samples per pixel.
+    Raises ValueError for shapes that do not fit, levels that are not positive, labels above 2.
+    """
+    start = _prepared(intensity, usable, labels, level, spread_rows, spread_columns, weight)
+    function = _c_soft_edges()
+    if function is None:
+        return _soft_edges_in_place(start, level, weight, information, n_sweeps)
+    scratch, done = np.empty_like(start.spread), np.zeros(1, dtype=np.int64)
+    level, weight = np.ascontiguousarray(level), np.ascontiguousarray(weight)
+    planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, done)
+    reach = len(spread_rows) // 2, len(spread_columns) // 2
+    function(*labels.shape, *reach, n_sweeps, information, *(plane.ctypes.data for plane in planes))
+    return start.labels
+
+
+def soft_edges_numpy(
+    intensity: Plane,
+    usable: NDArray[np.bool_],
+    labels: Labels,
+    *,
+    level: Plane,
+    spread_rows: Plane,
+    spread_columns: Plane,
+    weight: Plane,
+    information: float,
+    n_sweeps: int,
+) -> Labels:
+    """soft_edges in numpy alone."""
+    start = _prepared(intensity, usable, labels, level, spread_rows, spread_columns, weight)
+    return _soft_edges_in_place(start, level, weight, information, n_sweeps)
+
+
+class _Start(NamedTuple):
+    """Planes with room for the point spread around them, the mean that goes with the labels, and a copy of the labels."""
+
+    data: Plane
+    measured: Plane
+    mean: Plane
+    spread: Plane
+    labels: Labels
+
+
+def _prepared(
+    intensity: Plane,
+    usable: NDArray[np.bool_],
+    labels: Labels,
+    level: Plane,
+    spread_rows: Plane,
+    spread_columns: Plane,
+    weight: Plane,
+) -> _Start:
+    if not intensity.shape == usable.shape == labels.shape or intensity.ndim != 2 or intensity.size == 0:
+        raise ValueError(f"intensity, usable and labels must have one 2-d shape, not {intensity.shape}, {usable.shape}, {labels.shape}")
+    if level.shape != (3,) or not (np.isfinite(level).all() and level.min() > 0.0) or labels.max() > 2:
+        raise ValueError(f"labels must be 0, 1 or 2 and level three positive numbers, not up to {labels.max()} and {level}")
+    if len(spread_rows) % 2 == 0 or len(spread_columns) % 2 == 0 or weight.shape != (4,):
+        raise ValueError("a point spread must have an odd number of values, and weight four")
+    reach_rows, reach_columns = len(spread_rows) // 2, len(spread_columns) // 2
+    padding = ((reach_rows, reach_rows), (reach_columns, reach_columns))
+    data = np.pad(np.where(usable, intensity, 0.0), padding)
+    measured = np.pad(usable.astype(np.float64), padding)
+    mean = np.pad(smeared(level[labels], spread_rows, spread_columns), padding, constant_values=1.0)
+    mean = np.where(measured > 0.0, mean, 1.0)
+    spread = np.outer(spread_rows, spread_columns)
+    return _Start(data, measured, mean, spread, np.array(labels, dtype=np.uint8, order="C"))
+
+
+@functools.cache
+def _c_soft_edges() -> Callable[..., None] | None:
+    return kernels.c_function("soft_edges", *[_I] * 5, _R, *[_P] * 9)
+
+
+def _soft_edges_in_place(start: _Start, level: Plane, weight: Plane, information: float, n_sweeps: int) -> Labels:
+    data, measured, mean, spread, labels = start
+    n_rows, n_columns = labels.shape
+    high, wide = spread.shape
+    # Nearly every pixel stands among its own kind: only those that may not are looked at.
+    padded = np.pad(labels, 1, mode="edge")
+    views = [padded[1 + down : 1 + down + n_rows, 1 + right : 1 + right + n_columns] for down, right in _NEIGHBOURS]
+    near = np.logical_or.reduce([view != labels for view in views])
+    for sweep in range(n_sweeps):
+        changed = False
+        for step in _true_places(near.ravel()[:: -1 if sweep % 2 else 1]):
+            row, column = divmod(labels.size - 1 - step if sweep % 2 else step, n_columns)
+            own = int(labels[row, column])
+            alike = [0.0, 0.0, 0.0]
+            for n, (down, right) in enumerate(_NEIGHBOURS):
+                if 0 <= row + down < n_rows and 0 <= column + right < n_columns:
+                    alike[labels[row + down, column + right]] += float(weight[n % 4])
+            window = (slice(row, row + high), slice(column, column + wide))
+            local = spread * measured[window]
+            best, best_label = 0.0, own
+            for label in range(3):
+                if label == own or alike[label] == 0.0:
+                    continue
+                rise = float(level[label] - level[own])
+                change = alike[own] - alike[label] + information * _data_change(data[window], mean[window], local, rise)
+                if change < best:
+                    best, best_label = change, label
+            if best_label != own:
+                mean[window] += float(level[best_label] - level[own]) * local
+                labels[row, column] = best_label
+                near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = True
+                changed = True
+        if not changed:
+            break
+    return labels
+
+
+def _true_places(mask: NDArray[np.bool_]) -> Iterator[int]:
+    """Where the mask is True, in order; what becomes True ahead meanwhile is met as well."""
+    at = 0
+    while at < mask.size:
+        at += int(mask[at:].argmax())
+        if not mask[at]:
+            return
+        yield at
+        at += 1
+
+
+def _data_change(data: Plane, before: Plane, local: Plane, rise: float) -> float:
+    after = before + rise * local
+    product = np.multiply.accumulate(after / before, axis=1)[:, -1]
+    linear = np.add.accumulate(data * (1.0 / after - 1.0 / before), axis=1)[:, -1]
+    total = 0.0
+    for one, other in zip(product, linear, strict=True):
+        total += math.log(one) + float(other)
+    return total

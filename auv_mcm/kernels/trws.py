@@ -1,0 +1,290 @@
+"""Labels of a grid that minimise a Potts energy: tree-reweighted message passing, and iterated conditional modes.
+
+    E(x) = sum_s unary[s, x_s] + sum_<s,t> weight_st [x_s != x_t]
+
+over three labels and eight neighbours; a weight for each of the directions right, down-left, down, down-right. TRW-S after
+Kolmogorov, IEEE PAMI 28 (2006) 1568-1583, in raster order: every sweep raises (never lowers) a lower bound on the energy of any
+labelling, so that the best labels found come with how far from optimal they can be. ICM after Besag, J. R. Stat. Soc. B 48 (1986).
+
+Messages are a reparametrisation: with M_t the message an edge keeps for the cell t the last pass sent to, the energy equals
+the sum over cells of (unary + incoming messages) plus that over edges of (potential - both messages), whatever the messages are.
+A backward pass bounds each part below, so the bound holds from any start, the messages of another problem included.
+
+Among equally good labels the smaller one wins. C and numpy round alike: same operations, same order, no fused ones.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+
+N_LABELS = 3
+N_EDGES = 4
+
+_EARLIER = ((0, -1), (-1, 1), (-1, 0), (-1, -1))  # of a cell: where the other end of edge e is; later ones are opposite
+
+_P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+
+
+class Minimum(NamedTuple):
+    """labels: (n_rows, n_columns) uint8, the best met; energy: theirs; lower_bound: no labelling has less.
+
+    trace: (n_sweeps, 2) float64, lower bound and energy of the labels decoded after each sweep made.
+    messages: (n_rows + 1, n_columns + 2, 3, 4) float64, a start for the same grid with slightly other costs.
+    """
+
+    labels: NDArray[np.uint8]
+    energy: float
+    lower_bound: float
+    trace: NDArray[np.float64]
+    messages: NDArray[np.float64]
+
+
+def trws(
+    unary: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    n_sweeps: int,
+    *,
+    tolerance: float = 0.0,
+    messages: NDArray[np.float64] | None = None,
+) -> Minimum:
+    """Minimise the energy in at most n_sweeps (>= 1) sweeps, fewer once it is within `tolerance` (>= 0) of its bound.
+
+    unary: (n_rows, n_columns, 3) float64. weight: (4,) float64, right, down-left, down, down-right, not negative.
+    messages: of an earlier Minimum on a grid of the same shape; zeros without.
+    Raises ValueError for other shapes, for costs or weights that are not finite, for negative weights and for no sweeps.
+    """
+    unary, weight = _checked(unary, weight, n_sweeps)
+    n_rows, n_columns, _ = unary.shape
+    shape = (n_rows + 1, n_columns + 2, N_LABELS, N_EDGES)
+    if messages is not None and messages.shape != shape:
+        raise ValueError(f"messages must have shape {shape} for this grid, not {messages.shape}")
+    start = np.zeros(shape) if messages is None else np.array(messages, dtype=np.float64, order="C")  # updated in place
+    function = _c_trws()
+    if function is None:
+        return _trws_in_place(unary, weight, n_sweeps, tolerance, start)
+    labels = np.empty((n_rows, n_columns), dtype=np.uint8)
+    scratch = np.empty_like(labels)
+    trace = np.empty((n_sweeps, 2))
+    done = np.zeros(1, dtype=np.int64)
+    planes = (unary, weight, start, labels, scratch, trace, done)
+    function(n_rows, n_columns, n_sweeps, tolerance, *(plane.ctypes.data for plane in planes))
+    return _minimum(labels, trace[: done[0]], start)
+
+
+def trws_numpy(
+    unary: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    n_sweeps: int,
+    *,
+    tolerance: float = 0.0,
+    messages: NDArray[np.float64] | None = None,
+) -> Minimum:
+    """trws in numpy alone."""
+    n_rows, n_columns, _ = unary.shape
+    start = np.zeros((n_rows + 1, n_columns + 2, N_LABELS, N_EDGES)) if messages is None else messages.copy()
+    return _trws_in_place(unary, weight, n_sweeps, tolerance, start)
+
+
+def icm(unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray[np.uint8], n_sweeps: int) -> tuple[NDArray[np.uint8], int]:
+    """Lower the energy one cell at a time in raster order, from `labels`, until nothing changes or n_sweeps (>= 1) are made.
+
+    unary and weight as for trws; labels: (n_rows, n_columns) uint8 of 0, 1, 2. Returns labels (same shape) and the sweeps made.
+    Raises ValueError as trws does, and for labels of another shape or above 2.
+    """
+    unary, weight = _checked(unary, weight, n_sweeps)
+    if labels.shape != unary.shape[:2] or (labels.size and labels.max() >= N_LABELS):
+        raise ValueError(f"labels must be 0, 1 or 2 on a grid of {unary.shape[:2]}, not up to {labels.max(initial=0)} on {labels.shape}")
+    labels = np.array(labels, dtype=np.uint8, order="C")
+    function = _c_icm()
+    if function is None:
+        return icm_numpy(unary, weight, labels, n_sweeps)
+    done = np.zeros(1, dtype=np.int64)
+    function(*labels.shape, n_sweeps, *(plane.ctypes.data for plane in (unary, weight, labels, done)))
+    return labels, int(done[0])
+
+
+def icm_numpy(
+    unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray[np.uint8], n_sweeps: int
+) -> tuple[NDArray[np.uint8], int]:
+    """icm in numpy alone."""
+    n_rows, n_columns, _ = unary.shape
+    earlier, later = _edge_weights(n_rows, n_columns, weight)
+    padded = np.zeros((n_rows + 2, n_columns + 2), dtype=np.uint8)
+    padded[1:-1, 1:-1] = labels
+    waves = _waves(n_rows, n_columns)
+    done = 0
+    for _ in range(n_sweeps):
+        changed = 0
+        for row, column in waves:
+            cost = _against(padded, row, column, earlier[row, column], 1)
+            cost = _against(padded, row, column, later[row, column], -1, cost) + unary[row, column]
+            best = cost.argmin(axis=1)
+            cells = np.arange(len(row))
+            moved = cost[cells, best] < cost[cells, padded[row + 1, column + 1]]
+            padded[row[moved] + 1, column[moved] + 1] = best[moved]
+            changed += int(moved.sum())
+        done += 1
+        if not changed:
+            break
+    return padded[1:-1, 1:-1].copy(), done
+
+
+def energy_of(labels: NDArray[np.uint8], unary: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    """E(labels); labels (n_rows, n_columns), unary (n_rows, n_columns, 3), weight (4,)."""
+    own = np.take_along_axis(unary, labels[:, :, None].astype(np.intp), axis=2).sum()
+    pairs = (
+        (labels[:, 1:], labels[:, :-1]),
+        (labels[1:, :-1], labels[:-1, 1:]),
+        (labels[1:], labels[:-1]),
+        (labels[1:, 1:], labels[:-1, :-1]),
+    )
+    return float(own + sum(float(w) * int((a != b).sum()) for w, (a, b) in zip(weight, pairs, strict=True)))
+
+
+@functools.cache
+def _c_trws() -> Callable[..., None] | None:
+    return kernels.c_function("trws", _I, _I, _I, _R, *[_P] * 7)
+
+
+@functools.cache
+def _c_icm() -> Callable[..., None] | None:
+    return kernels.c_function("icm", _I, _I, _I, *[_P] * 4)
+
+
+def _trws_in_place(
+    unary: NDArray[np.float64], weight: NDArray[np.float64], n_sweeps: int, tolerance: float, messages: NDArray[np.float64]
+) -> Minimum:
+    # Cells of equal column + 2 row do not see each other: a wave of them is one step of the raster order.
+    n_rows, n_columns, _ = unary.shape
+    earlier, later = _edge_weights(n_rows, n_columns, weight)
+    chains = np.maximum(*(exists.sum(axis=2) for exists in _edge_exists(n_rows, n_columns)))
+    share = 1.0 / np.maximum(chains, 1)
+    waves = _waves(n_rows, n_columns)
+    trace: list[tuple[float, float]] = []
+    best_labels, best_energy = np.zeros((n_rows, n_columns), dtype=np.uint8), np.inf
+    bound = np.empty((n_rows, n_columns))
+    for _ in range(n_sweeps):
+        for row, column in waves:
+            scaled = share[row, column, None] * _gathered(unary, messages, row, column)
+            messages[row + 1, column + 1], _ = _sent(scaled[:, :, None] - messages[row + 1, column + 1], later[row, column])
+        for row, column in reversed(waves):
+            cost = _gathered(unary, messages, row, column)
+            scaled = share[row, column, None] * cost
+            floor_cost = cost.min(axis=1)
+            part = np.empty((len(row), N_EDGES))
+            for e, (down, right) in enumerate(_EARLIER):
+                there = (row + 1 + down, column + 1 + right, slice(None), e)
+                sent, least = _sent((scaled - messages[there])[:, :, None], earlier[row, column, e : e + 1])
+                messages[there] = sent[:, :, 0]
+                part[:, e] = least[:, 0] - share[row, column] * floor_cost
+            bound[row, column] = floor_cost + ((part[:, 0] + part[:, 1]) + (part[:, 2] + part[:, 3]))
+        labels, energy = _decoded(unary, earlier, messages, waves)
+        trace.append((_summed(bound[::-1, ::-1]), energy))
+        if energy < best_energy:
+            best_labels, best_energy = labels, energy
+        if best_energy - trace[-1][0] <= tolerance:
+            break
+    return _minimum(best_labels, np.array(trace), messages)
+
+
+def _minimum(labels: NDArray[np.uint8], trace: NDArray[np.float64], messages: NDArray[np.float64]) -> Minimum:
+    return Minimum(labels, float(trace[:, 1].min()), float(trace[:, 0].max()), trace, messages)
+
+
+def _gathered(
+    unary: NDArray[np.float64], messages: NDArray[np.float64], row: NDArray[np.intp], column: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    own = messages[row + 1, column + 1]
+    later = (own[:, :, 0] + own[:, :, 1]) + (own[:, :, 2] + own[:, :, 3])
+    above = (messages[row, column + 2, :, 1] + messages[row, column + 1, :, 2]) + messages[row, column, :, 3]
+    return np.asarray(((unary[row, column] + later) + above) + messages[row + 1, column, :, 0])
+
+
+def _sent(value: NDArray[np.float64], weight: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    least = value.min(axis=1)
+    return np.minimum(value - least[:, None], weight[:, None]), least
+
+
+def _decoded(
+    unary: NDArray[np.float64],
+    earlier: NDArray[np.float64],
+    messages: NDArray[np.float64],
+    waves: list[tuple[NDArray[np.intp], NDArray[np.intp]]],
+) -> tuple[NDArray[np.uint8], float]:
+    n_rows, n_columns, _ = unary.shape
+    padded = np.zeros((n_rows + 2, n_columns + 2), dtype=np.uint8)
+    energy = np.empty((n_rows, n_columns))
+    for row, column in waves:
+        own = messages[row + 1, column + 1]
+        pair = _against(padded, row, column, earlier[row, column], 1)
+        cost = (unary[row, column] + pair) + ((own[:, :, 0] + own[:, :, 1]) + (own[:, :, 2] + own[:, :, 3]))
+        label = cost.argmin(axis=1)
+        padded[row + 1, column + 1] = label
+        cells = np.arange(len(row))
+        energy[row, column] = unary[row, column, label] + pair[cells, label]
+    return padded[1:-1, 1:-1].copy(), _summed(energy)
+
+
+def _against(
+    padded: NDArray[np.uint8],
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+    weight: NDArray[np.float64],
+    sense: int,
+    cost: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    cost = np.zeros((len(row), N_LABELS)) if cost is None else cost
+    for e, (down, right) in enumerate(_EARLIER):
+        neighbour = padded[row + 1 + sense * down, column + 1 + sense * right]
+        cost = cost + weight[:, e, None] * (neighbour[:, None] != np.arange(N_LABELS))
+    return cost
+
+
+def _edge_exists(n_rows: int, n_columns: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of each cell its earlier and its later edges that stay in the grid, (n_rows, n_columns, 4) each."""
+    row, column = np.mgrid[:n_rows, :n_columns]
+    both = []
+    for sense in (1, -1):
+        there = [(row + sense * down, column + sense * right) for down, right in _EARLIER]
+        both.append(np.stack([(r >= 0) & (r < n_rows) & (c >= 0) & (c < n_columns) for r, c in there], axis=2))
+    return both[0], both[1]
+
+
+def _edge_weights(n_rows: int, n_columns: int, weight: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    earlier, later = _edge_exists(n_rows, n_columns)
+    return earlier * weight, later * weight
+
+
+def _waves(n_rows: int, n_columns: int) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    waves = []
+    for wave in range(n_columns + 2 * (n_rows - 1)):
+        row = np.arange(max(0, (wave - n_columns + 2) // 2), min(n_rows - 1, wave // 2) + 1)
+        waves.append((row, wave - 2 * row))
+    return waves
+
+
+def _summed(plane: NDArray[np.float64]) -> float:
+    """One term after the other, as the C loop does; numpy's own sum pairs them."""
+    return float(np.add.accumulate(plane.ravel())[-1])
+
+
+def _checked(unary: NDArray[np.float64], weight: NDArray[np.float64], n_sweeps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    unary = np.ascontiguousarray(unary, dtype=np.float64)
+    weight = np.ascontiguousarray(weight, dtype=np.float64)
+    if unary.ndim != 3 or unary.shape[2] != N_LABELS or unary.size == 0:
+        raise ValueError(f"unary must have shape (n_rows, n_columns, {N_LABELS}) with at least one cell, not {unary.shape}")
+    if weight.shape != (N_EDGES,) or not (np.isfinite(weight).all() and weight.min() >= 0.0):
+        raise ValueError(f"weight must be {N_EDGES} finite numbers that are not negative, not {weight}")
+    if not np.isfinite(unary).all():
+        raise ValueError("unary holds NaN or infinity; use 0 for every label of a cell without data")
+    if n_sweeps < 1:
+        raise ValueError(f"n_sweeps must be at least 1, not {n_sweeps}")
+    return unary, weight

@@ -1,0 +1,68 @@
+"""Grain of speckle measured on drawn regions, and blocks of it against plain loops and sampled variances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
+from sim_replay.drawn_regions import Drawing, draw_region
+
+
+def sea_floor(seed: int, spread_rows: float, spread_columns: float) -> NDArray[np.float64]:
+    drawing = Drawing(object_rows=0, spread_rows=spread_rows, spread_columns=spread_columns, seed=seed, n_rows=160, n_columns=200)
+    return draw_region(drawing)[0].intensity
+
+
+@pytest.mark.parametrize(("spread_rows", "spread_columns"), [(0.0, 0.0), (0.8, 0.8), (1.4, 1.1), (0.0, 1.2)])
+def test_grain_is_that_of_the_point_spread(spread_rows: float, spread_columns: float) -> None:
+    measured = np.mean(
+        [measure_correlation(plane := sea_floor(seed, spread_rows, spread_columns), plane >= 0) for seed in range(4)], axis=0
+    )
+    expected = [max(1.0, math.sqrt(2.0 * math.pi) * spread) for spread in (spread_rows, spread_columns)]
+    np.testing.assert_allclose(measured, expected, rtol=0.1)
+
+
+def test_a_slope_of_brightness_is_no_grain() -> None:
+    plane = sea_floor(1, 0.0, 0.0) * np.linspace(0.7, 1.3, 200)
+    assert max(measure_correlation(plane, plane >= 0.0)) < 1.3
+
+
+def test_pixels_left_out_do_not_count() -> None:
+    plane = sea_floor(2, 0.8, 0.8)
+    background = np.ones(plane.shape, dtype=np.bool_)
+    background[40:90, 60:140] = False
+    spoilt = np.where(background, plane, 1e5)
+    assert measure_correlation(spoilt, background) == measure_correlation(np.where(background, plane, 0.0), background)
+    assert measure_correlation(plane, np.zeros_like(background)) == Correlation(1.0, 1.0)
+
+
+@pytest.mark.parametrize("factors", [(1, 1), (2, 3), (3, 2), (4, 4)])
+def test_block_means_are_means_of_usable_pixels(factors: tuple[int, int]) -> None:
+    random = np.random.Generator(np.random.PCG64(3))
+    plane, usable = random.exponential(1.0, (11, 13)), random.random((11, 13)) < 0.6
+    usable[:4, :6] = False
+    mean, coverage = block_means(plane, usable, factors)
+    assert mean.shape == (-(-11 // factors[0]), -(-13 // factors[1]))
+    for row, column in np.ndindex(mean.shape):
+        block = np.s_[row * factors[0] : (row + 1) * factors[0], column * factors[1] : (column + 1) * factors[1]]
+        values = plane[block][usable[block]]
+        assert mean[row, column] == pytest.approx(values.mean() if len(values) else 1.0)
+        assert coverage[row, column] == pytest.approx(len(values) / (factors[0] * factors[1]))
+
+
+@pytest.mark.parametrize(("spread", "factors"), [(0.0, (2, 2)), (0.8, (2, 2)), (1.1, (3, 3)), (1.4, (3, 4))])
+def test_looks_of_blocks_are_one_over_their_variance(spread: float, factors: tuple[int, int]) -> None:
+    correlation = Correlation(*[max(1.0, math.sqrt(2.0 * math.pi) * spread)] * 2)
+    planes = [sea_floor(seed, spread, spread) for seed in range(10, 16)]
+    means = np.concatenate([block_means(plane, plane >= 0.0, factors)[0][:-1, :-1].ravel() for plane in planes])
+    assert looks_of_blocks(correlation, factors) == pytest.approx(means.mean() ** 2 / means.var(), rel=0.12)
+
+
+def test_blocks_hold_one_grain_but_stay_small_against_a_mine() -> None:
+    assert nyquist_factors(Correlation(3.4, 1.2), 0.03, 0.03) == (3, 1)
+    assert nyquist_factors(Correlation(3.4, 3.4), 0.12, 0.06) == (2, 3)
+    assert nyquist_factors(Correlation(9.0, 9.0), 0.5, 0.5) == (1, 1)
