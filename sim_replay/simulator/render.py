@@ -433,12 +433,12 @@ def _deposit(
     final = far_end.astype(np.int32)
     np.floor(far_end, out=far_end)
     np.subtract(stop, start, out=start)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        per_bin = np.divide(single(1.0), start, out=start)
-        stop -= far_end
-        stop *= per_bin
-        past = stop
-    past[final == first] = 0.0
+    np.maximum(start, single(1e-30), out=start)  # a facet within one bin may have no length
+    per_bin = np.divide(single(1.0), start, out=start)
+    stop -= far_end
+    stop *= per_bin
+    past = stop
+    past *= final > first
     past *= sent
     own = sent - past
     final -= first
