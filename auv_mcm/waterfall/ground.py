@@ -32,10 +32,14 @@ class Traces(NamedTuple):
 
 
 def _cumulative(values: NDArray[np.float32] | NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Sums up to every sample's near edge, less the sum of all.
+
+    Added up from the far end, so that ring-down, a hundred decibels above the sea floor, does not take its last digits.
+    """
     total = np.empty((values.shape[0], values.shape[1] + 1), dtype=np.float64)
-    total[:, 0] = 0.0
-    np.cumsum(values, axis=1, dtype=np.float64, out=total[:, 1:])
-    return total
+    total[:, -1] = 0.0
+    np.cumsum(values[:, ::-1], axis=1, dtype=np.float64, out=total[:, -2::-1])
+    return np.negative(total, out=total)
 
 
 def make_traces(

@@ -109,7 +109,8 @@ def test_config_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_check_tells_of_every_part_and_passes_here(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check"]) == 0
     text = capsys.readouterr().out
-    for part in ("python", "numpy", "C kernels", "simulator kernels", "configuration", "output directory", "perception process", "all good"):
+    parts = ("python", "numpy", "C kernels", "simulator kernels", "configuration", "output directory", "perception process", "all good")
+    for part in parts:
         assert part in text
 
 

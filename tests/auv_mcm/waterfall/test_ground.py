@@ -136,7 +136,17 @@ def test_beyond_the_trace_nothing_is_valid() -> None:
     expected = np.zeros(40, dtype=bool)
     expected[4:24] = True
     np.testing.assert_array_equal(means.valid[0], expected)
-    assert (means.intensity[0] == expected).all()
+    np.testing.assert_allclose(means.intensity[0], expected, rtol=0.0, atol=1e-12)
+
+
+def test_ring_down_takes_no_digits_from_the_sea_floor() -> None:
+    floor = np.random.default_rng(3).exponential(size=(2, 400)).astype(np.float32)
+    ringing = floor.copy()
+    ringing[:, :10] = 1e12
+    every, nothing = np.ones(floor.shape, dtype=bool), np.zeros(floor.shape, dtype=bool)
+    edges = np.arange(5.0, 40.0, 0.13)[None, :]
+    quiet, loud = (mean_between(make_traces(values, every, nothing, 0.05, 0.1), edges).intensity for values in (floor, ringing))
+    np.testing.assert_array_equal(loud, quiet)
 
 
 @given(first_return_m=st.floats(0.05, 200.0), n_columns=st.integers(1, 50), spacing_m=st.floats(0.005, 2.0))
