@@ -39,6 +39,7 @@ _RANGE: Final = (1e-6, 1e6)  # of intensity over the sea floor's
 _BACKGROUND_LIKE: Final = (0.35, 3.0)  # local mean over the region's
 _LOCAL_MEAN_PIXELS: Final = 9
 _PRIOR_ROUNDS: Final = 2
+_CLOSE_ENOUGH: Final = 0.1  # nats from the least energy
 _AROUND_CELLS: Final = 5
 _MOSTLY: Final = 0.7
 _EDGE_SWEEPS: Final = 8
@@ -85,9 +86,9 @@ def segment(
 ) -> Segmentation:
     """Label a region.
 
-    n_sweeps: of TRW-S, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between unlike blocks of one speckle
-    grain, nats; without it what the shadow of the smallest mine survives. estimate_markov: estimate it from the labels of the
-    first round instead, as the source of the field's idea does; it inherits their errors.
+    n_sweeps: of TRW-S at most, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between unlike blocks of one
+    speckle grain, nats; without it what the shadow of the smallest mine survives. estimate_markov: estimate it instead from the
+    labels of the mean field (Derin and Elliott), which passes their errors on.
     Pixels that are not valid, not finite or negative count as not measured. Raises ValueError if planes and shapes do not fit or
     n_sweeps is not positive.
     """
@@ -128,7 +129,8 @@ def segment(
         weight = edge_weights(smoothness, factors, correlation)
     minimum = None
     for _ in range(_PRIOR_ROUNDS):
-        minimum = trws(np.moveaxis(unary + prior(labels), 0, 2), weight, n_sweeps, messages=None if minimum is None else minimum.messages)
+        start = None if minimum is None else minimum.messages
+        minimum = trws(np.moveaxis(unary + prior(labels), 0, 2), weight, n_sweeps, tolerance=_CLOSE_ENOUGH, messages=start)
         labels = minimum.labels
     assert minimum is not None
     labels = without_odd_clusters(labels, region.row_spacing_m * factors[0], region.column_spacing_m * factors[1])
