@@ -49,14 +49,18 @@ def record(intensity: NDArray[np.float32], gain: NDArray[np.float64], n_ringing:
     The first n_ringing bins clip. recorder: complete. bin_m: slant range per bin that the recorder believes in.
     """
     counts, full = recorder.seabed_counts or 0.0, float(recorder.full_scale or 0)
-    level = intensity * gain.astype(np.float32)
+    stored = intensity * gain.astype(np.float32)
     if recorder.samples.startswith("log"):
         with np.errstate(divide="ignore"):
-            stored = np.float32(counts) + np.log10(level) * np.float32(10.0 / (recorder.db_per_count or 1.0))
+            np.log10(stored, out=stored)
+        stored *= np.float32(10.0 / (recorder.db_per_count or 1.0))
+        stored += np.float32(counts)
+        np.maximum(stored, np.float32(0.0), out=stored)
     else:
-        stored = np.sqrt(level) * np.float32(counts)
+        np.sqrt(stored, out=stored)
+        stored *= np.float32(counts)
     stored[:, :n_ringing] = full
-    np.clip(stored, 0.0, full, out=stored)
+    np.minimum(stored, np.float32(full), out=stored)
     kind = _TYPES[recorder.samples][1]
     samples: NDArray[Any] = stored if kind is np.float32 else np.rint(stored, out=stored).astype(kind)
     return [EchoTrace(samples=row, first_range_m=0.5 * bin_m, spacing_m=bin_m) for row in samples]

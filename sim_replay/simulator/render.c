@@ -319,16 +319,14 @@ static void find_least(int32_t n, const float *restrict t, float *restrict least
 /* Facet j lies between nodes j - 1 and j; facet 0 is none. lit: the share of it that no nearer node hides. entry, beam_entry: of the tables;
  * entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture. Its energy is spread evenly over the
  * slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the bin where that starts, past what share
- * goes into the bin where it ends if it is another, inner what share goes into each between; between says how many those are. Returns the
- * largest of them. */
-WIDE static int32_t face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m, float n_bins,
+ * goes into the bin where it ends if it is another, inner what share goes into each between; between says how many those are. */
+WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m, float n_bins,
                          const float *restrict z, const float *restrict slope, const float *restrict texture, const float *restrict depth,
                          const float *restrict r, const float *restrict t, const float *restrict least, float *restrict lit,
                          int32_t *restrict entry, int32_t *restrict beam_entry, float *restrict area, int32_t *restrict first,
                          int32_t *restrict between, float *restrict past, float *restrict inner)
 {
     const float width = dy * weight;
-    int32_t longest = 0;
     for (int32_t j = 1; j < n; j++) {
         const float middle_y = ((float)j - 0.5f) * dy, middle_depth = 0.5f * (depth[j] + depth[j - 1]);
         const float middle_r = 0.5f * (r[j] + r[j - 1]), s = (z[j] - z[j - 1]) * per_dy;
@@ -352,9 +350,7 @@ WIDE static int32_t face(int32_t n, float dy, float per_dy, float upright, float
         between[j] = inside;
         past[j] = span > 0 ? ending : 0.0f;
         inner[j] = inside > 0 ? per_bin : 0.0f;
-        longest = inside > longest ? inside : longest;
     }
-    return longest;
 }
 
 /* Energy of one ray in a bin: of facets that start in it, and what those leave to the next. */
@@ -362,37 +358,40 @@ typedef struct {
     double own, next;
 } bin;
 
+/* Adds each facet's energy to the bins it spans, facets that skip bins last. skipping: room for their numbers; area: theirs become energy. */
 static void deposit(int32_t n, const float *restrict tables, const float *restrict beam, const int32_t *restrict entry,
-                    const int32_t *restrict beam_entry, const float *restrict area, const int32_t *restrict first,
-                    const float *restrict past, bin *restrict bins)
+                    const int32_t *restrict beam_entry, float *restrict area, const int32_t *restrict first,
+                    const int32_t *restrict between, const float *restrict past, const float *restrict inner, int32_t *restrict skipping,
+                    bin *restrict bins)
 {
+    int32_t n_skipping = 0;
     for (int32_t j = 1; j < n; j++) {
         const float energy = area[j] * (tables[entry[j]] * beam[beam_entry[j]]), ending = energy * past[j];
+        if (between[j] > 0) {
+            area[j] = energy;
+            skipping[n_skipping++] = j;
+            continue;
+        }
         bin *b = bins + first[j];
         b->own += (double)(energy - ending);
         b->next += (double)ending;
     }
-}
-
-/* What facets leave to bins between their first and their last one. */
-static void fill(int32_t n, const float *restrict tables, const float *restrict beam, const int32_t *restrict entry,
-                 const int32_t *restrict beam_entry, const float *restrict area, const int32_t *restrict first,
-                 const int32_t *restrict between, const float *restrict past, const float *restrict inner, bin *restrict bins)
-{
-    for (int32_t j = 1; j < n; j++) {
-        const float energy = area[j] * (tables[entry[j]] * beam[beam_entry[j]]), ending = energy * past[j], each = energy * inner[j];
-        bins[first[j]].own += (double)((energy - ending) - (float)between[j] * each);
+    for (int32_t k = 0; k < n_skipping; k++) {
+        const int32_t j = skipping[k];
+        const float ending = area[j] * past[j], each = area[j] * inner[j];
+        bins[first[j]].own += (double)((area[j] - ending) - (float)between[j] * each);
         bins[first[j] + between[j]].next += (double)ending;
     }
-    for (int32_t j = 1; j < n; j++) {
-        const float each = area[j] * (tables[entry[j]] * beam[beam_entry[j]]) * inner[j];
-        for (int32_t k = 1; k <= between[j]; k++)
-            bins[first[j] + k].own += (double)each;
+    for (int32_t k = 0; k < n_skipping; k++) {
+        const int32_t j = skipping[k];
+        const float each = area[j] * inner[j];
+        for (int32_t i = 1; i <= between[j]; i++)
+            bins[first[j] + i].own += (double)each;
     }
 }
 
 /* elevation, texture, seabed: (n_slots, NODES, NODES). slots: (n_patch_rows, n_patch_columns), the first of which starts at cell
- * (first_row, first_column). lines: (n_lines, LINE_WIDTH). tables: (n_materials, TABLE). beam: (TABLE). scratch: 21 rows of n_nodes floats;
+ * (first_row, first_column). lines: (n_lines, LINE_WIDTH). tables: (n_materials, TABLE). beam: (TABLE). scratch: 22 rows of n_nodes floats;
  * bins: n_bins + 1. energy: (n_pings, n_bins + 1), added to. lit, owner: (n_lines, n_nodes) or NULL.
  */
 void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, double cell_m, double bins_per_m, int64_t first_row,
@@ -408,7 +407,7 @@ void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, doub
     float *const inner = past + n, *const inverse = inner + n;
     pair *const south = (pair *)(inverse + n), *const north = south + n;
     int32_t *const material = (int32_t *)(north + n), *const first = material + n, *const between = first + n, *const beam_entry = between + n;
-    int32_t *const owner = beam_entry + n;
+    int32_t *const owner = beam_entry + n, *const skipping = owner + n;
 
     for (int32_t j = 0; j < n; j++)
         inverse[j] = 1.0f / (float)j;
@@ -433,16 +432,13 @@ void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, doub
         }
         look_down(n, dy, (float)line[L_ELEVATION], (float)line[L_SLANT], inverse, z, depth, r, t);
         find_least(n, t, least);
-        const int32_t longest = face(n, dy, per_dy, (float)(1.0 / line[L_SLANT]), (float)line[L_AXIS_COS], (float)line[L_AXIS_SIN], (float)line[L_WEIGHT],
+        face(n, dy, per_dy, (float)(1.0 / line[L_SLANT]), (float)line[L_AXIS_COS], (float)line[L_AXIS_SIN], (float)line[L_WEIGHT],
                                      (float)bins_per_m, (float)n_bins, z, slope, texture, depth, r, t, least, lit, material, beam_entry,
                                      area, first, between, past, inner);
 
         for (int64_t b = 0; b <= n_bins; b++)
             bins[b].own = bins[b].next = 0.0;
-        if (longest == 0)
-            deposit(n, tables, beam, material, beam_entry, area, first, past, bins);
-        else
-            fill(n, tables, beam, material, beam_entry, area, first, between, past, inner, bins);
+        deposit(n, tables, beam, material, beam_entry, area, first, between, past, inner, skipping, bins);
         double *restrict ping = energy + (int64_t)line[L_PING] * (n_bins + 1);
         ping[0] += bins[0].own;
         for (int64_t b = 1; b <= n_bins; b++)

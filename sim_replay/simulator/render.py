@@ -100,7 +100,7 @@ def render(
         )
     packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
     tables, beam = np.ascontiguousarray(tables), np.ascontiguousarray(beam)
-    scratch, bins = np.empty((21, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
+    scratch, bins = np.empty((22, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
     library.auv_mcm_render_lines(
         len(packed),
         n_nodes,
@@ -442,21 +442,20 @@ def _deposit(
     past *= sent
     own = sent - past
     final -= first
-    line = np.arange(len(sent), dtype=np.int32)[:, None] * (n_bins + 1)
-    first += line
-    where, what = first.ravel(), own.ravel()
-    long = np.flatnonzero(final.ravel() > 1)
-    final -= final > 0
-    if len(long):
-        between, each = final.ravel()[long], sent.ravel()[long] * per_bin.ravel()[long]
-        what[long] -= between.astype(single) * each
-        steps = np.arange(between.sum(), dtype=np.int32) - np.repeat(np.cumsum(between, dtype=np.int32) - between, between)
-        where = np.concatenate([where, np.repeat(where[long] + 1, between) + steps])
-        what = np.concatenate([what, np.repeat(each, between)])
+    between = np.maximum(final - np.int32(1), 0)
+    first += np.arange(len(sent), dtype=np.int32)[:, None] * np.int32(n_bins + 1)
+    starts, started, ends, ended = first.ravel(), own.ravel(), first.ravel(), past.ravel()
+    skipping = np.flatnonzero(between)
+    if len(skipping):
+        count, each = between.ravel()[skipping], sent.ravel()[skipping] * per_bin.ravel()[skipping]
+        where, rest, ending = starts[skipping], started[skipping] - count.astype(single) * each, ended[skipping]
+        started[skipping] = ended[skipping] = 0.0
+        steps = np.arange(count.sum(), dtype=np.int32) - np.repeat(np.cumsum(count, dtype=np.int32) - count, count)
+        starts = np.concatenate([starts, where, np.repeat(where + 1, count) + steps])
+        started = np.concatenate([started, rest, np.repeat(each, count)])
+        ends, ended = np.concatenate([ends, where + count]), np.concatenate([ended, ending])
     n_total = len(sent) * (n_bins + 1)
-    rows = np.bincount(where, what, n_total).reshape(len(sent), n_bins + 1)
-    first += final
-    ends = np.bincount(first.ravel(), past.ravel(), n_total).reshape(len(sent), n_bins + 1)
-    rows[:, 1:] += ends[:, :-1]
+    rows = np.bincount(starts, started, n_total).reshape(len(sent), n_bins + 1)
+    rows[:, 1:] += np.bincount(ends, ended, n_total).reshape(len(sent), n_bins + 1)[:, :-1]
     for one, values in zip(ping, rows, strict=True):
         energy[one] += values
