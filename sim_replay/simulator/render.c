@@ -1,5 +1,5 @@
 /* Echo energy of rays over a height field, one vertical slice per ray. render.py says what is computed and holds the numpy twin, which
- * gives the same bytes: same operations in the same order, no fused multiply-adds, no function of libm but the square root.
+ * gives the same bytes: same operations in the same order, no fused multiply-adds, no function of libm but the square root and rounding.
  */
 
 #include <math.h>
@@ -26,7 +26,8 @@
 int32_t auv_mcm_simulator_version(void) { return AUV_MCM_SIMULATOR_VERSION; }
 
 enum line_field { L_NORTH, L_EAST, L_STEP_NORTH, L_STEP_EAST, L_ELEVATION, L_SLANT, L_AXIS_COS, L_AXIS_SIN, L_WEIGHT, L_PING };
-enum body_field { B_KIND, B_EAST, B_NORTH, B_REACH, B_SIN, B_COS, B_BASE, B_MATERIAL, B_P0, B_P1, B_P2, B_P3, B_P4, B_PLANE, B_SIDES, B_TOPS };
+enum body_field { B_KIND, B_EAST, B_NORTH, B_REACH, B_SIN, B_COS, B_BASE, B_MATERIAL, B_P0, B_P1, B_P2, B_P3, B_P4, B_PLANE, B_SIDES,
+                  B_TOPS };
 enum body_kind { ELLIPSOID, CYLINDER, CONE, POLYHEDRON, TORUS, SCAR, MOAT };
 
 typedef struct {
@@ -122,7 +123,8 @@ static inline top body_top(const double *restrict b, const double *restrict plan
 }
 
 /* Horizontal normal of the body's wall next to (u, v), a place outside of it. */
-static inline void body_wall(const double *restrict b, const double *restrict planes, double u, double v, double *normal_u, double *normal_v)
+static inline void body_wall(const double *restrict b, const double *restrict planes, double u, double v, double *normal_u,
+                             double *normal_v)
 {
     *normal_u = u;
     *normal_v = v;
@@ -157,7 +159,8 @@ static inline void body_wall(const double *restrict b, const double *restrict pl
     }
 }
 
-/* Put the bodies on the profile of one ray. material: first entry of its table. owner: index of the body that a node lies on, -1 for the floor. */
+/* Put the bodies on the profile of one ray. material: first entry of its table. owner: index of the body that a node lies on, -1 for the
+ * floor. */
 static void raise_bodies(const double *restrict line, int64_t n_nodes, double cell_m, int64_t n_bodies,
                          const double *restrict bodies, const double *restrict planes, float *restrict z, float *restrict q,
                          float *restrict texture, int32_t *restrict material, int32_t *restrict owner)
@@ -205,8 +208,9 @@ static void raise_bodies(const double *restrict line, int64_t n_nodes, double ce
 /* A wall stands between two nodes of different owners: it belongs to the higher one, and its slope along the track follows from how it
  * is turned. Facet j lies between nodes j - 1 and j and carries what node j carries, so this may overwrite it. Backwards, because what
  * facet j takes from node j - 1 must not have been overwritten. */
-static void turn_walls(const double *restrict line, int64_t n_nodes, double cell_m, const double *restrict bodies, const double *restrict planes, const float *restrict z, float *restrict q,
-                       float *restrict texture, int32_t *restrict material, const int32_t *restrict owner)
+static void turn_walls(const double *restrict line, int64_t n_nodes, double cell_m, const double *restrict bodies,
+                       const double *restrict planes, const float *restrict z, float *restrict q, float *restrict texture,
+                       int32_t *restrict material, const int32_t *restrict owner)
 {
     const double step_m = cell_m * sqrt(line[L_STEP_NORTH] * line[L_STEP_NORTH] + line[L_STEP_EAST] * line[L_STEP_EAST]);
     const double away_north = line[L_STEP_NORTH] * cell_m / step_m, away_east = line[L_STEP_EAST] * cell_m / step_m;
@@ -225,8 +229,10 @@ static void turn_walls(const double *restrict line, int64_t n_nodes, double cell
         const double e = east + (double)outer * step_m * away_east, n = north + (double)outer * step_m * away_north;
         double normal_u, normal_v;
         body_wall(b, planes, e * b[B_SIN] + n * b[B_COS], e * b[B_COS] - n * b[B_SIN], &normal_u, &normal_v);
-        const double towards = normal_u * (away_east * b[B_SIN] + away_north * b[B_COS]) + normal_v * (away_east * b[B_COS] - away_north * b[B_SIN]);
-        const double aside = normal_u * (ahead_east * b[B_SIN] + ahead_north * b[B_COS]) + normal_v * (ahead_east * b[B_COS] - ahead_north * b[B_SIN]);
+        const double towards =
+            normal_u * (away_east * b[B_SIN] + away_north * b[B_COS]) + normal_v * (away_east * b[B_COS] - away_north * b[B_SIN]);
+        const double aside =
+            normal_u * (ahead_east * b[B_SIN] + ahead_north * b[B_COS]) + normal_v * (ahead_east * b[B_COS] - ahead_north * b[B_SIN]);
         const double limit = 20.0 * fabs(towards);
         const double bounded = aside > limit ? limit : aside < -limit ? -limit : aside;
         q[j] = towards != 0.0 ? (float)((double)(z[j] - z[j - 1]) / step_m * (bounded / towards)) : 0.0f;
@@ -250,7 +256,7 @@ WIDE static void place(int32_t n, int32_t first_row, int32_t first_column, float
         const int32_t at = (row & PATCH_MASK) * NODES + (column & PATCH_MASK);
         patch[j] = (row >> PATCH_SHIFT) * n_patch_columns + (column >> PATCH_SHIFT);
         corner[j] = at;
-        nearest[j] = at + (n_part >= 0.5f ? NODES : 0) + (e_part >= 0.5f ? 1 : 0);
+        nearest[j] = at + (int32_t)(n_part + 0.5f) * NODES + (int32_t)(e_part + 0.5f);
         part_north[j] = n_part;
         part_east[j] = e_part;
     }
@@ -316,15 +322,16 @@ static void find_least(int32_t n, const float *restrict t, float *restrict least
     }
 }
 
-/* Facet j lies between nodes j - 1 and j; facet 0 is none. lit: the share of it that no nearer node hides. entry, beam_entry: of the tables;
- * entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture. Its energy is spread evenly over the
- * slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the bin where that starts, past what share
- * goes into the bin where it ends if it is another, inner what share goes into each between; between says how many those are. */
-WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m, float n_bins,
-                         const float *restrict z, const float *restrict slope, const float *restrict texture, const float *restrict depth,
-                         const float *restrict r, const float *restrict t, const float *restrict least, float *restrict lit,
-                         int32_t *restrict entry, int32_t *restrict beam_entry, float *restrict area, int32_t *restrict first,
-                         int32_t *restrict between, float *restrict past, float *restrict inner)
+/* Facet j lies between nodes j - 1 and j; facet 0 is none. lit: the share of it that no nearer node hides. entry, beam_entry: of the
+ * tables; entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture. Its
+ * energy is spread evenly over the slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the bin
+ * where that starts, past what share goes into the bin where it ends if it is another, inner what share goes into each between; between
+ * says how many those are. */
+WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m,
+                      float n_bins, const float *restrict z, const float *restrict slope, const float *restrict texture,
+                      const float *restrict depth, const float *restrict r, const float *restrict t, const float *restrict least,
+                      float *restrict lit, int32_t *restrict entry, int32_t *restrict beam_entry, float *restrict area,
+                      int32_t *restrict first, int32_t *restrict between, float *restrict past, float *restrict inner)
 {
     const float width = dy * weight;
     for (int32_t j = 1; j < n; j++) {
@@ -358,7 +365,8 @@ typedef struct {
     double own, next;
 } bin;
 
-/* Adds each facet's energy to the bins it spans, facets that skip bins last. skipping: room for their numbers; area: theirs become energy. */
+/* Adds each facet's energy to the bins it spans, facets that skip bins last. skipping: room for their numbers; area: theirs become energy.
+ */
 static void deposit(int32_t n, const float *restrict tables, const float *restrict beam, const int32_t *restrict entry,
                     const int32_t *restrict beam_entry, float *restrict area, const int32_t *restrict first,
                     const int32_t *restrict between, const float *restrict past, const float *restrict inner, int32_t *restrict skipping,
@@ -406,8 +414,8 @@ void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, doub
     float *const t = r + n, *const least = t + n, *const lit = least + n, *const area = lit + n, *const past = area + n;
     float *const inner = past + n, *const inverse = inner + n;
     pair *const south = (pair *)(inverse + n), *const north = south + n;
-    int32_t *const material = (int32_t *)(north + n), *const first = material + n, *const between = first + n, *const beam_entry = between + n;
-    int32_t *const owner = beam_entry + n, *const skipping = owner + n;
+    int32_t *const material = (int32_t *)(north + n), *const first = material + n, *const between = first + n;
+    int32_t *const beam_entry = between + n, *const owner = beam_entry + n, *const skipping = owner + n;
 
     for (int32_t j = 0; j < n; j++)
         inverse[j] = 1.0f / (float)j;
@@ -433,8 +441,8 @@ void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, doub
         look_down(n, dy, (float)line[L_ELEVATION], (float)line[L_SLANT], inverse, z, depth, r, t);
         find_least(n, t, least);
         face(n, dy, per_dy, (float)(1.0 / line[L_SLANT]), (float)line[L_AXIS_COS], (float)line[L_AXIS_SIN], (float)line[L_WEIGHT],
-                                     (float)bins_per_m, (float)n_bins, z, slope, texture, depth, r, t, least, lit, material, beam_entry,
-                                     area, first, between, past, inner);
+             (float)bins_per_m, (float)n_bins, z, slope, texture, depth, r, t, least, lit, material, beam_entry, area, first, between, past,
+             inner);
 
         for (int64_t b = 0; b <= n_bins; b++)
             bins[b].own = bins[b].next = 0.0;
