@@ -30,6 +30,7 @@ from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone,
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Ping
 from sim_replay.simulator import backend, rays, scene
+from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import pack
 from sim_replay.simulator.echo import beam_table, bin_ranges_m, floor_tables, recorder_gain
 from sim_replay.simulator.mission import Mission
@@ -215,7 +216,7 @@ def _shadow_errors_m(cell_m: float) -> NDArray[np.float64]:
     )
     one, n_nodes = np.ones(1), math.ceil(45.0 / cell_m)
     ray = Lines(0 * one, 0 * one, 0 * one, one, _ALTITUDE_M * one, one, one, 0 * one, one, np.zeros(1, np.int64))
-    even = np.ones((2, 4096), dtype=np.float32)
+    even = np.ones((2, TABLE_SIZE), dtype=np.float32)
     errors = []
     for kind, solid in _SOLIDS.items():
         for turn, ground_range_m in enumerate(np.linspace(10.0, 30.0, 41).tolist()):

@@ -323,10 +323,10 @@ static void find_least(int32_t n, const float *restrict t, float *restrict least
 }
 
 /* Facet j lies between nodes j - 1 and j; facet 0 is none. lit: the share of it that no nearer node hides. entry, beam_entry: of the
- * tables; entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture. Its
- * energy is spread evenly over the slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the bin
- * where that starts, past what share goes into the bin where it ends if it is another, inner what share goes into each between; between
- * says how many those are. */
+ * tables; entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture.
+ * Its energy is spread evenly over the slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the
+ * bin where that starts, past what share goes into the bin where it ends if it is another, inner what share goes into each between;
+ * between says how many those are. */
 WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m,
                       float n_bins, const float *restrict z, const float *restrict slope, const float *restrict texture,
                       const float *restrict depth, const float *restrict r, const float *restrict t, const float *restrict least,
