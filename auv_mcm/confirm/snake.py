@@ -1,0 +1,343 @@
+"""Contours of highlight and shadow by cooperating statistical snakes, and whether they are those of an object.
+
+Reed, Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003: two contours share what is known of object images, namely that a
+highlight is followed by a shadow of the same along-track extent. They work on the echoes themselves, so it matters little how well the
+start was labelled; on sea floor without an object they expand beyond what a mine can be, and `snake_rules` says so.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.confirm import snake_rules
+from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
+from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.snake_twin import Moved, Settings
+
+Nodes = NDArray[np.float64]
+Schedule = tuple[tuple[int, float, int], ...]
+
+COARSE: Final[Schedule] = ((4, 8.0, 20), (4, 3.0, 20))
+FINE: Final[Schedule] = ((8, 3.0, 20), (8, 1.0, 20), (16, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))
+"""(nodes, pixels a move goes, sweeps at most) per stage; 0 pixels is pruning. See `kernels.snake.move_pair`."""
+
+_POLISH: Final[Schedule] = ((0, 1.0, 10), (0, 0.0, 1))
+_NO_MOVES: Final[Schedule] = ()
+_NONE: Final = np.empty((0, 2))
+_MIN_AREA_PX: Final = 9.0
+_LEAST_SIDE_PX: Final = 4.0
+_NODES_PER_PX: Final = 16.0  # coarse enough that the kernel need not round what it returned before
+_FAINTEST: Final = 1e-6
+_DIMMEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.5, 0.5  # times the region's mean
+_FORBIDDEN: Final = 1e6
+# How well highlight and shadow of one object fit: beam width, layover and scour allow this much.
+_EXTENT_M, _EXTENT_SIGMA_M = 0.2, 0.1
+_GAP_M, _GAP_SIGMA_M = 0.3, 0.1
+_HEIGHT_M, _HEIGHT_SIGMA_M, _HEIGHT_BOUND_M = 1.2, 0.1, 2.0
+_STRIP_M: Final = 0.3
+# Boxes to start from, metres: along track, across track, from the detection, and the height of what casts the shadow.
+_START_SHIFTS_M: Final = (0.0, -0.35, 0.35)
+_START_ALONG_M: Final = (0.5, 1.0, 2.0)
+_START_ACROSS_M: Final = (0.25, 0.5)
+_START_BEHIND_M: Final = (0.1, 0.4, 0.7, 1.0)
+_START_HEIGHTS_M: Final = (0.15, 0.3, 0.5, 0.8)
+_LEAST_SHADOW_M, _LONGEST_SHADOW_M = 0.3, 8.0
+
+
+class Start(NamedTuple):
+    """Where the contours start: (n, 2) float64 nodes (row, column); (0, 2) for none."""
+
+    highlight: Nodes
+    shadow: Nodes
+
+
+class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """What the snakes came to.
+
+    highlight, shadow: (n, 2) float64 nodes (row, column) in pixels of the region, pixel (r, k) covering [r, r + 1) x [k, k + 1), along the
+    far side with rising row; (0, 2) where there is none. criterion: J in nats, NaN if nothing could be moved. gain: by how much J is below
+    that of the region without an object. n_moves: node moves made. *_mean: mean intensity, NaN where there is no contour. *_area_m2: area.
+    length_m: along-track extent. height_m: median over rows of the height that the shadow implies, NaN without a shadow. repetition: best
+    evidence of the same contours elsewhere in the region over that in place. reasons: codes, those of `snake_rules.REJECTING` make
+    `rejected` true.
+    """
+
+    highlight: Nodes
+    shadow: Nodes
+    criterion: float
+    gain: float
+    n_moves: int
+    highlight_mean: float
+    shadow_mean: float
+    background_mean: float
+    highlight_area_m2: float
+    shadow_area_m2: float
+    length_m: float
+    height_m: float
+    repetition: float
+    reasons: tuple[str, ...]
+    rejected: bool
+
+
+def start_from_detection(region: Region) -> Start:
+    """The brightest box around the detector's highlight, and the darkest of those behind it that a mine could cast.
+
+    Brightest and darkest: by the likelihood ratio of speckle, N (m - 1 - ln m) for N pixels of mean m over the region's.
+    """
+    n_rows, n_columns = region.intensity.shape
+    table = snake.row_sums(region.intensity, region.valid).table
+    row_px, column_px = region.row_spacing_m, region.column_spacing_m
+    row, column = min(max(region.row, 0.0), float(n_rows)), min(max(region.column, 0.0), float(n_columns))
+    ground_m = max(region.first_ground_range_m + column * column_px, 0.0)
+    above_m = np.maximum(region.altitude_m - np.array(_START_HEIGHTS_M), 0.3 * abs(region.altitude_m) + 0.1)
+    lengths_m = np.clip(np.array(_START_HEIGHTS_M) * ground_m / above_m, _LEAST_SHADOW_M, _LONGEST_SHADOW_M)
+    centres, halves = row + np.array(_START_SHIFTS_M) / row_px, np.array(_START_ALONG_M) / (2.0 * row_px)
+    far_m = np.array(_START_ACROSS_M)
+    highlight = _best_box(snake_twin.HIGHLIGHT, region, table, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px)
+    behind = column + np.array(_START_BEHIND_M) / column_px
+    shadow = _best_box(snake_twin.SHADOW, region, table, centres, halves, behind, lengths_m / column_px)
+    return Start(highlight, shadow)
+
+
+def _best_box(which: int, region: Region, table: Nodes, centres: Nodes, halves: Nodes, nears: Nodes, widths: Nodes) -> Nodes:
+    """The box with most evidence out of all centres and halves along track with all near sides and widths, the first of equals."""
+    found, most = None, -1.0
+    for centre in centres.tolist():
+        for half in halves.tolist():
+            top, bottom = (int(end) for end in _interval(centre - half, centre + half, region.intensity.shape[0]))
+            total = table[top:bottom].sum(axis=0)
+            for near in nears.tolist():
+                for width in widths.tolist():
+                    low, high = (int(end) for end in _interval(near, near + width, region.intensity.shape[1]))
+                    inside, count = (total[high] - total[low]).tolist()
+                    gained = snake_rules.evidence(which, inside, count)
+                    if gained > most:
+                        found, most = (top, low, bottom, high), gained
+    assert found is not None
+    return _box(*found, region)
+
+
+def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
+    """Boxes around most of the highlight and of the shadow labels; none where a label is missing.
+
+    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT, of one object. Raises ValueError if the shape does not fit.
+    """
+    if labels.shape != region.intensity.shape:
+        raise ValueError(f"labels must have the shape of the region, {region.intensity.shape}, not {labels.shape}")
+    boxes = []
+    for label in (HIGHLIGHT, SHADOW):
+        rows, columns = np.nonzero(labels == label)
+        if len(rows) == 0:
+            boxes.append(_NONE)
+            continue
+        top, bottom = np.quantile(rows, (0.05, 0.95)).tolist()
+        near, far = np.quantile(columns, (0.05, 0.95)).tolist()
+        boxes.append(_box(top, near, bottom + 1.0, far + 1.0, region))
+    return Start(*boxes)
+
+
+def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
+    """Contours of the object at `start`, deterministic.
+
+    correlation_px: correlation area of the speckle in pixels, as `speckle.measure_correlation` gives for each axis. Never raises on what a
+    region holds: a start that is no polygon is replaced (`start_replaced`), and a region nothing can be said about comes back rejected.
+    Raises ValueError if correlation_px or a schedule is out of range.
+    """
+    if not 1.0 <= correlation_px < math.inf:
+        raise ValueError(f"correlation_px must be a finite area of at least one pixel, not {correlation_px}")
+    n_rows, n_columns = region.intensity.shape
+    reasons: list[str] = []
+    if min(n_rows, n_columns) < 2 * _LEAST_SIDE_PX:
+        return _nothing(("region_too_small",))
+    positive = region.row_spacing_m, region.column_spacing_m, region.altitude_m
+    if (
+        not all(0.0 < value < math.inf for value in positive)
+        or not np.isfinite([region.first_ground_range_m, region.row, region.column, region.beam_width_rad]).all()
+    ):
+        return _nothing(("geometry_unknown",))
+    sums = snake.row_sums(region.intensity, region.valid)
+    if sums.mean == 0.0:
+        return _nothing(("no_echo",))
+    settings = settings_of(region, sums.table, correlation_px)
+    parts, replaced = _usable_start(region, sums.table, settings, start)
+    if replaced:
+        reasons.append("start_replaced")
+    highlight, shadow = (nodes if snake_rules.is_measured(sums.table, nodes) else _NONE for nodes in parts)
+    if len(highlight) + len(shadow) == 0:
+        return _nothing((*reasons, "not_measured"))
+    moved, n_moves = _descend(region, sums.table, settings, Start(highlight, shadow), coarse, fine)
+    return _judged(region, sums, settings, moved, n_moves, tuple(reasons))
+
+
+def _descend(
+    region: Region, table: NDArray[np.float64], settings: Settings, start: Start, coarse: Schedule, fine: Schedule
+) -> tuple[Moved, int]:
+    """The best pair from the start, and the number of moves on the way to it."""
+
+    def run(schedule: Schedule, highlight: Nodes, shadow: Nodes) -> Moved:
+        return snake.move_pair(table, settings, np.array(schedule, dtype=np.float64).reshape(-1, 3), highlight, shadow)
+
+    best = run(coarse, start.highlight, start.shadow)
+    n_moves = best.n_moves
+    if len(start.shadow):
+        # The detector may take a glint elsewhere for the highlight, which then keeps the shadow from where it is.
+        alone = run(coarse, _NONE, start.shadow)
+        strip = _in_front(region, alone.shadow)
+        if snake_rules.is_measured(table, strip):
+            other = run(coarse[-1:], strip, alone.shadow)
+            if other.criterion < best.criterion:
+                best, n_moves = other, alone.n_moves + other.n_moves
+    best = run(fine, best.highlight, best.shadow)
+    n_moves += best.n_moves
+    if len(best.highlight) and len(best.shadow):
+        for lone in (run(_POLISH, _NONE, best.shadow), run(_NO_MOVES, best.highlight, _NONE)):
+            if lone.criterion < best.criterion:
+                best, n_moves = lone, n_moves + lone.n_moves
+    return best, n_moves
+
+
+def _judged(region: Region, sums: snake.RowSums, settings: Settings, moved: Moved, n_moves: int, notes: tuple[str, ...]) -> Contours:
+    findings = snake_rules.find(region, sums.table, settings, moved)
+    if len(moved.highlight) == 0:
+        notes = (*notes, "no_highlight")
+    if len(moved.shadow) == 0:
+        notes = (*notes, "no_shadow")
+    reasons = (*notes, *snake_rules.broken(findings))
+    pixel_m2 = region.row_spacing_m * region.column_spacing_m
+    return Contours(
+        highlight=moved.highlight,
+        shadow=moved.shadow,
+        criterion=moved.criterion,
+        gain=findings.gain,
+        n_moves=n_moves,
+        highlight_mean=findings.highlight_mean * sums.mean,
+        shadow_mean=findings.shadow_mean * sums.mean,
+        background_mean=findings.background_mean * sums.mean,
+        highlight_area_m2=moved.highlight_sums.area * pixel_m2,
+        shadow_area_m2=moved.shadow_sums.area * pixel_m2,
+        length_m=findings.length_m,
+        height_m=findings.height_m,
+        repetition=findings.repetition,
+        reasons=reasons,
+        rejected=not snake_rules.REJECTING.isdisjoint(reasons),
+    )
+
+
+def _nothing(reasons: tuple[str, ...]) -> Contours:
+    nan = math.nan
+    return Contours(
+        highlight=_NONE,
+        shadow=_NONE,
+        criterion=nan,
+        gain=nan,
+        n_moves=0,
+        highlight_mean=nan,
+        shadow_mean=nan,
+        background_mean=nan,
+        highlight_area_m2=0.0,
+        shadow_area_m2=0.0,
+        length_m=0.0,
+        height_m=nan,
+        repetition=nan,
+        reasons=reasons,
+        rejected=True,
+    )
+
+
+def settings_of(region: Region, table: NDArray[np.float64], correlation_px: float) -> Settings:
+    """What the criterion knows of a region; table: its `kernels.snake.row_sums`."""
+    total, count = table[:, -1].sum(axis=0).tolist()
+    return Settings(
+        row_spacing_m=region.row_spacing_m,
+        column_spacing_m=region.column_spacing_m,
+        first_ground_range_m=region.first_ground_range_m,
+        altitude_m=region.altitude_m,
+        correlation_px=correlation_px,
+        extent_tolerance_m=_EXTENT_M,
+        extent_sigma_m=_EXTENT_SIGMA_M,
+        gap_tolerance_m=_GAP_M,
+        gap_sigma_m=_GAP_SIGMA_M,
+        height_limit_m=_HEIGHT_M,
+        height_sigma_m=_HEIGHT_SIGMA_M,
+        height_bound_m=_HEIGHT_BOUND_M,
+        min_area_px=_MIN_AREA_PX,
+        faintest=_FAINTEST,
+        dimmest_highlight=_DIMMEST_HIGHLIGHT,
+        brightest_shadow=_BRIGHTEST_SHADOW,
+        forbidden=_FORBIDDEN,
+        window_sum=total,
+        window_count=count,
+        log_window=math.log(max(region.intensity.size / correlation_px, 1.0)),
+    )
+
+
+def _usable_start(region: Region, table: NDArray[np.float64], settings: Settings, start: Start) -> tuple[list[Nodes], bool]:
+    """The start as sound polygons that run down their far sides, and whether a box had to replace any."""
+    given = [np.asarray(nodes, dtype=np.float64) for nodes in start]
+    if all(len(nodes) == 0 for nodes in given):
+        return list(start_from_detection(region)), True
+    usable = []
+    replaced = False
+    for which, nodes in enumerate(given):
+        if len(nodes) == 0 or (polygon := _ordered(region, table, settings, nodes)) is None:
+            polygon = nodes if len(nodes) == 0 else _box_around(region, nodes)
+            if polygon is None:
+                polygon = start_from_detection(region)[which]
+            replaced = replaced or len(nodes) > 0
+        usable.append(polygon)
+    return usable, replaced
+
+
+def _ordered(region: Region, table: NDArray[np.float64], settings: Settings, nodes: Nodes) -> Nodes | None:
+    """A polygon as `kernels.snake.move_pair` takes it, None if it is none."""
+    if nodes.ndim != 2 or nodes.shape[1] != 2 or not 3 <= len(nodes) <= snake.MAX_NODES:
+        return None
+    if not ((nodes >= 0.0) & (nodes <= region.intensity.shape)).all():
+        return None
+    ordered = np.rint((nodes if _area(nodes) > 0.0 else nodes[::-1]) * _NODES_PER_PX) / _NODES_PER_PX
+    return None if snake_twin.fault_of(table, settings, ordered) else ordered
+
+
+def _box_around(region: Region, nodes: Nodes) -> Nodes | None:
+    """The box around nodes that are no polygon, None if they do not touch the region."""
+    if nodes.ndim != 2 or nodes.shape[1] != 2 or not np.isfinite(nodes).all():
+        return None
+    n_rows, n_columns = region.intensity.shape
+    (top, near), (bottom, far) = nodes.min(axis=0).tolist(), nodes.max(axis=0).tolist()
+    if bottom < 0.0 or top > n_rows or far < 0.0 or near > n_columns:
+        return None
+    return _box(top, near, bottom, far, region)
+
+
+def _area(nodes: Nodes) -> float:
+    """Signed area in pixels, positive for nodes running down the far side."""
+    after = np.roll(nodes, -1, axis=0)
+    return 0.5 * float((nodes[:, 1] * after[:, 0] - nodes[:, 0] * after[:, 1]).sum())
+
+
+def _box(top: float, near: float, bottom: float, far: float, region: Region) -> Nodes:
+    """A box in whole pixels within the region, at least _LEAST_SIDE_PX each way."""
+    n_rows, n_columns = region.intensity.shape
+    top, bottom = _interval(top, bottom, n_rows)
+    near, far = _interval(near, far, n_columns)
+    return np.array([(top, near), (top, far), (bottom, far), (bottom, near)])
+
+
+def _interval(low: float, high: float, size: int) -> tuple[float, float]:
+    low, high = float(round(min(max(low, 0.0), size))), float(round(min(max(high, 0.0), size)))
+    low = max(0.0, min(low, size - _LEAST_SIDE_PX))
+    return low, max(high, low + _LEAST_SIDE_PX)
+
+
+def _in_front(region: Region, shadow: Nodes) -> Nodes:
+    """A strip on the near side of a shadow; none where the region begins."""
+    near = math.floor(float(np.median(np.sort(shadow[:, 1])[: max(len(shadow) // 2, 1)])))
+    width = max(_STRIP_M / region.column_spacing_m, _LEAST_SIDE_PX)
+    if near < _LEAST_SIDE_PX:
+        return _NONE
+    return _box(float(shadow[:, 0].min()), near - width, float(shadow[:, 0].max()), near, region)

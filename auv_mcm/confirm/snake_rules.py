@@ -1,0 +1,257 @@
+"""What contours must be like for an object to be behind them. Each rule has a code; a broken one rejects.
+
+On sea floor without an object the shadow's contour expands until it is larger than any mine's shadow, or shrinks to nothing (Reed,
+Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003). Ripples and grass do hold dark patches behind bright ones, but the same
+contours find the like of them a ripple farther on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.confirm.region import Region
+from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
+
+Nodes = NDArray[np.float64]
+
+_ROW_STEP, _COLUMN_STEP = 2, 4  # pixels between the places where contours are tried again
+BORDER_PX: Final = 2.0
+
+# What objects keep to, on simulated missions over rippled sand, seagrass and bare floor with seeds kept apart for it.
+_MOST_BORDER: Final = 0.25
+_SHORTEST_M, _LONGEST_M = 0.36, 4.5
+_DEEPEST_HIGHLIGHT_M, _LARGEST_HIGHLIGHT_M2 = 0.92, 1.25
+_LARGEST_MINE_M, _HIGHEST_MINE_M, _SHADOW_MARGIN = 2.5, 0.6, 2.5
+_LOWEST_M, _LOWEST_PEAK_M, _HIGHEST_M = 0.1, 0.14, 1.2
+_BRIGHTEST_SHADOW: Final = 0.45
+_DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
+_LEAST_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
+_MOST_REPETITION, _MOST_COMMON = 0.55, 0.3
+
+REJECTING: Final = frozenset(
+    {
+        "region_too_small",
+        "geometry_unknown",
+        "no_echo",
+        "not_measured",
+        "touches_border",
+        "too_short",
+        "too_long",
+        "highlight_too_large",
+        "shadow_too_large",
+        "too_low",
+        "too_high",
+        "shadow_not_dark",
+        "shadow_goes_on",
+        "hole_in_bright",
+        "little_evidence",
+        "repeats",
+    }
+)
+"""Codes that speak against an object."""
+
+
+class Findings(NamedTuple):
+    """Facts about converged contours. Means are over that of the region; NaN where there is no contour.
+
+    gain: nats against no object. border: fraction of a contour within BORDER_PX of the region's edge, of the worse one. length_m:
+    along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track extent.
+    shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and greatest of the heights that
+    the rows of the shadow imply. flank: mean beside the shadow along track. repetition, common: see `elsewhere`.
+    """
+
+    gain: float
+    highlight_mean: float
+    shadow_mean: float
+    background_mean: float
+    border: float
+    length_m: float
+    highlight_m2: float
+    highlight_depth_m: float
+    shadow_m2: float
+    largest_shadow_m2: float
+    height_m: float
+    peak_height_m: float
+    flank: float
+    repetition: float
+    common: float
+
+
+def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: Moved) -> Findings:
+    """Measure converged contours."""
+    highlight, shadow = moved.highlight_sums, moved.shadow_sums
+    count = settings.window_count - highlight.measured - shadow.measured
+    rest = (settings.window_sum - highlight.total - shadow.total) / count if count >= 1.0 else math.nan
+    present = [nodes for nodes in (moved.highlight, moved.shadow) if len(nodes)]
+    pixel_m2 = region.row_spacing_m * region.column_spacing_m
+    heights_m = row_heights_m(region, moved.shadow) if len(moved.shadow) else np.array([math.nan])
+    repetition, common = elsewhere(table, moved)
+    return Findings(
+        gain=snake_twin.no_object(settings) - moved.criterion,
+        highlight_mean=highlight.total / highlight.measured if len(moved.highlight) else math.nan,
+        shadow_mean=shadow.total / shadow.measured if len(moved.shadow) else math.nan,
+        background_mean=rest,
+        border=max(border_fraction(nodes, region.intensity.shape) for nodes in present),
+        length_m=float(np.ptp(np.concatenate([nodes[:, 0] for nodes in present]))) * region.row_spacing_m,
+        highlight_m2=highlight.area * pixel_m2,
+        highlight_depth_m=highlight.area / highlight.rows * region.column_spacing_m if len(moved.highlight) else math.nan,
+        shadow_m2=shadow.area * pixel_m2,
+        largest_shadow_m2=_largest_shadow_m2(region),
+        height_m=float(np.median(heights_m)),
+        peak_height_m=float(heights_m.max()),
+        flank=_flank(table, moved.shadow) if len(moved.shadow) else math.nan,
+        repetition=repetition,
+        common=common,
+    )
+
+
+def broken(findings: Findings) -> tuple[str, ...]:
+    """Codes of the rules that the contours break, in fixed order. What is not known (NaN) breaks none, but no evidence does."""
+    rules = (
+        ("touches_border", findings.border > _MOST_BORDER),
+        ("too_short", findings.length_m < _SHORTEST_M),
+        ("too_long", findings.length_m > _LONGEST_M),
+        ("highlight_too_large", findings.highlight_m2 > _LARGEST_HIGHLIGHT_M2 or findings.highlight_depth_m > _DEEPEST_HIGHLIGHT_M),
+        ("shadow_too_large", findings.shadow_m2 > _SHADOW_MARGIN * findings.largest_shadow_m2),
+        ("too_low", findings.height_m < _LOWEST_M or findings.peak_height_m < _LOWEST_PEAK_M),
+        ("too_high", findings.height_m > _HIGHEST_M),
+        ("shadow_not_dark", findings.shadow_mean > _BRIGHTEST_SHADOW * findings.background_mean),
+        ("shadow_goes_on", findings.flank < _DARKEST_FLANK),
+        ("hole_in_bright", findings.flank > _BRIGHTEST_FLANK),
+        ("little_evidence", not findings.gain >= _LEAST_GAIN),
+        ("repeats", findings.repetition > _MOST_REPETITION or findings.common > _MOST_COMMON),
+    )
+    return tuple(code for code, is_broken in rules if is_broken)
+
+
+def _largest_shadow_m2(region: Region) -> float:
+    """What the largest mine casts where the detection is, on a flat bottom: length times height y / (altitude - height)."""
+    ground_m = max(region.first_ground_range_m + region.column * region.column_spacing_m, 0.0)
+    height_m = min(_HIGHEST_MINE_M, 0.5 * region.altitude_m)
+    beam_m = region.beam_width_rad * math.hypot(ground_m, region.altitude_m)
+    return (_LARGEST_MINE_M + beam_m) * max(height_m * ground_m / (region.altitude_m - height_m), height_m)
+
+
+def border_fraction(nodes: Nodes, shape: tuple[int, ...]) -> float:
+    """Fraction of a contour's length within BORDER_PX of the window's edge."""
+    lowest, highest = np.full(2, BORDER_PX), np.array(shape, dtype=np.float64) - BORDER_PX
+    total = near = 0.0
+    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
+        length = float(np.hypot(*(b - a)))
+        total += length
+        near += length * (1.0 - _inner_fraction(a, b, lowest, highest))
+    return near / total if total > 0.0 else 1.0
+
+
+def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
+    """Fraction of a segment inside a box (Liang and Barsky, 1984)."""
+    start, stop = 0.0, 1.0
+    for origin, way, low, high in zip(a.tolist(), (b - a).tolist(), lowest.tolist(), highest.tolist(), strict=True):
+        if way == 0.0:
+            if not low <= origin <= high:
+                return 0.0
+            continue
+        first, last = sorted(((low - origin) / way, (high - origin) / way))
+        start, stop = max(start, first), min(stop, last)
+    return max(stop - start, 0.0)
+
+
+def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows a polygon reaches, and its columns [near, far) in each; three (n,) int64."""
+    sides = [np.full(shape[0], -1, dtype=np.int64) for _ in range(2)]
+    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
+        rows, columns = snake_twin.crossings(a, b, shape[0], shape[1])
+        sides[int(b[0] > a[0])][rows] = columns
+    near, far = sides
+    rows = np.flatnonzero((near >= 0) & (far > near))
+    return rows, near[rows], far[rows]
+
+
+def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
+    """Whether any pixel inside a polygon was measured."""
+    rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))
+    return bool((table[rows, far, 1] - table[rows, near, 1]).sum() >= 1.0)
+
+
+def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:
+    """Height that the shadow implies in each row it reaches: z = H (1 - r_start / r_end)."""
+    _, near, far = row_intervals(shadow, region.intensity.shape)
+    start_m, end_m = (region.first_ground_range_m + side * region.column_spacing_m for side in (near, far))
+    up = region.altitude_m
+    heights: NDArray[np.float64] = up * (1.0 - np.hypot(start_m, up) / np.hypot(end_m, up))
+    return heights if len(heights) else np.zeros(1)
+
+
+def _flank(table: NDArray[np.float64], shadow: Nodes) -> float:
+    """Mean over the window's of the shadow's columns in the rows next to it on both sides along track; 1 where nothing was measured."""
+    rows, near, far = row_intervals(shadow, (table.shape[0], table.shape[1] - 1))
+    total = count = 0.0
+    for step in (-len(rows) - 1, len(rows) + 1):
+        there = rows + step
+        inside = (there >= 0) & (there < table.shape[0])
+        sums = (table[there[inside], far[inside]] - table[there[inside], near[inside]]).sum(axis=0)
+        total, count = total + float(sums[0]), count + float(sums[1])
+    return total / count if count >= 1.0 else 1.0
+
+
+def elsewhere(table: NDArray[np.float64], moved: Moved) -> tuple[float, float]:
+    """Evidence that the same contours, shifted clear of themselves, find in the window, over that in place: the best, and what one
+    shift in twenty exceeds. 0 where there is no room to shift, infinite where there is no evidence in place."""
+    n_rows, n_columns = table.shape[0], table.shape[1] - 1
+    here = 0.0
+    shifts = _shifts(moved, n_rows, n_columns)
+    there = np.zeros(len(shifts))
+    for which, nodes, sums in zip(
+        (HIGHLIGHT, SHADOW), (moved.highlight, moved.shadow), (moved.highlight_sums, moved.shadow_sums), strict=True
+    ):
+        if len(nodes) == 0:
+            continue
+        rows, near, far = row_intervals(nodes, (n_rows, n_columns))
+        here += evidence(which, sums.total, sums.measured)
+        there += _evidence(which, *_sums(table, rows, near, far, shifts))
+    if here <= 0.0:
+        return math.inf, math.inf
+    if len(there) == 0:
+        return 0.0, 0.0
+    return float(there.max()) / here, float(np.quantile(there, 0.95)) / here
+
+
+def _shifts(moved: Moved, n_rows: int, n_columns: int) -> NDArray[np.int64]:
+    """Shifts (row, column) that keep both polygons in the window and clear of where they are, (n, 2) int64."""
+    nodes = np.concatenate([moved.highlight, moved.shadow])
+    (top, near), (bottom, far) = np.floor(nodes.min(axis=0)), np.ceil(nodes.max(axis=0))
+    rows = np.arange(-int(top), n_rows - int(bottom) + 1, _ROW_STEP)
+    columns = np.arange(-int(near), n_columns - int(far) + 1, _COLUMN_STEP)
+    row, column = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
+    clear = (np.abs(row) >= bottom - top) | (np.abs(column) >= far - near)
+    return np.stack([row[clear], column[clear]], axis=1)
+
+
+def _sums(
+    table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.int64], far: NDArray[np.int64], shifts: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sum and count of intensity in the intervals at each shift; two (n_shifts,) float64."""
+    there = rows[:, None] + shifts[:, 0]
+    inside = table[there, far[:, None] + shifts[:, 1]] - table[there, near[:, None] + shifts[:, 1]]
+    total = inside.sum(axis=0)
+    return total[:, 0], total[:, 1]
+
+
+def evidence(which: int, total: float, count: float) -> float:
+    """N (m - 1 - ln m) for a region of `count` pixels of mean m over the window's; 0 on the wrong side of 1."""
+    if count < 1.0:
+        return 0.0
+    mean = max(total / count, 1e-6)
+    right = mean > 1.0 if which == HIGHLIGHT else mean < 1.0
+    return count * (mean - 1.0 - math.log(mean)) if right else 0.0
+
+
+def _evidence(which: int, total: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
+    mean = np.maximum(total / np.maximum(count, 1.0), 1e-6)
+    right = (mean > 1.0) if which == HIGHLIGHT else (mean < 1.0)
+    return np.where(right, count * (mean - 1.0 - np.log(mean)), 0.0)

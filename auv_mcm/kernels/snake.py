@@ -1,0 +1,163 @@
+"""Moves a highlight and a shadow polygon together until a description length stops falling.
+
+Both polygons are lists of (row, column) nodes in pixels, pixel (r, k) covering [r, r + 1) x [k, k + 1). A pixel is inside if its centre
+is, half-open on both axes. Sums over the inside come from row cumulative sums at the columns where edges cross row centres, so a moved
+node costs as much as its two edges are high, whatever the area (Chesnaud, Refregier and Boulet, IEEE PAMI 21(11), 1999). As an object's
+highlight and shadow are one interval in each ping, every row crosses a polygon at most twice.
+
+The criterion, in nats, is a description length after Martin, Refregier, Galland and Guerault (2006) and Ruch and Refregier (2001):
+
+    J = sum over highlight, shadow and what is left of the window of  N (ln mu + mean / mu - 1) / A_c + 1/2 ln(N / A_c)
+      + for each polygon of n nodes with mean |difference| of rows m_r and of columns m_c between neighbours
+        ln(N_window / A_c) + 2 ln n + n (2 ln 2e + ln(m_r m_c / A_c)), the last product at least 1/4
+      + cooperation
+
+The first term is the negative log-likelihood of single-look speckle. mu is the region's mean, or the bound where a highlight is dimmer
+or a shadow brighter than objects show: neither expands over sea floor that merely differs a little. A_c, the speckle's correlation
+area in pixels, makes everything count independent samples instead of pixels.
+Cooperation penalises along-track extents that differ, a gap between highlight and shadow, and a shadow too long for the height of a
+mine (`Settings`); it forbids overlap and a shadow that starts nearer than the highlight.
+
+Intensities are divided by the window's mean and rounded to 2^-20 of it. Sums are then exact in any order, and C and the Python twin
+take the same decisions to the last bit.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.snake_twin import Moved, Settings, Sums
+
+MAX_NODES: Final = 64
+NAMES: Final = ("highlight", "shadow")
+QUANTUM: Final = 2.0**-20
+"""Intensities are whole multiples of this part of the window's mean."""
+_BRIGHTEST: Final = 1e6  # times the window's mean; keeps sums over any window within 2^53 quanta
+_STEPS_PER_PX: Final = 16.0
+_NODES_PER_PX: Final = 2.0**20  # sums of coordinates, and halves of edges, stay exact
+
+
+class RowSums(NamedTuple):
+    """Cumulative sums along rows of a window.
+
+    table: (n_rows, n_columns + 1, 2) float64, table[r, k] = sum over columns below k of (intensity over its mean, 1) where valid.
+    mean: of the valid intensities, 0 if there are none or no echo among them; the table's intensities are then 0.
+    """
+
+    table: NDArray[np.float64]
+    mean: float
+
+
+def row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> RowSums:
+    """Row sums of a (n_rows, n_columns) window. Pixels that are not valid, or hold no finite number >= 0, count as not measured."""
+    counted = valid & (intensity >= 0.0) & (intensity < np.inf)
+    measured = np.where(counted, intensity, 0.0)
+    highest = float(measured.max(initial=0.0))
+    n_counted = int(counted.sum())
+    table = np.zeros((intensity.shape[0], intensity.shape[1] + 1, 2))
+    np.cumsum(counted, axis=1, out=table[:, 1:, 1])
+    if highest <= 0.0:
+        return RowSums(table, 0.0)
+    relative_mean = float((measured / highest).sum()) / n_counted  # no overflow, no denormals, whatever the gain
+    normalised = np.minimum(measured / highest / relative_mean, _BRIGHTEST)
+    np.cumsum(np.rint(normalised / QUANTUM) * QUANTUM, axis=1, out=table[:, 1:, 0])
+    return RowSums(table, highest * relative_mean)
+
+
+def move_pair(
+    table: NDArray[np.float64],
+    settings: Settings,
+    schedule: NDArray[np.float64],
+    highlight: NDArray[np.float64],
+    shadow: NDArray[np.float64],
+) -> Moved:
+    """The pair after all stages of the schedule.
+
+    table: of `row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the length of moves in pixels
+    (whole multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead. highlight, shadow: (n, 2) float64 nodes inside
+    the window, from the near upper corner over the far one on; (0, 2) for a polygon that does not exist. Nodes are rounded to 2^-20 pixel.
+    Raises ValueError if shapes do not fit, a polygon has 1, 2 or more than 64 nodes, lies outside the window, holds no measured pixel or
+    fewer than settings.min_area_px, or is not simple and crossed twice by each row.
+    """
+    table = np.ascontiguousarray(table, dtype=np.float64)
+    schedule = np.ascontiguousarray(schedule, dtype=np.float64)
+    parts = [np.rint(np.asarray(nodes, dtype=np.float64) * _NODES_PER_PX) / _NODES_PER_PX for nodes in (highlight, shadow)]
+    _check(table, schedule, parts)
+    c_snake = c_kernel()
+    if c_snake is None:
+        _refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
+        return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
+    n_rows, n_columns = table.shape[0], table.shape[1] - 1
+    room = np.zeros((2, MAX_NODES, 2))
+    n_nodes = np.array([len(nodes) for nodes in parts], dtype=np.int64)
+    for which, nodes in enumerate(parts):
+        room[which, : len(nodes)] = nodes
+    n_sums = len(Sums._fields)
+    bound, out, faults = np.empty(n_rows), np.empty(3 + 2 * n_sums), np.empty(2, dtype=np.int64)
+    numbers = np.array(settings, dtype=np.float64)
+    c_snake(
+        n_rows,
+        n_columns,
+        table.ctypes.data,
+        numbers.ctypes.data,
+        len(schedule),
+        schedule.ctypes.data,
+        room[0].ctypes.data,
+        room[1].ctypes.data,
+        n_nodes.ctypes.data,
+        bound.ctypes.data,
+        out.ctypes.data,
+        faults.ctypes.data,
+    )
+    _refuse(faults.tolist(), settings)
+    return Moved(
+        room[0, : n_nodes[0]].copy(),
+        room[1, : n_nodes[1]].copy(),
+        float(out[0]),
+        int(out[1]),
+        int(out[2]),
+        Sums(*out[3 : 3 + n_sums].tolist()),
+        Sums(*out[3 + n_sums :].tolist()),
+    )
+
+
+@functools.cache
+def c_kernel() -> Callable[..., None] | None:
+    """The C function, None where the twin serves."""
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    return kernels.c_function("snake", integer, integer, pointer, pointer, integer, *[pointer] * 7)
+
+
+def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: list[NDArray[np.float64]]) -> None:
+    if table.ndim != 3 or table.shape[1] < 2 or table.shape[2] != 2:
+        raise ValueError(f"table must have shape (n_rows, n_columns + 1, 2) as row_sums makes it, not {table.shape}")
+    if schedule.ndim != 2 or schedule.shape[1] != 3 or not ((schedule >= 0.0) & (schedule <= MAX_NODES)).all():
+        raise ValueError(f"schedule must hold rows of (nodes, pixels, sweeps), each 0 to {MAX_NODES}")
+    if (np.rint(schedule[:, 1] * _STEPS_PER_PX) != schedule[:, 1] * _STEPS_PER_PX).any():
+        raise ValueError("lengths of moves in the schedule must be whole multiples of 1/16 pixel")
+    window = table.shape[0], table.shape[1] - 1
+    for name, nodes in zip(NAMES, parts, strict=True):
+        if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) in (1, 2) or len(nodes) > MAX_NODES:
+            raise ValueError(f"{name} must have shape (n, 2) with 3 to {MAX_NODES} nodes or none, not {nodes.shape}")
+        if not ((nodes >= 0.0) & (nodes <= window)).all():
+            raise ValueError(f"{name} has nodes outside the window of {window[0]} rows and {window[1]} columns")
+    if len(parts[0]) + len(parts[1]) == 0:
+        raise ValueError("there is neither a highlight nor a shadow to move")
+
+
+def _refuse(faults: list[int], settings: Settings) -> None:
+    why = {
+        1: f"covers fewer than {settings.min_area_px:g} pixels, none that was measured, or runs up its far side",
+        2: "crosses itself, has coinciding nodes, or is crossed more than twice by a row",
+    }
+    for name, fault in zip(NAMES, faults, strict=True):
+        if fault:
+            raise ValueError(f"{name} {why[fault]}")

@@ -1,0 +1,311 @@
+"""What the cooperating snakes cost for the contours they give, and which false alarms of the detector they reject.
+
+python -m sim_replay.bench_snake            contour error beside time, for schedules from coarse to fine
+python -m sim_replay.bench_snake --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import Config
+from auv_mcm.confirm import snake_rules
+from auv_mcm.confirm.region import Region
+from auv_mcm.confirm.snake import COARSE, FINE, Contours, Schedule, Start, converge, settings_of, start_from_detection
+from auv_mcm.confirm.speckle import measure_correlation
+from auv_mcm.detect.stage import detect_tile
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import VALID, Detection, Tile
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene_file import read_scene
+
+Outline: TypeAlias = Literal["parallelogram", "ellipse"]
+Mask: TypeAlias = NDArray[np.bool_]
+Label: TypeAlias = Literal["target", "clutter"]
+
+N_STARTS: Final = 20
+HELD_OUT_SEEDS: Final = (21, 22, 23)  # the rules were set on seeds 11 and 12
+SCHEDULES: Final[dict[str, tuple[Schedule, Schedule]]] = {
+    "4 nodes": (COARSE, ((4, 1.0, 20),)),
+    "8 nodes": (COARSE, ((8, 3.0, 20), (8, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))),
+    "16 nodes (default)": (COARSE, FINE),
+    "16 nodes, no pruning": (COARSE, FINE[:-2]),
+    "24 nodes": (COARSE, (*FINE[:-2], (24, 1.0, 20), *FINE[-2:])),
+}
+
+_SHAPE: Final = (128, 128)
+_ROW_M, _COLUMN_M = 0.1, 0.06
+_ALTITUDE_M, _GROUND_M = 6.0, 22.0
+_SHADOW, _HIGHLIGHT = 10.0**-1.0, 10.0**0.8
+_DETECTION_P: Final = 1e-6
+_TARGET_M: Final = 2.5
+_CLEAR_M: Final = 3.0
+_ROWS_M, _NEAR_M, _FAR_M = 4.0, 3.0, 9.0
+
+
+class Drawn(NamedTuple):
+    """A single-look region and the true masks of highlight and shadow."""
+
+    region: Region
+    highlight: Mask
+    shadow: Mask
+
+
+class SnakeRow(NamedTuple):
+    """One schedule: intersection over union of shadow and highlight, and medians of time and proposals for one pair."""
+
+    schedule: str
+    shadow_iou: float
+    shadow_iou_5th: float
+    highlight_iou: float
+    pair_ms: float
+    n_proposed: float
+
+
+class SceneRow(NamedTuple):
+    """One scene: clutter rejected of all, targets lost of all, and how often each reason spoke against clutter."""
+
+    scene: str
+    n_clutter: int
+    n_rejected: int
+    n_targets: int
+    n_lost: int
+    reasons: Counter[str]
+
+
+def drawn_pair(seed: int) -> Drawn:
+    """White single-look speckle over a highlight of +8 dB and its shadow of -10 dB, outlines in closed form: leaning parallelograms for
+    even seeds, half ellipses for odd ones, of an object 0.35 to 0.8 m high and 0.8 to 2.2 m long."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    rows, columns = np.meshgrid(np.arange(_SHAPE[0]) + 0.5, np.arange(_SHAPE[1]) + 0.5, indexing="ij")
+    half = random.uniform(0.8, 2.2) / _ROW_M / 2.0
+    height_m = random.uniform(0.35, 0.8)
+    length = height_m * _GROUND_M / (_ALTITUDE_M - height_m) / _COLUMN_M
+    depth, lean = random.uniform(0.3, 0.5) / _COLUMN_M, random.uniform(-0.6, 0.6)
+    centre, foot = 0.5 * _SHAPE[0] + random.uniform(-3.0, 3.0), 45.0 + random.uniform(-3.0, 3.0)
+    across = (rows - centre) / half
+    if seed % 2:
+        start = np.full(_SHAPE, foot)
+        end = foot + length * np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0))
+    else:
+        start = foot + lean * (rows - centre)
+        end = start + length
+    reached = np.abs(across) <= 1.0
+    shadow = reached & (columns >= start) & (columns < end)
+    highlight = reached & (columns >= start - depth) & (columns < start)
+    mean = np.where(shadow, _SHADOW, np.where(highlight, _HIGHLIGHT, 1.0))
+    region = plain_region(mean * random.exponential(1.0, _SHAPE), row=centre, column=foot - 0.5 * depth)
+    return Drawn(region, highlight, shadow)
+
+
+def plain_region(intensity: NDArray[np.float64], *, row: float, column: float) -> Region:
+    """A region of the drawings' geometry, all of it measured."""
+    return Region(
+        intensity=intensity,
+        valid=np.ones(intensity.shape, dtype=np.bool_),
+        row_spacing_m=_ROW_M,
+        column_spacing_m=_COLUMN_M,
+        first_ground_range_m=_GROUND_M - 45.0 * _COLUMN_M,
+        altitude_m=_ALTITUDE_M,
+        row=row,
+        column=column,
+        beam_width_rad=0.0,
+    )
+
+
+def random_start(drawn: Drawn, seed: int) -> Start:
+    """Boxes off by up to 4 pixels either way and 0.4 to 1.3 times as large as the truth."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    rows, columns = np.nonzero(drawn.shadow)
+    middle, foot = 0.5 * (rows.min() + rows.max() + 1), float(np.median(np.nonzero(drawn.highlight)[1])) + 3.0
+    row, column = middle + random.uniform(-4.0, 4.0), foot + random.uniform(-4.0, 4.0)
+    half = 0.5 * float(np.ptp(rows)) * random.uniform(0.4, 1.3)
+    length = float(np.ptp(columns)) * random.uniform(0.4, 1.3)
+    top, bottom = max(row - half, 0.0), min(row + half, _SHAPE[0])
+    far = min(column + length, _SHAPE[1] - 1.0)
+    return Start(box(top, column - 8.0, bottom, column), box(top, column, bottom, far))
+
+
+def box(top: float, near: float, bottom: float, far: float) -> NDArray[np.float64]:
+    """Nodes of a rectangle, down its far side."""
+    return np.array([(top, near), (top, far), (bottom, far), (bottom, near)], dtype=np.float64)
+
+
+def mask_of(nodes: NDArray[np.float64], shape: tuple[int, ...]) -> Mask:
+    """Pixels inside a contour."""
+    inside = np.zeros(shape, dtype=np.bool_)
+    for row, near, far in zip(*snake_rules.row_intervals(nodes, shape), strict=True):
+        inside[row, near:far] = True
+    return inside
+
+
+def overlap(one: Mask, other: Mask) -> float:
+    """Intersection over union; 1 if both are empty."""
+    union = int((one | other).sum())
+    return int((one & other).sum()) / union if union else 1.0
+
+
+def snake_rows(n_images: int = 10, n_starts: int = 5) -> list[SnakeRow]:
+    """Contour error beside the time for one pair, per schedule."""
+    drawings = [drawn_pair(seed) for seed in range(100, 100 + n_images)]
+    return [_row(name, drawings, n_starts, *schedules) for name, schedules in SCHEDULES.items()]
+
+
+def _row(name: str, drawings: list[Drawn], n_starts: int, coarse: Schedule, fine: Schedule) -> SnakeRow:
+    shadow_iou, highlight_iou, pair_s, proposed = [], [], [], []
+    for number, drawn in enumerate(drawings):
+        table = snake.row_sums(drawn.region.intensity, drawn.region.valid).table
+        settings = snake_settings(drawn.region)
+        for k in range(n_starts):
+            start = random_start(drawn, 1000 * number + k)
+            began = time.perf_counter()
+            moved = snake.move_pair(table, settings, np.array(coarse + fine), start.highlight, start.shadow)
+            pair_s.append(time.perf_counter() - began)
+            proposed.append(moved.n_proposed)
+            contours = converge(drawn.region, start, coarse=coarse, fine=fine)
+            shadow_iou.append(overlap(mask_of(contours.shadow, _SHAPE), drawn.shadow))
+            highlight_iou.append(overlap(mask_of(contours.highlight, _SHAPE), drawn.highlight))
+    return SnakeRow(
+        schedule=name,
+        shadow_iou=statistics.median(shadow_iou),
+        shadow_iou_5th=float(np.quantile(shadow_iou, 0.05)),
+        highlight_iou=statistics.median(highlight_iou),
+        pair_ms=statistics.median(pair_s) * 1e3,
+        n_proposed=statistics.median(proposed),
+    )
+
+
+def snake_settings(region: Region, correlation_px: float = 1.0) -> snake_twin.Settings:
+    """The criterion's settings for a region."""
+    return settings_of(region, snake.row_sums(region.intensity, region.valid).table, correlation_px)
+
+
+def twin_ratio(n_images: int = 2) -> float:
+    """How many times longer the Python twin takes for one pair than the C kernel."""
+    if snake.c_kernel() is None:
+        return 1.0
+    ratios = []
+    for seed in range(n_images):
+        drawn = drawn_pair(seed)
+        table = snake.row_sums(drawn.region.intensity, drawn.region.valid).table
+        start, settings, schedule = random_start(drawn, seed), snake_settings(drawn.region), np.array(COARSE + FINE)
+        marks = [time.perf_counter()]
+        for mover in (snake.move_pair, snake_twin.move_pair):
+            mover(table, settings, schedule, np.rint(start.highlight), np.rint(start.shadow))
+            marks.append(time.perf_counter())
+        ratios.append((marks[2] - marks[1]) / (marks[1] - marks[0]))
+    return statistics.median(ratios)
+
+
+def scene_rows(scenes: Sequence[str] = ("ripple", "seagrass", "flat"), seeds: Sequence[int] = HELD_OUT_SEEDS) -> list[SceneRow]:
+    """What becomes of the detector's detections on simulated missions.
+
+    A target is the best detection within 2.5 m of one in each pass; clutter lies clear of every object. All else, such as rocks and
+    second detections of a target, counts for neither.
+    """
+    rows = []
+    for name in scenes:
+        judged = [(label, contours) for seed in seeds for label, contours in _judged(name, seed)]
+        clutter = [contours for label, contours in judged if label == "clutter"]
+        targets = [contours for label, contours in judged if label == "target"]
+        reasons = Counter(code for c in clutter for code in c.reasons if code in snake_rules.REJECTING)
+        rejected = sum(c.rejected for c in clutter)
+        rows.append(SceneRow(name, len(clutter), rejected, len(targets), sum(c.rejected for c in targets), reasons))
+    return rows
+
+
+def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
+    config = Config()
+    config = msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, p_false_alarm=_DETECTION_P))
+    mission = Mission(msgspec.structs.replace(read_scene(name), seed=seed))
+    pipeline = Pipeline(config)
+    tiles = [event for source in mission.events() for event in pipeline.feed(source) if isinstance(event, Tile)]
+    tiles += [event for event in pipeline.finish() if isinstance(event, Tile)]
+    seen = [(tile, detection) for tile in tiles for detection in detect_tile(tile, config).detections]
+    regions = [region_around(tile, detection, math.radians(config.sonar.beam_width_deg)) for tile, detection in seen]
+    # Texture passes for correlation; the sonar's own grains are the smallest correlation met.
+    areas = [math.prod(measure_correlation(region.intensity, region.valid)) for region in regions]
+    correlation_px = max(1.0, float(np.quantile(areas, 0.1))) if areas else 1.0
+    for region, label in zip(regions, _labels([detection for _, detection in seen], mission.truth()["objects"]), strict=True):
+        if label is not None:
+            yield label, converge(region, start_from_detection(region), correlation_px=correlation_px)
+
+
+def region_around(tile: Tile, detection: Detection, beam_width_rad: float) -> Region:
+    """The part of a tile around a detection that a mine and its shadow can fill."""
+    row, column = detection.row - tile.first_row, detection.column
+    n_rows, n_columns = tile.mask.shape
+    reach = round(_ROWS_M / tile.row_spacing_m)
+    top, bottom = max(0, round(row) - reach), min(n_rows, round(row) + reach)
+    near = max(0, round(column - _NEAR_M / tile.column_spacing_m))
+    far = min(n_columns, round(column + _FAR_M / tile.column_spacing_m))
+    part = slice(top, bottom), slice(near, far)
+    return Region(
+        intensity=tile.intensity[part].astype(np.float64),
+        valid=(tile.mask[part] & VALID) != 0,
+        row_spacing_m=tile.row_spacing_m,
+        column_spacing_m=tile.column_spacing_m,
+        first_ground_range_m=near * tile.column_spacing_m,
+        altitude_m=float(tile.first_return_m[min(int(row), n_rows - 1)]),
+        row=row - top,
+        column=column - near,
+        beam_width_rad=beam_width_rad,
+    )
+
+
+def _labels(detections: Sequence[Detection], objects: Sequence[dict[str, Any]]) -> list[Label | None]:
+    labels: list[Label | None] = []
+    best: dict[tuple[int, str, int], int] = {}
+    latitude, longitude = (np.array([thing[key] for thing in objects], dtype=np.float64) for key in ("lat", "lon"))
+    for index, detection in enumerate(detections):
+        frame = LocalFrame(latitude_deg=detection.latitude_deg, longitude_deg=detection.longitude_deg)
+        distances = np.hypot(*frame.to_enu(latitude, longitude, np.zeros(len(objects))).T[:2]).tolist()
+        sizes = [max(thing["length_m"], thing["width_m"]) for thing in objects]
+        nearest = int(np.argmin(distances)) if distances else -1
+        clear = all(distance > _CLEAR_M + 0.5 * size for distance, size in zip(distances, sizes, strict=True))
+        labels.append("clutter" if clear else None)
+        if nearest >= 0 and objects[nearest]["is_target"] and distances[nearest] <= _TARGET_M:
+            key = nearest, detection.side, round(detection.time_s / 30.0)
+            if key not in best or detection.score > detections[best[key]].score:
+                best[key] = index
+    for index in best.values():
+        labels[index] = "target"
+    return labels
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the tables; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m sim_replay.bench_snake", description="Snakes: contour error beside time.")
+    parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
+    chosen = parser.parse_args(arguments)
+    print(f"one pair on {_SHAPE[0]} x {_SHAPE[1]} pixels, -10 dB, single look; the Python twin takes {twin_ratio():.0f} times as long\n")
+    print(f"{'schedule':<22}{'shadow IoU':>11}{'5 %':>7}{'highlight':>11}{'pair ms':>9}{'proposals':>11}")
+    for row in snake_rows():
+        print(
+            f"{row.schedule:<22}{row.shadow_iou:>11.3f}{row.shadow_iou_5th:>7.3f}{row.highlight_iou:>11.3f}{row.pair_ms:>9.2f}"
+            f"{row.n_proposed:>11.0f}"
+        )
+    if chosen.scenes:
+        print(f"\n{'scene':<10}{'clutter':>9}{'rejected':>10}{'targets':>9}{'lost':>6}  reasons")
+        for scene in scene_rows():
+            share = scene.n_rejected / max(scene.n_clutter, 1)
+            reasons = ", ".join(f"{code} {number}" for code, number in scene.reasons.most_common(6))
+            print(f"{scene.scene:<10}{scene.n_clutter:>9}{share:>10.1%}{scene.n_targets:>9}{scene.n_lost:>6}  {reasons}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,198 @@
+"""Contours of drawn objects and of drawn sea floor, and the rules that tell them apart."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from auv_mcm.confirm import snake_rules
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
+from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
+from auv_mcm.confirm.snake_rules import Findings
+from auv_mcm.kernels import snake
+from sim_replay.bench_snake import N_STARTS, drawn_pair, mask_of, overlap, plain_region, random_start
+
+SHAPE = (128, 128)
+many_runs = pytest.mark.skipif(snake.c_kernel() is None, reason="minutes without the C kernel, which takes the twin's decisions to the bit")
+
+
+def ripple_field(seed: int) -> Contours:
+    """Ripples 0.3 to 1.5 m apart in any direction, with a detection on a crest."""
+    random = np.random.default_rng(seed)
+    rows, columns = np.meshgrid(np.arange(SHAPE[0]) * 0.1, np.arange(SHAPE[1]) * 0.06, indexing="ij")
+    direction, wavelength = random.uniform(0.0, np.pi), random.uniform(0.3, 1.5)
+    bend = 0.3 * np.sin(2.0 * np.pi * rows / random.uniform(4.0, 9.0))
+    phase = 2.0 * np.pi * (rows * np.cos(direction) + (columns + bend) * np.sin(direction)) / wavelength
+    mean = np.exp(1.2 * np.sin(phase))
+    crest = np.argmax(np.where((np.abs(rows - 6.4) < 1.0) & (np.abs(columns - 3.0) < 1.0), mean, 0.0))
+    row, column = np.unravel_index(crest, SHAPE)
+    region = plain_region(mean * random.exponential(1.0, SHAPE), row=float(row), column=float(column))
+    return converge(region, start_from_detection(region))
+
+
+@pytest.fixture(scope="module")
+def overlaps() -> NDArray[np.float64]:
+    """Shadow IoU, (image, start)."""
+    found = np.empty((6, N_STARTS))
+    for seed in range(len(found)):
+        drawn = drawn_pair(seed)
+        for k in range(N_STARTS):
+            contours = converge(drawn.region, random_start(drawn, 100 * seed + k))
+            assert not contours.rejected, (seed, k, contours.reasons)
+            found[seed, k] = overlap(mask_of(contours.shadow, SHAPE), drawn.shadow)
+    return found
+
+
+@many_runs
+def test_shadow_is_found_from_any_of_twenty_starts(overlaps: NDArray[np.float64]) -> None:
+    assert np.median(overlaps) >= 0.95
+    assert np.quantile(overlaps, 0.05) >= 0.85
+
+
+@many_runs
+def test_starts_hardly_matter(overlaps: NDArray[np.float64]) -> None:
+    assert np.median(overlaps.max(axis=1) - overlaps.min(axis=1)) < 0.05
+    assert np.median(overlaps.std(axis=1)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(20, 26))
+def test_object_is_confirmed_from_the_detection_alone(seed: int) -> None:
+    drawn = drawn_pair(seed)
+    contours = converge(drawn.region, start_from_detection(drawn.region))
+    assert contours.reasons == ()
+    assert overlap(mask_of(contours.shadow, SHAPE), drawn.shadow) > 0.9
+    assert overlap(mask_of(contours.highlight, SHAPE), drawn.highlight) > 0.75
+    assert contours.shadow_mean == pytest.approx(0.1, rel=0.25)
+    assert contours.highlight_mean == pytest.approx(10.0**0.8, rel=0.25)
+    assert contours.background_mean == pytest.approx(1.0, rel=0.05)
+    assert contours.gain > 100.0
+
+
+def test_height_is_that_of_the_ray_over_the_object() -> None:
+    for seed in (0, 2, 4):  # parallelograms: every row the same length
+        drawn = drawn_pair(seed)
+        contours = converge(drawn.region, start_from_detection(drawn.region))
+        columns = drawn.shadow.sum(axis=1)
+        start = np.median(drawn.shadow.argmax(axis=1)[columns > 0])
+        near_m = drawn.region.first_ground_range_m + start * drawn.region.column_spacing_m
+        far_m = near_m + np.median(columns[columns > 0]) * drawn.region.column_spacing_m
+        expected = 6.0 * (1.0 - math.hypot(near_m, 6.0) / math.hypot(far_m, 6.0))
+        assert contours.height_m == pytest.approx(expected, abs=0.03)
+
+
+@many_runs
+def test_ripple_fields_are_rejected_with_reasons() -> None:
+    fields = [ripple_field(seed) for seed in range(40)]
+    rejected = [field for field in fields if field.rejected]
+    assert len(rejected) >= 36
+    assert all(not snake_rules.REJECTING.isdisjoint(field.reasons) for field in rejected)
+
+
+def test_plain_speckle_is_rejected() -> None:
+    for seed in range(10):
+        region = plain_region(np.random.default_rng(seed).exponential(1.0, SHAPE), row=64.0, column=45.0)
+        assert converge(region, start_from_detection(region)).rejected
+
+
+def test_labels_with_holes_and_specks_are_start_enough() -> None:
+    drawn = drawn_pair(4)
+    labels = np.full(SHAPE, BACKGROUND, dtype=np.uint8)
+    labels[drawn.shadow], labels[drawn.highlight] = SHADOW, HIGHLIGHT
+    labels[np.random.default_rng(0).random(SHAPE) < 0.4] = BACKGROUND
+    contours = converge(drawn.region, start_from_labels(drawn.region, labels))
+    assert overlap(mask_of(contours.shadow, SHAPE), drawn.shadow) > 0.95
+
+
+def test_labels_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match="shape of the region"):
+        start_from_labels(drawn_pair(0).region, np.zeros((3, 3), dtype=np.uint8))
+
+
+def test_object_without_echo_keeps_its_shadow() -> None:
+    drawn = drawn_pair(2)
+    random = np.random.default_rng(1)
+    flat = np.where(drawn.highlight, random.exponential(1.0, SHAPE), drawn.region.intensity)
+    region = msgspec.structs.replace(drawn.region, intensity=flat)
+    contours = converge(region, start_from_detection(region))
+    assert contours.reasons == ("no_highlight",)
+    assert len(contours.highlight) == 0
+    assert math.isnan(contours.highlight_mean)
+    assert overlap(mask_of(contours.shadow, SHAPE), drawn.shadow) > 0.9
+
+
+def test_way_round_of_the_start_does_not_matter() -> None:
+    drawn = drawn_pair(3)
+    start = random_start(drawn, 5)
+    turned = Start(start.highlight[::-1], start.shadow[::-1])
+    one, other = converge(drawn.region, start), converge(drawn.region, turned)
+    assert overlap(mask_of(one.shadow, SHAPE), mask_of(other.shadow, SHAPE)) > 0.95
+    assert "start_replaced" not in other.reasons
+
+
+def test_correlated_speckle_counts_less() -> None:
+    drawn = drawn_pair(0)
+    start = start_from_detection(drawn.region)
+    gains = [converge(drawn.region, start, correlation_px=area).gain for area in (1.0, 2.0, 4.0)]
+    assert gains[0] > gains[1] > gains[2] > 0.0
+
+
+@pytest.mark.parametrize("area", [0.5, 0.0, math.nan, math.inf])
+def test_impossible_correlation_is_refused(area: float) -> None:
+    drawn = drawn_pair(0)
+    with pytest.raises(ValueError, match="correlation_px"):
+        converge(drawn.region, start_from_detection(drawn.region), correlation_px=area)
+
+
+GOOD = Findings(
+    gain=150.0,
+    highlight_mean=5.0,
+    shadow_mean=0.1,
+    background_mean=1.0,
+    border=0.0,
+    length_m=1.5,
+    highlight_m2=0.5,
+    highlight_depth_m=0.3,
+    shadow_m2=3.0,
+    largest_shadow_m2=6.0,
+    height_m=0.4,
+    peak_height_m=0.5,
+    flank=1.0,
+    repetition=0.1,
+    common=0.05,
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"border": 0.5}, "touches_border"),
+        ({"length_m": 0.2}, "too_short"),
+        ({"length_m": 6.0}, "too_long"),
+        ({"highlight_m2": 3.0}, "highlight_too_large"),
+        ({"highlight_depth_m": 1.4}, "highlight_too_large"),
+        ({"shadow_m2": 30.0}, "shadow_too_large"),
+        ({"height_m": 0.05}, "too_low"),
+        ({"peak_height_m": 0.11}, "too_low"),
+        ({"height_m": 1.5}, "too_high"),
+        ({"shadow_mean": 0.6}, "shadow_not_dark"),
+        ({"flank": 0.2}, "shadow_goes_on"),
+        ({"flank": 2.5}, "hole_in_bright"),
+        ({"gain": -30.0}, "little_evidence"),
+        ({"gain": math.nan}, "little_evidence"),
+        ({"repetition": 0.9}, "repeats"),
+        ({"common": 0.5}, "repeats"),
+    ],
+)
+def test_each_rule_speaks_alone(change: dict[str, float], reason: str) -> None:
+    assert snake_rules.broken(GOOD) == ()
+    assert snake_rules.broken(GOOD._replace(**change)) == (reason,)
+    assert reason in snake_rules.REJECTING
+
+
+def test_object_without_shadow_or_highlight_breaks_no_rule_about_them() -> None:
+    unknown = dict.fromkeys(("shadow_mean", "height_m", "peak_height_m", "flank", "highlight_mean", "highlight_depth_m"), math.nan)
+    assert snake_rules.broken(GOOD._replace(**unknown)) == ()

@@ -1,0 +1,256 @@
+"""Extreme regions and starts through the snakes: flagged results, no floating-point flag, the same every time."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.confirm.region import Region
+from auv_mcm.confirm.snake import Contours, Start, converge, settings_of, start_from_detection
+from auv_mcm.kernels import snake, snake_twin
+from sim_replay.bench_snake import box, drawn_pair, mask_of, overlap, plain_region, random_start
+
+SHAPE = (64, 80)
+many_runs = pytest.mark.skipif(snake.c_kernel() is None, reason="minutes without the C kernel, which takes the twin's decisions to the bit")
+NONE = np.empty((0, 2))
+
+
+def scene(seed: int = 0) -> Region:
+    random = np.random.default_rng(seed)
+    mean = np.ones(SHAPE)
+    mean[25:38, 20:27] = 8.0
+    mean[25:38, 27:55] = 0.1
+    return plain_region(mean * random.exponential(1.0, SHAPE), row=31.0, column=23.0)
+
+
+def looked_at(region: Region, start: Start | None = None, correlation_px: float = 1.0) -> Contours:
+    """Contours, with every floating-point flag but underflow an error."""
+    with np.errstate(all="raise", under="ignore"):
+        contours = converge(region, start_from_detection(region) if start is None else start, correlation_px=correlation_px)
+    for nodes in (contours.highlight, contours.shadow):
+        assert np.isfinite(nodes).all()
+        assert len(nodes) == 0 or snake_twin.is_sound(nodes)
+        assert ((nodes >= 0.0) & (nodes <= region.intensity.shape)).all()
+    assert contours.rejected or math.isfinite(contours.criterion)
+    return contours
+
+
+def same(one: Contours, other: Contours) -> bool:
+    return msgspec.json.encode(plain(one)) == msgspec.json.encode(plain(other))
+
+
+def plain(contours: Contours) -> dict[str, Any]:
+    fields = msgspec.structs.asdict(contours)
+    return {name: repr(value.tolist()) if isinstance(value, np.ndarray) else repr(value) for name, value in fields.items()}
+
+
+@pytest.mark.parametrize(
+    "nodes",
+    [
+        np.full((4, 2), 30.0),
+        np.array([(10.0, 10.0), (20.0, 20.0), (30.0, 30.0)]),
+        np.array([(20.0, 20.0), (40.0, 50.0), (20.0, 50.0), (40.0, 20.0)]),
+        np.array([(20.0, 20.0), (20.0, 20.1), (20.1, 20.1)]),
+        np.array([(5.0, 5.0), (9.0, 9.0)]),
+        box(-50, -50, -20, -20),
+        box(500, 500, 600, 600),
+        box(-10, -10, 200, 200),
+        np.full((4, 2), np.nan),
+        np.array([(np.inf, 0.0), (1.0, np.inf), (5.0, 5.0)]),
+        np.full((4, 2), 1e300),
+        np.random.default_rng(0).uniform(0.0, 60.0, (200, 2)),
+    ],
+    ids=["equal", "collinear", "crossing", "tiny", "two", "outside", "far outside", "around", "nan", "inf", "huge", "too many"],
+)
+def test_start_that_is_no_polygon_is_replaced_and_told(nodes: NDArray[np.float64]) -> None:
+    region = scene()
+    for start in (Start(nodes, box(25, 28, 38, 50)), Start(box(25, 18, 38, 27), nodes), Start(nodes, nodes), Start(NONE, nodes)):
+        contours = looked_at(region, start)
+        assert "start_replaced" in contours.reasons
+
+
+def test_no_start_at_all_begins_at_the_detection() -> None:
+    contours = looked_at(scene(), Start(NONE, NONE))
+    assert "start_replaced" in contours.reasons
+    assert same(msgspec.structs.replace(contours, reasons=()), msgspec.structs.replace(looked_at(scene()), reasons=()))
+
+
+@pytest.mark.parametrize(
+    ("intensity", "reason"),
+    [
+        (np.zeros(SHAPE), "no_echo"),
+        (np.full(SHAPE, np.nan), "no_echo"),
+        (np.full(SHAPE, -1.0), "no_echo"),
+        (np.ones(SHAPE), "little_evidence"),
+        (np.full(SHAPE, 1e300), "little_evidence"),
+        (np.full(SHAPE, 1e-310), "little_evidence"),
+        (np.indices(SHAPE).sum(axis=0) % 2 * 2.0, "little_evidence"),
+    ],
+    ids=["zeros", "nan", "negative", "constant", "huge", "denormal", "checkerboard"],
+)
+def test_region_without_anything_is_rejected_with_the_reason(intensity: NDArray[np.float64], reason: str) -> None:
+    contours = looked_at(plain_region(intensity, row=31.0, column=23.0))
+    assert contours.rejected
+    assert reason in contours.reasons
+
+
+def test_region_that_is_masked_is_rejected() -> None:
+    region = msgspec.structs.replace(scene(), valid=np.zeros(SHAPE, dtype=np.bool_))
+    assert looked_at(region).reasons == ("no_echo",)
+
+
+def test_start_where_nothing_was_measured_is_rejected() -> None:
+    valid = np.ones(SHAPE, dtype=np.bool_)
+    valid[20:45, 10:60] = False
+    contours = looked_at(msgspec.structs.replace(scene(), valid=valid), Start(box(25, 15, 35, 25), box(25, 25, 35, 50)))
+    assert contours.rejected
+    assert "not_measured" in contours.reasons
+
+
+def test_single_echo_in_silence_is_no_trouble() -> None:
+    intensity = np.zeros(SHAPE)
+    intensity[31, 23] = 1.0
+    looked_at(plain_region(intensity, row=31.0, column=23.0))
+
+
+def test_masked_rows_and_stray_nan_change_little() -> None:
+    region = scene()
+    truth = looked_at(region)
+    valid, intensity = region.valid.copy(), region.intensity.copy()
+    valid[10] = valid[30] = False
+    intensity[30] = np.nan
+    intensity[np.random.default_rng(1).random(SHAPE) < 0.001] = np.nan
+    contours = looked_at(msgspec.structs.replace(region, valid=valid, intensity=intensity))
+    assert overlap(mask_of(contours.shadow, SHAPE), mask_of(truth.shadow, SHAPE)) > 0.9
+    assert not contours.rejected
+
+
+@pytest.mark.parametrize("fraction", [0.1, 0.5, 0.9, 0.99])
+def test_zeros_anywhere_do_not_make_it_fail(fraction: float) -> None:
+    region = scene()
+    silent = np.random.default_rng(2).random(SHAPE) < fraction
+    looked_at(msgspec.structs.replace(region, intensity=np.where(silent, 0.0, region.intensity)))
+
+
+@pytest.mark.parametrize("gain", [1e-6, 1e-3, 2.0**-40, 2.0**40, 1e3, 1e6])
+def test_gain_changes_nothing_but_the_means(gain: float) -> None:
+    region = scene()
+    quiet, loud = looked_at(region), looked_at(msgspec.structs.replace(region, intensity=region.intensity * gain))
+    assert np.array_equal(quiet.shadow, loud.shadow)
+    assert np.array_equal(quiet.highlight, loud.highlight)
+    assert loud.criterion == pytest.approx(quiet.criterion, abs=1e-3)
+    assert loud.shadow_mean == pytest.approx(quiet.shadow_mean * gain, rel=1e-4)
+    assert loud.reasons == quiet.reasons
+
+
+def test_mirror_along_track_gives_the_mirrored_object() -> None:
+    for seed in range(6):
+        drawn = drawn_pair(seed)
+        height = drawn.region.intensity.shape[0]
+        start = random_start(drawn, seed)
+        turned = Start(*[np.abs((height, 0.0) - nodes) for nodes in start])
+        mirrored = msgspec.structs.replace(drawn.region, intensity=drawn.region.intensity[::-1].copy(), row=height - drawn.region.row)
+        one, other = converge(drawn.region, start), converge(mirrored, turned)
+        shape = drawn.region.intensity.shape
+        assert overlap(mask_of(one.shadow, shape), mask_of(other.shadow, shape)[::-1]) > 0.9  # nodes go in the other order
+        assert one.reasons == other.reasons
+
+
+def test_masked_border_changes_little() -> None:
+    region = scene()
+    wide = msgspec.structs.replace(
+        region, intensity=np.pad(region.intensity, 6), valid=np.pad(region.valid, 6), row=region.row + 6, column=region.column + 6,
+        first_ground_range_m=region.first_ground_range_m - 6 * region.column_spacing_m,
+    )  # fmt: skip
+    one, other = looked_at(region), looked_at(wide)
+    assert overlap(mask_of(one.shadow, SHAPE), mask_of(other.shadow - 6.0, SHAPE)) > 0.9
+    assert one.rejected == other.rejected
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"altitude_m": 0.0},
+        {"altitude_m": math.nan},
+        {"altitude_m": math.inf},
+        {"first_ground_range_m": math.nan},
+        {"row": math.nan},
+        {"column": math.inf},
+        {"row_spacing_m": 0.0},
+    ],
+)
+def test_unknown_geometry_is_rejected(change: dict[str, float]) -> None:
+    region = msgspec.structs.replace(scene(), **change)
+    assert looked_at(region, Start(box(25, 18, 38, 27), box(25, 28, 38, 50))).reasons == ("geometry_unknown",)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"altitude_m": 0.3}, {"altitude_m": 500.0}, {"first_ground_range_m": 0.0}, {"row": -1e9, "column": 1e9}, {"row_spacing_m": 5.0}],
+)
+def test_odd_geometry_is_no_trouble(change: dict[str, float]) -> None:
+    looked_at(msgspec.structs.replace(scene(), **change))
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 50), (7, 7), (50, 3)])
+def test_region_too_small_for_contours_is_rejected(shape: tuple[int, int]) -> None:
+    contours = looked_at(plain_region(np.ones(shape), row=0.0, column=0.0), Start(NONE, NONE))
+    assert contours.reasons == ("region_too_small",)
+
+
+def test_threads_and_repetition_change_nothing() -> None:
+    regions = [scene(seed) for seed in range(6)]
+    once = [looked_at(region) for region in regions]
+    with ThreadPoolExecutor(2) as pool:
+        again = list(pool.map(lambda region: converge(region, start_from_detection(region)), regions))
+    assert all(same(one, other) for one, other in zip(once, again, strict=True))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), level=st.floats(-300.0, 300.0), spikes=st.floats(0.0, 0.3), area=st.sampled_from([1.0, 4.0, 1e6]))
+def test_any_region_gives_a_result(seed: int, level: float, spikes: float, area: float) -> None:
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(8, 40, 2).tolist())
+    image = random.exponential(1.0, shape) * np.where(random.random(shape) < spikes, 1e6, 1.0)
+    region = plain_region(image * 10.0 ** (level / 2.0), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1]))
+    region = msgspec.structs.replace(region, valid=random.random(shape) < 0.9)
+    looked_at(region, Start(random.uniform(-5.0, 40.0, (4, 2)), random.uniform(-5.0, 40.0, (5, 2))), area)
+
+
+def test_contours_may_be_moved_on_as_they_are() -> None:
+    """Halved edges have finer coordinates than the start; a second run must begin exactly where the first ended."""
+    for seed in range(10):
+        region = scene(seed)
+        table = snake.row_sums(region.intensity, region.valid).table
+        known = settings_of(region, table, 1.0)
+        start = start_from_detection(region)
+        moved = snake.move_pair(table, known, np.array([(16, 1.0, 3), (40, 1.0, 2)]), start.highlight, start.shadow)
+        again = snake.move_pair(table, known, np.empty((0, 3)), moved.highlight, moved.shadow)
+        assert again.criterion == moved.criterion
+        assert np.array_equal(again.shadow, moved.shadow)
+
+
+@many_runs
+def test_small_noisy_regions_never_raise() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(100):
+        shape = tuple(random.integers(8, 40, 2).tolist())
+        region = plain_region(random.exponential(1.0, shape), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1]))
+        looked_at(region, Start(random.uniform(-5.0, 40.0, (4, 2)), random.uniform(-5.0, 40.0, (5, 2))))
+
+
+def test_mean_far_from_zero_loses_nothing() -> None:
+    """Sums over small regions of bright windows: no cancellation."""
+    image = 1e6 + np.random.default_rng(0).random((200, 300))
+    table = snake.row_sums(image, np.ones(image.shape, dtype=np.bool_)).table
+    inside = table[50:60, 210, 0] - table[50:60, 200, 0]
+    exact = np.rint(image[50:60, 200:210] / image.mean() / snake.QUANTUM).sum(axis=1) * snake.QUANTUM
+    assert np.abs(inside - exact).max() <= 10 * snake.QUANTUM
