@@ -50,8 +50,11 @@ def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[f
             yield event
 
     log, unfinished = folder / LOG_NAME, folder / f"{LOG_NAME}.part"
-    n_pings = write_xtf(unfinished, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz)
-    unfinished.replace(log)
+    try:
+        n_pings = write_xtf(unfinished, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz)
+        unfinished.replace(log)
+    finally:
+        unfinished.unlink(missing_ok=True)
     facts = mission.truth()
     write_json(folder / TRUTH_NAME, facts)
     return Simulated(

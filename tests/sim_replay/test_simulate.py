@@ -94,6 +94,16 @@ def test_a_bad_scene_file_is_refused_before_anything_is_written(tmp_path: Path, 
     assert not (tmp_path / "x").exists()
 
 
+def test_a_mission_that_breaks_off_leaves_no_piece_of_a_log(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sim_replay.simulator.sea.Sea.sound", broken)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(scene, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_scenes_that_ship_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "--list"]) == 0
     assert "flat" in capsys.readouterr().out.split()
