@@ -1,0 +1,365 @@
+"""Which solids a region may show: the best sphere, cylinder, truncated cone and wedge, and how well each explains it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.classify.evidence import size_plausibility
+from auv_mcm.classify.likelihood import beam_of, parameter_cost, row_sums
+from auv_mcm.classify.search import Array, Box, Optima, apart, curvature_covariance, look_around, walk
+from auv_mcm.classify.shapes import Shape
+from auv_mcm.confirm.region import Region
+from auv_mcm.kernels.shape import (
+    FIELDS,
+    FIRST_FIELD,
+    FORBIDDEN,
+    N_COLUMNS,
+    PENCIL,
+    Beam,
+    RowSums,
+    Solid,
+    intervals,
+    shape_costs,
+    single_solid,
+    top_m,
+    up_to,
+)
+
+SOLIDS: Final = tuple(FIELDS)
+
+_CLUTTER: Final = 60.0  # nats by which a free contour explains more than every solid before refinement: no solid catches up
+_HOPELESS: Final = 40.0  # nats behind the best solid before refinement: this one does not catch up
+_ALTITUDE_SIGMA: Final = 0.06  # of the altitude told, relative
+_BURIAL_SIGMA: Final = 0.15  # share of radius or height: a buried solid and a smaller one look much alike
+_TEMPER: Final = 4.0  # by which costs overstate what is known: highlights are not even, and floors not flat
+_RESOLVED: Final = 0.15  # of a resolution cell is what its edges are uncertain by
+_TOLERANCE: Final = 0.3  # beyond the usual sizes, relative, at which a size is not plausible at all
+_LEAST_HIGHLIGHT: Final = 6.0  # independent samples below which a highlight is no evidence
+_WEDGE_M: Final = (1.02, 0.80, 0.385)  # at scale 1
+_ALONG_M, _BEFORE_M, _BEHIND_M = 1.2, 0.5, 1.2  # how far from the highlight's centre an object's place may be
+_PLACE_GRAIN_M: Final = 0.05
+
+
+class Effort(NamedTuple):
+    """How many hypotheses are tried: starts per solid; how many walk, for how many steps of how many tries; the same with the beam."""
+
+    n_starts: int = 640
+    n_walks: int = 10
+    n_steps: int = 18
+    n_tries: int = 6
+    n_fine_walks: int = 3
+    n_fine_steps: int = 20
+    n_fine_tries: int = 8
+
+
+class Optimum(msgspec.Struct, frozen=True, kw_only=True):
+    """A solid at a place. row: fractional, edges of rows at whole numbers. ground_range_m: of its place, true for the altitude below.
+    cost: nats against a floor without an object, parameters included; the lower, the better. altitude_ratio: of the altitude that
+    explains the height seen over the altitude told."""
+
+    shape: Shape
+    row: float
+    ground_range_m: float
+    altitude_ratio: float
+    cost: float
+
+
+class Highlight(msgspec.Struct, frozen=True, kw_only=True):
+    """Along-track length and mean extent in range, m, of a highlight: as the solid has it and as measured about it without the solid's
+    ends. n_samples: independent ones in the solid's."""
+
+    model_along_m: float
+    model_across_m: float
+    observed_along_m: float
+    observed_across_m: float
+    n_samples: float
+
+
+class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
+    """The best of one class.
+
+    second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
+    sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the resolution, and an
+    altitude that is wrong by 6 %. Empty unless refined. plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
+    contrast: mean of highlight and of shadow over the floor's, echoes cut off at three times the floor.
+    flags: at_bound (a parameter at the end of what is searched), altitude (solids do fit, but for another altitude), buried (by over a
+    tenth of its height), cut_off (its shadow or its rows leave the region), weak_highlight (fewer than 6 independent samples).
+    """
+
+    solid: Solid
+    best: Optimum
+    second: Optimum | None
+    sigma: dict[str, float]
+    plausibility: float
+    contrast: tuple[float, float]
+    highlight: Highlight
+    refined: bool
+    flags: tuple[str, ...]
+
+
+class ShapeFits(msgspec.Struct, frozen=True, kw_only=True):
+    """All classes that explain the region at all, best first; a class that cannot be seen in it is missing.
+
+    contour_cost: that of the free contour, as given. flags: no_data, clutter (the contour explains so much more that solids were not
+    refined).
+    """
+
+    fits: tuple[ShapeFit, ...]
+    contour_cost: float | None
+    n_hypotheses: int
+    flags: tuple[str, ...]
+
+
+class _Parameter(NamedTuple):
+    low: float
+    high: float
+    grain: float
+    wraps: bool = False
+    usual: tuple[float, float] | None = None
+
+
+def _size(low: float, high: float, grain: float) -> _Parameter:
+    return _Parameter((1.0 - _TOLERANCE) * low, (1.0 + _TOLERANCE) * high, grain, usual=(low, high))
+
+
+# Burial comes as a share of radius or height. Below 0 it stands for an altitude told too high by that share: both change the height seen.
+_PARAMETERS: Final[dict[Solid, tuple[_Parameter, ...]]] = {
+    "sphere": (_size(0.3, 0.5, 0.03), _Parameter(-0.15, 0.6, 0.15)),
+    "cylinder": (
+        _size(0.2, 0.32, 0.03),
+        _size(1.5, 2.6, 0.1),
+        _Parameter(-0.5 * math.pi, 0.5 * math.pi, 0.08, wraps=True),
+        _Parameter(0.0, 0.6, 0.15),
+    ),
+    "truncated_cone": (_size(0.4, 0.6, 0.03), _size(0.4, 0.7, 0.15), _size(0.38, 0.58, 0.06)),
+    "wedge": (_size(0.8, 1.25, 0.06), _Parameter(-math.pi, math.pi, 0.08, wraps=True), _Parameter(-0.15, 0.5, 0.15)),
+}
+
+
+class _Class(NamedTuple):
+    """One class under search: costs of points of its box by beam, and what was found."""
+
+    solid: Solid
+    box: Box
+    cost: Callable[[Array, Beam], Array]
+    found: Optima
+
+
+def fit_shapes(
+    region: Region, contour_cost: float | None, correlation_area: float, *, looks: float = 1.0, effort: Effort | None = None
+) -> ShapeFits:
+    """Best solid of every class in a region.
+
+    contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost of what it encloses
+    plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at least 1. Everything is the same in
+    every run. Raises ValueError as row_sums does, and if the region's highlight has no place.
+    """
+    effort = Effort() if effort is None else effort
+    if not (math.isfinite(region.row) and math.isfinite(region.column)):
+        raise ValueError(f"row and column of a region must be numbers, not {region.row} and {region.column}")
+    image = row_sums(region, correlation_area, looks=looks)
+    if image is None:
+        return ShapeFits(fits=(), contour_cost=contour_cost, n_hypotheses=0, flags=("no_data",))
+    beam = beam_of(region)
+    n_tried = [0]
+    classes = [_look(solid, region, image, effort, n_tried) for solid in SOLIDS]
+    classes = [entry for entry in classes if entry.found.cost[0] < FORBIDDEN]
+    lowest = min((entry.found.cost[0] for entry in classes), default=math.inf)
+    clutter = contour_cost is not None and lowest > contour_cost + _CLUTTER
+    fits = []
+    for entry in classes:
+        refined = not clutter and bool(entry.found.cost[0] < lowest + _HOPELESS)
+        final = _refine(entry, beam, effort) if refined else entry
+        if final.found.cost[0] < FORBIDDEN:
+            fits.append(_fit(final, region, image, beam if refined else PENCIL, refined))
+    fits.sort(key=lambda fit: fit.best.cost)
+    flags = ("clutter",) if clutter else ()
+    return ShapeFits(fits=tuple(fits), contour_cost=contour_cost, n_hypotheses=n_tried[0], flags=flags)
+
+
+def plausibility(solid: Solid, sizes: Array) -> float:
+    """Of sizes in the order of the class's parameters: product of trapezoids, 1 within the usual, 0 at 30 % beyond."""
+    known = [(value, parameter.usual) for value, parameter in zip(sizes, _PARAMETERS[solid], strict=True) if parameter.usual is not None]
+    values, usual = zip(*known, strict=True)
+    return float(size_plausibility(values, *zip(*usual, strict=True)))
+
+
+def hypotheses_of(solid: Solid, points: Array) -> Array:
+    """Hypotheses (n, 8) for the kernel from points (n, d): place along the slices and ground range (m), then the class's parameters."""
+    hypotheses = np.zeros((len(points), N_COLUMNS))
+    hypotheses[:, :2] = points[:, :2]
+    sunk = np.zeros(len(points)) if solid == "truncated_cone" else points[:, -1]
+    hypotheses[:, 2] = 1.0 + np.minimum(sunk, 0.0)
+    fields, sunk = hypotheses[:, FIRST_FIELD:], np.maximum(sunk, 0.0)
+    match solid:
+        case "sphere":
+            fields[:, 0], fields[:, 1] = points[:, 2], sunk * points[:, 2]
+        case "cylinder":
+            fields[:, :3], fields[:, 3] = points[:, 2:5], sunk * points[:, 2]
+        case "truncated_cone":
+            fields[:, 0], fields[:, 1], fields[:, 2] = points[:, 2], points[:, 2] * points[:, 3], 2.0 * points[:, 2] * points[:, 4]
+        case "wedge":
+            fields[:, :3], fields[:, 3] = points[:, 2:3] * np.array(_WEDGE_M), points[:, 3]
+            fields[:, 4] = sunk * fields[:, 2]
+    return hypotheses
+
+
+def _look(solid: Solid, region: Region, image: RowSums, effort: Effort, n_tried: list[int]) -> _Class:
+    along_m = region.row * image.row_spacing_m
+    across_m = image.first_ground_range_m + region.column * image.column_spacing_m
+    place = (
+        _Parameter(along_m - _ALONG_M, along_m + _ALONG_M, _PLACE_GRAIN_M),
+        _Parameter(across_m - _BEFORE_M, across_m + _BEHIND_M, _PLACE_GRAIN_M),
+    )
+    parameters = place + _PARAMETERS[solid]
+    box = Box(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
+    fixed = parameter_cost(len(parameters), image)
+
+    def cost(points: Array, beam: Beam) -> Array:
+        n_tried[0] += len(points)
+        hypotheses = hypotheses_of(solid, points)
+        altitude = (hypotheses[:, 2] - 1.0) / _ALTITUDE_SIGMA
+        burial = 0.0 if solid == "truncated_cone" else np.maximum(points[:, -1], 0.0) / _BURIAL_SIGMA
+        return shape_costs(solid, hypotheses, image, beam).cost + 0.5 * (altitude * altitude + burial * burial) + fixed
+
+    def with_pencil(points: Array) -> Array:
+        return cost(points, PENCIL)
+
+    starts = look_around(with_pencil, box, effort.n_starts, effort.n_walks)
+    return _Class(solid, box, cost, walk(with_pencil, box, starts, effort.n_steps, effort.n_tries, first_stride=3.0))
+
+
+def _refine(entry: _Class, beam: Beam, effort: Effort) -> _Class:
+    def with_beam(points: Array) -> Array:
+        return entry.cost(points, beam)
+
+    starts = apart(entry.found, entry.box, effort.n_fine_walks)
+    if beam.share.size > 1:
+        starts = Optima(starts.unit, with_beam(entry.box.points(starts.unit)))
+    found = walk(with_beam, entry.box, starts, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2)
+    return entry._replace(found=found)
+
+
+def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: bool) -> ShapeFit:
+    found = apart(entry.found, entry.box, 2)
+    points = entry.box.points(found.unit)
+    hypotheses = hypotheses_of(entry.solid, points)
+    optima = [_optimum(entry.solid, row, cost, region, image) for row, cost in zip(hypotheses, found.cost.tolist(), strict=True)]
+    best = optima[0]
+    second = optima[1] if len(optima) > 1 and found.cost[1] < FORBIDDEN else None
+    sigma = _sigma(entry, points[0], hypotheses[0], beam, region, image) if refined else {}
+    mean = shape_costs(entry.solid, hypotheses[:1], image, beam).mean[0]
+    ends = intervals(entry.solid, hypotheses[:1], image, PENCIL)[0, :, 0]
+    highlight = _highlight(ends, mean, image)
+    at_end = (np.abs(found.unit[0] - np.rint(found.unit[0])) < 0.01) & ~entry.box.wraps
+    # Neither the place nor no burial at all is the end of anything.
+    at_end[:2] = False
+    if entry.solid != "truncated_cone":
+        at_end[-1] &= entry.solid != "cylinder" or found.unit[0, -1] > 0.5
+    rows = np.flatnonzero(ends[:, 2] > 0.0)
+    last = image.echoes.shape[1] - 1
+    flags = {
+        "at_bound": bool(at_end.any()),
+        "altitude": abs(best.altitude_ratio - 1.0) > _ALTITUDE_SIGMA,
+        "buried": entry.solid != "truncated_cone" and points[0, -1] > (0.2 if entry.solid in ("sphere", "cylinder") else 0.1),
+        "cut_off": rows.size == 0 or rows[0] == 0 or rows[-1] == len(ends) - 1 or bool(ends[:, 2].max() >= last),
+        "weak_highlight": highlight.n_samples < _LEAST_HIGHLIGHT,
+    }
+    return ShapeFit(
+        solid=entry.solid,
+        best=best,
+        second=second,
+        sigma=sigma,
+        plausibility=plausibility(entry.solid, points[0, 2:]),
+        contrast=(float(mean[0] / mean[2]), float(mean[1] / mean[2])),
+        highlight=highlight,
+        refined=refined,
+        flags=tuple(name for name, raised in flags.items() if raised),
+    )
+
+
+def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image: RowSums) -> Optimum:
+    """Back from slices to the image and the track: a slice squinted ahead meets greater ranges in later rows."""
+    squint = region.squint_rad
+    across_m = float(hypothesis[1]) * math.cos(squint)
+    middle_m = region.first_ground_range_m + region.column * region.column_spacing_m
+    ahead_m = (across_m - middle_m) * math.tan(squint)
+    fields = hypothesis[FIRST_FIELD:].copy()
+    if squint != 0.0 and "azimuth_rad" in FIELDS[solid]:
+        index = FIELDS[solid].index("azimuth_rad")
+        turn = math.pi if solid == "cylinder" else 2.0 * math.pi
+        fields[index] = (fields[index] - squint + 0.5 * turn) % turn - 0.5 * turn
+    return Optimum(
+        shape=single_solid(solid, fields),
+        row=float(hypothesis[0]) / image.row_spacing_m + ahead_m / region.row_spacing_m,
+        ground_range_m=across_m,
+        altitude_ratio=float(hypothesis[2]),
+        cost=cost,
+    )
+
+
+def _sigma(entry: _Class, point: Array, hypothesis: Array, beam: Beam, region: Region, image: RowSums) -> dict[str, float]:
+    """Of place and fields: what speckle leaves open, doubled for what the model leaves out, and what resolution and altitude do."""
+    covariance = curvature_covariance(lambda points: entry.cost(points, beam), entry.box, point)
+    there = point.copy()
+    if entry.solid != "truncated_cone":
+        there[-1] = max(there[-1], 1e-3)  # of a solid that is not buried: how deep it may be
+    step = 1e-4 * entry.box.grain
+    derivative = (hypotheses_of(entry.solid, there + np.diag(step)) - hypotheses_of(entry.solid, there - np.diag(step))).T / (2.0 * step)
+    variance = _TEMPER * np.delete(np.einsum("ij,jk,ik->i", derivative, covariance, derivative), 2)
+    altitude_m, across_m = image.altitude_m, float(hypothesis[1])
+    along_m = _RESOLVED * math.hypot(region.row_spacing_m, region.beam_width_rad * math.hypot(across_m, altitude_m))
+    upwards_m = _ALTITUDE_SIGMA * float(top_m(entry.solid, hypothesis[np.newaxis])[0])
+    across_sigma_m = math.hypot(_ALTITUDE_SIGMA * altitude_m**2 / across_m, _RESOLVED * region.column_spacing_m)
+    systematic = {
+        "ground_range_m": across_sigma_m,
+        "length_m": 2.0 * along_m,
+        "height_m": upwards_m,
+        "burial_m": upwards_m,
+        "azimuth_rad": 0.0,
+    }
+    names = ("row_m", "ground_range_m", *FIELDS[entry.solid])
+    sigma = {name: math.hypot(math.sqrt(variance[k]), systematic.get(name, along_m)) for k, name in enumerate(names)}
+    if entry.solid == "truncated_cone":
+        del sigma["burial_m"]  # a buried cone is a smaller cone
+    return sigma
+
+
+def _highlight(ends: Array, mean: Array, image: RowSums) -> Highlight:
+    """ends: (n_rows, 3) columns of the solid; mean: of highlight, shadow and floor."""
+    rows = np.flatnonzero(ends[:, 1] > ends[:, 0])
+    if rows.size == 0:
+        return Highlight(model_along_m=0.0, model_across_m=0.0, observed_along_m=0.0, observed_across_m=0.0, n_samples=0.0)
+    bright = math.sqrt(mean[0] * mean[2])
+    # Rows beyond the solid are looked at where its nearest row has the highlight.
+    nearest = np.clip(np.arange(len(ends)), rows[0], rows[-1])
+    count, total = (np.diff(up_to(sums, ends[nearest, :2]), axis=1)[:, 0] for sums in (image.counts, image.echoes))
+    along = _run(total > bright * np.maximum(count, 1e-9), (rows[0] + rows[-1]) // 2)
+    reach = np.arange(-20, 61)
+    edges = np.clip(ends[rows, :1] + 0.5 * reach, 0.0, image.echoes.shape[1] - 1.0)
+    count, total = (np.diff(up_to(sums[rows], edges), axis=1).sum(axis=0) for sums in (image.counts, image.echoes))
+    width = ends[rows, 1] - ends[rows, 0]
+    middle = 20 + int(np.mean(width))  # in half columns: the middle of a highlight of mean width
+    across = _run(total > bright * np.maximum(count, 1e-9), min(middle, count.size - 1))
+    seen = np.diff(up_to(image.counts[rows], ends[rows, :2]), axis=1).sum()
+    return Highlight(
+        model_along_m=rows.size * image.row_spacing_m,
+        model_across_m=float(width.mean()) * image.column_spacing_m,
+        observed_along_m=along * image.row_spacing_m,
+        observed_across_m=0.5 * across * image.column_spacing_m,
+        n_samples=float(seen) * image.samples_per_pixel,
+    )
+
+
+def _run(bright: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], start: int) -> int:
+    """Length of the run of bright cells about a start, 0 if that is dark."""
+    if not bright[start]:
+        return 0
+    dark = np.flatnonzero(~bright)
+    before, after = dark[dark < start], dark[dark > start]
+    return int((after[0] if after.size else bright.size) - (before[-1] if before.size else -1) - 1)

@@ -1,0 +1,292 @@
+"""How badly a solid explains an image: minus the log likelihood of highlight, shadow and floor as its closed forms place them.
+
+Every ping of an image that a solid crosses has three stretches of flat-floor ground range: highlight from its front to its tangent
+point, shadow from there to where the shadow ends, floor elsewhere. Echoes are Gamma distributed about the mean of their stretch, of
+which there are three in all, taken where the likelihood is highest. Relative to a floor without an object the cost is
+
+    (L / A_c) [N_h ln mu_h + N_s ln mu_s + N_b ln mu_b],   mu = sum of echoes / N, floor without an object mu = 1
+
+with L looks and speckle correlated over A_c pixels. Counts and sums come from cumulative sums along rows, linear within a pixel, so
+that the cost is continuous in the solid's parameters (C. Chesnaud, P. Refregier, V. Boulet, IEEE PAMI 21, 1999, for the criterion).
+
+A beam of finite width sees several slices at once: then a row is cut wherever the stretch of one of them ends, and the mean of a piece
+is mu = sum of w_k mu_k over the shares w_k that slices of highlight, shadow and floor have in it. Fields of independent scatterers add
+in power, so echoes of a piece are Gamma distributed still. The means are improved by Fisher scoring of their logarithms.
+
+C and numpy agree to 1e-9 of the number of pixels; numpy asks auv_mcm.classify.shapes for the slices.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
+
+Array: TypeAlias = NDArray[np.float64]
+Solid: TypeAlias = Literal["sphere", "cylinder", "truncated_cone", "wedge"]
+
+FORBIDDEN: Final = 1e12  # cost of what is no explanation
+LEAST_MEAN: Final = 1e-6  # relative to the image's mean, so that a shadow without any echo has a logarithm
+FIELDS: Final[dict[Solid, tuple[str, ...]]] = {
+    "sphere": ("radius_m", "burial_m"),
+    "cylinder": ("radius_m", "length_m", "azimuth_rad", "burial_m"),
+    "truncated_cone": ("base_radius_m", "top_radius_m", "height_m", "burial_m"),
+    "wedge": ("length_m", "width_m", "height_m", "azimuth_rad", "burial_m"),
+}
+FIRST_FIELD: Final = 3  # of a hypothesis, after its place and the share of the altitude
+N_COLUMNS: Final = 8
+
+_KINDS: Final = list(FIELDS)
+_CLASSES: Final[dict[Solid, Callable[..., Shape]]] = {
+    "sphere": Sphere,
+    "cylinder": Cylinder,
+    "truncated_cone": TruncatedCone,
+    "wedge": Wedge,
+}
+_NO_BOUND, _POSITIVE = -np.inf, float(np.finfo(np.float64).tiny)
+_LEAST: Final[dict[Solid, Array]] = {
+    "sphere": np.array([_POSITIVE, 0.0]),
+    "cylinder": np.array([_POSITIVE, 0.0, _NO_BOUND, 0.0]),
+    "truncated_cone": np.array([_POSITIVE, 0.0, _POSITIVE, 0.0]),
+    "wedge": np.array([_POSITIVE, _POSITIVE, _POSITIVE, _NO_BOUND, 0.0]),
+}
+_MAX_TAPS: Final = 15
+_STEPS: Final = 2  # of Fisher scoring; they leave 0.02 nats at the median, 0.5 at the 95th percentile
+_LEAST_HIGHLIGHT, _LEAST_SHADOW = 4.0, 8.0  # pixels
+_DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
+_CLEARANCE: Final = 1.2  # altitude over the height of a solid, at least
+_P, _I = ctypes.c_void_p, ctypes.c_int64
+
+
+class RowSums(NamedTuple):
+    """Image as cumulative sums along its rows; row i was seen from (i + 1/2) row_spacing_m along the track.
+
+    echoes: (n_rows, n_columns + 1) float64, of intensity where valid, relative to its mean. counts: likewise of valid pixels.
+    samples_per_pixel: looks over correlation area. smear_m: by which highlights are drawn out at both ends.
+    shear: tangent of the angle by which rows look ahead of abeam: so much nearer is an object to the track per metre that a row is later.
+    """
+
+    echoes: Array
+    counts: Array
+    row_spacing_m: float
+    column_spacing_m: float
+    first_ground_range_m: float
+    altitude_m: float
+    samples_per_pixel: float
+    smear_m: float
+    shear: float
+
+
+class Beam(NamedTuple):
+    """Slices seen at once, an odd number up to 15, symmetric: (n_taps,) float64 bearings from the middle and shares that sum to 1."""
+
+    bearing_rad: Array
+    share: Array
+
+
+PENCIL: Final = Beam(np.zeros(1), np.ones(1))
+
+
+class Costs(NamedTuple):
+    """cost: (n,) float64, nats against a floor without an object, negative if the solid explains more; FORBIDDEN if the solid reaches
+    the track, is nearly as high as the sonar, has no visible highlight (4 pixels, 1.3 times the floor) or shadow (8 pixels, 0.6 times).
+
+    mean: (n, 3) float64 of highlight, shadow and floor, relative to the image's mean; NaN where the cost is FORBIDDEN.
+    """
+
+    cost: Array
+    mean: Array
+
+
+def shape_costs(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Costs:
+    """Costs of solids of one kind.
+
+    hypotheses: (n, 8) float64: place along the track (m, from the near edge of row 0), ground range (m), altitude over that of the image,
+    which was told and may be wrong, then FIELDS of the solid. With another altitude the ground range is true, not the image's.
+    Raises ValueError for other shapes, sizes that are not positive, or a cone wider at its top than at its base.
+    """
+    hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
+    _check(solid, hypotheses, image, beam)
+    function = _function()
+    if function is None:
+        return shape_costs_numpy(solid, hypotheses, image, beam)
+    n, (n_rows, n_edges), n_taps = len(hypotheses), image.echoes.shape, beam.share.size
+    scalars = np.array(image[2:], dtype=np.float64)
+    echoes, counts = np.ascontiguousarray(image.echoes), np.ascontiguousarray(image.counts)
+    pieces = np.empty(4 * n_rows * 3 * n_taps)
+    costs = Costs(np.empty(n), np.empty((n, 3)))
+    slices = (np.ascontiguousarray(side, dtype=np.float64) for side in beam)
+    arrays = (hypotheses, scalars, echoes, counts, *slices, pieces, *costs)
+    at = [array.__array_interface__["data"][0] for array in arrays]
+    kind = _KINDS.index(solid)
+    function(kind, n, at[0], n_rows, n_edges - 1, *at[1:4], n_taps, *at[4:6], _STEPS, *at[6:])
+    return costs
+
+
+def solid_of(solid: Solid, fields: Array) -> Shape:
+    """The solid with these values of FIELDS along the last axis, as arrays (..., 1) to be set against pings."""
+    return _CLASSES[solid](**{name: fields[..., k, np.newaxis] for k, name in enumerate(FIELDS[solid])})
+
+
+def single_solid(solid: Solid, fields: Array) -> Shape:
+    """The solid with these values of FIELDS, (5,) or the first of more."""
+    return _CLASSES[solid](**dict(zip(FIELDS[solid], fields.tolist(), strict=False)))
+
+
+def intervals(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Array:
+    """Where highlights begin, shadows begin and shadows end in an image, (n, n_rows, n_taps, 3) float64 columns with edges at whole
+    numbers, cut at the image's edges; three times 0 where a slice misses the solid.
+
+    A wedge may turn its vertical face to the sonar. The face's foot, whose echo comes after that of the edge above it, ends the highlight.
+    """
+    n_rows, n_edges = image.echoes.shape
+    along, across, altitude = (hypotheses[:, k, np.newaxis] for k in range(FIRST_FIELD))
+    altitude = altitude * image.altitude_m
+    seen_from_m = (np.arange(n_rows) + 0.5) * image.row_spacing_m
+    turned = beam.bearing_rad * np.hypot(across, altitude)
+    offset = (seen_from_m - along)[:, :, np.newaxis] + turned[:, np.newaxis, :]
+    offset = offset.reshape(len(hypotheses), n_rows * beam.share.size)
+    across = across - offset * image.shear
+    view = view_shape(solid_of(solid, hypotheses[:, FIRST_FIELD:]), offset, across, altitude)
+    tangent = view.tangent_slant_range_m
+    if solid == "wedge":
+        tangent = np.fmax(tangent, np.hypot(across + _wedge_foot(hypotheses[:, FIRST_FIELD:], offset), altitude))
+    slant = np.stack((view.front_slant_range_m, tangent, np.hypot(view.shadow_end_m, altitude)), axis=-1)
+    ranges = flat_ground_range_m(slant, image.altitude_m)
+    ranges = ranges + np.array([-image.smear_m, image.smear_m, 0.0])
+    ends = np.clip((ranges - image.first_ground_range_m) / image.column_spacing_m, 0.0, n_edges - 1.0)
+    ends = np.maximum.accumulate(np.where(np.isnan(ends), 0.0, ends), axis=-1)
+    return ends.reshape(len(hypotheses), n_rows, beam.share.size, 3)
+
+
+def shape_costs_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Costs:
+    """shape_costs in numpy alone."""
+    costs = Costs(np.full(len(hypotheses), FORBIDDEN), np.full((len(hypotheses), 3), np.nan))
+    clear = hypotheses[:, 1] > reach_m(solid, hypotheses) * (1.0 + abs(image.shear))
+    top = top_m(solid, hypotheses)
+    clear &= (image.altitude_m * hypotheses[:, 2] >= _CLEARANCE * top) & (top > 0.0)
+    for k in np.flatnonzero(clear):
+        ends = intervals(solid, hypotheses[k : k + 1], image, beam)[0]
+        costs.cost[k], mean = _cost(ends, image, beam)
+        costs.mean[k] = np.nan if costs.cost[k] >= FORBIDDEN else mean
+    return costs
+
+
+def reach_m(solid: Solid, hypotheses: Array) -> Array:
+    """Horizontal radius about the place within which all of the solid lies, (n,)."""
+    match solid:
+        case "sphere" | "truncated_cone":
+            return hypotheses[:, 3]
+        case "cylinder":
+            return np.hypot(hypotheses[:, 3], 0.5 * hypotheses[:, 4])
+        case "wedge":
+            return 0.5 * np.hypot(hypotheses[:, 3], hypotheses[:, 4])
+
+
+def top_m(solid: Solid, hypotheses: Array) -> Array:
+    """Height of the solid over the floor, (n,)."""
+    match solid:
+        case "sphere":
+            return 2.0 * hypotheses[:, 3] - hypotheses[:, 4]
+        case "cylinder":
+            return 2.0 * hypotheses[:, 3] - hypotheses[:, 6]
+        case "truncated_cone":
+            return hypotheses[:, 5] - hypotheses[:, 6]
+        case "wedge":
+            return hypotheses[:, 5] - hypotheses[:, 7]
+
+
+def up_to(sums: Array, column: Array) -> Array:
+    """Cumulative sums (n_rows, n_columns + 1) at fractional columns (n_rows, m), linear in between."""
+    left = np.minimum(column.astype(np.intp), sums.shape[1] - 2)
+    low, high = (np.take_along_axis(sums, at, axis=1) for at in (left, left + 1))
+    return np.asarray(low + (high - low) * (column - left), dtype=np.float64)
+
+
+@functools.cache
+def _function() -> Callable[..., None] | None:
+    return kernels.c_function("shape_costs", _I, _I, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _P, _P)
+
+
+def _wedge_foot(fields: Array, offset: Array) -> Array:
+    """Least ground range, from its place, of what a wedge covers of the floor in slices (n, m); NaN where they miss it."""
+    length, width, height, azimuth, burial = (fields[:, k, np.newaxis] for k in range(5))
+    sides = (
+        (np.cos(azimuth), np.sin(azimuth), (burial / height - 0.5) * length, 0.5 * length),
+        (-np.sin(azimuth), np.cos(azimuth), -0.5 * width, 0.5 * width),
+    )
+    near, far = np.full(offset.shape, -np.inf), np.full(offset.shape, np.inf)
+    for along, across, low, high in sides:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.sort([(low - along * offset) / across, (high - along * offset) / across], axis=0)
+        near, far = np.fmax(near, ends[0]), np.fmin(far, ends[1])
+    return np.asarray(np.where(near <= far, near, np.nan), dtype=np.float64)
+
+
+def _cost(ends: Array, image: RowSums, beam: Beam) -> tuple[float, Array]:
+    """ends: (n_rows, n_taps, 3) columns of one hypothesis."""
+    whole = np.array([image.counts[:, -1].sum(), image.echoes[:, -1].sum()])
+    middle = ends[:, beam.share.size // 2]
+    parts = np.stack([np.diff(up_to(sums, middle), axis=1).sum(axis=0) for sums in (image.counts, image.echoes)])
+    count, total = (np.append(part, of_all - part.sum()) for part, of_all in zip(parts, whole, strict=True))
+    mean = np.maximum(np.divide(total, count, out=np.zeros(3), where=count > 0.0), LEAST_MEAN)
+    if not (count[0] >= _LEAST_HIGHLIGHT and count[1] >= _LEAST_SHADOW and count[2] > 0.0):
+        return FORBIDDEN, mean
+    if beam.share.size > 1:
+        count, total, share = _pieces(ends, image, beam, whole)
+        for _ in range(_STEPS):
+            mean = _improved(count, total, share, mean)
+    else:
+        share = np.eye(3)
+    expected = share @ mean
+    cost = image.samples_per_pixel * float((count * np.log(expected) + total / expected - count).sum())
+    visible = mean[1] <= _BRIGHTEST_SHADOW * mean[2] and mean[0] >= _DARKEST_HIGHLIGHT * mean[2]
+    return cost if visible else FORBIDDEN, mean
+
+
+def _pieces(ends: Array, image: RowSums, beam: Beam, whole: Array) -> tuple[Array, Array, Array]:
+    """Counts (m,), sums (m,) and shares (m, 3) of pieces of rows of one mixture each; the last is all the rest."""
+    n_rows = len(ends)
+    columns = ends.transpose(0, 2, 1).reshape(n_rows, -1)
+    change = np.kron(np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), beam.share[:, np.newaxis])  # of highlight and shadow
+    order = np.argsort(columns, axis=1, kind="stable")
+    columns = np.take_along_axis(columns, order, axis=1)
+    object_share = np.cumsum(change[order], axis=1)[:, :-1].reshape(-1, 2)
+    count, total = (np.diff(up_to(sums, columns), axis=1).ravel() for sums in (image.counts, image.echoes))
+    share = np.column_stack((object_share, 1.0 - object_share.sum(axis=1)))
+    kept = np.diff(columns, axis=1).ravel() > 0.0
+    count, total, share = count[kept], total[kept], share[kept]
+    return np.append(count, whole[0] - count.sum()), np.append(total, whole[1] - total.sum()), np.vstack((share, [0.0, 0.0, 1.0]))
+
+
+def _improved(count: Array, total: Array, share: Array, mean: Array) -> Array:
+    """Means after one step of Fisher scoring."""
+    part = share * mean
+    expected = part.sum(axis=1)
+    part = part / expected[:, np.newaxis]
+    information = (part * count[:, np.newaxis]).T @ part
+    information += (1e-9 * np.trace(information) + 1e-12) * np.eye(3)
+    step = np.linalg.solve(information, part.T @ (total / expected - count))
+    return np.asarray(np.maximum(mean * np.exp(np.clip(step, -1.0, 1.0)), LEAST_MEAN), dtype=np.float64)
+
+
+def _check(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam) -> None:
+    if hypotheses.ndim != 2 or hypotheses.shape[1] != N_COLUMNS:
+        raise ValueError(f"hypotheses must have shape (n, {N_COLUMNS}), not {hypotheses.shape}")
+    n_fields = len(FIELDS[solid])
+    if not np.isfinite(hypotheses).all():
+        raise ValueError("hypotheses must be finite")
+    if image.echoes.ndim != 2 or image.echoes.shape != image.counts.shape or image.echoes.shape[1] < 2:
+        raise ValueError(f"echoes and counts must have one shape (n_rows, n_columns + 1), not {image.echoes.shape}, {image.counts.shape}")
+    if beam.share.size % 2 == 0 or beam.share.size > _MAX_TAPS or beam.bearing_rad.shape != beam.share.shape:
+        raise ValueError(f"a beam must have an odd number of slices up to {_MAX_TAPS}, not {beam.share.size}")
+    fields = hypotheses[:, FIRST_FIELD : FIRST_FIELD + n_fields]
+    if not (fields >= _LEAST[solid]).all() or (solid == "truncated_cone" and (fields[:, 1] > fields[:, 0]).any()):
+        solid_of(solid, hypotheses[:, FIRST_FIELD:])  # says which size it is
