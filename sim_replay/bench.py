@@ -64,7 +64,7 @@ def main(arguments: Sequence[str]) -> int:
             bench.set_defaults(run=chosen_module.run)
     chosen = parser.parse_args(arguments)
     if chosen.bench in _ELSEWHERE:
-        return int(chosen.run(chosen) or 0)
+        return int(chosen.run(chosen))
     if chosen.bench == "chain":
         print(json.dumps(_chain(chosen.log, chosen.exhaustive)))
         return 0

@@ -64,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Fly, score and print. Raises UsageError for unknown scenes or counts below 1."""
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, score and print; returns the exit code. Raises UsageError for unknown scenes or counts below 1."""
     names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
     unknown = [name for name in names if name not in named_scenes()]
     if unknown or len(set(names)) < len(names):
@@ -104,6 +104,7 @@ def run(arguments: argparse.Namespace) -> None:
             write_file(arguments.json, json.dumps(told, indent=1).encode())
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
+    return 0
 
 
 def fly(name: str, seed: int) -> Flown:
