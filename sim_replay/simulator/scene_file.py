@@ -118,7 +118,9 @@ def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:
     for index, leg in enumerate(legs):
         for east, north in ((leg.east_m, leg.north_m), leg.end):
             depth = world.depth_m - rise * (east * math.sin(towards) + north * math.cos(towards))
-            if depth < track.altitude_m + 0.5:
+            if depth < track.altitude_m + 0.5 and world.slope_deg == 0.0:
+                yield f"`world.depth_m` is {depth:g}; a `track.altitude_m` of {track.altitude_m:g} needs 0.5 m more than that at least"
+            elif depth < track.altitude_m + 0.5:
                 yield (
                     f"`world.slope_deg` {world.slope_deg:g} leaves {depth:.1f} m of water at leg {index} of `track.plan`; "
                     f"`track.altitude_m` {track.altitude_m:g} needs more: give a larger `world.depth_m` or a gentler slope"

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, Ping
 from sim_replay.simulator import rays
 from sim_replay.simulator.bodies import Bodies, Body, near, pack
@@ -147,7 +148,16 @@ class Sea:
             return np.concatenate(list(pool.map(part, spans)))
 
     def sound(self, poses: Sequence[Pose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
-        """Pings numbered from `first_number`, one per pose. altitudes_m: what the sonar's own altimeter says, unknown if left out."""
+        """Pings numbered from `first_number`, one per pose. altitudes_m: what the sonar's own altimeter says, unknown if left out.
+
+        Raises UsageError where the floor leaves the sonar no water to be in.
+        """
+        for pose in poses:
+            if pose.depth_m <= 0.0:
+                raise UsageError(
+                    f"`world.depth_m` {self.scene.world.depth_m:g} leaves the sonar above the surface at {pose.east_m:.0f} m east, "
+                    f"{pose.north_m:.0f} m north, where the floor rises: give more, or a gentler relief or slope"
+                )
         energy = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
         sides = [self._speckled(energy[:, side], stream, first_number) for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))]
         return self.record(np.stack(sides, axis=1), poses, first_number, altitudes_m)

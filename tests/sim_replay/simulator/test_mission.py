@@ -192,3 +192,9 @@ def test_a_synthetic_aperture_delivers_lines_leg_by_leg_and_takes_a_new_plan_aft
     assert spacing_s == pytest.approx(line_m / 1.8, abs=1e-6)
     assert pings[0].altitude_m == pytest.approx(4.0, abs=0.5)
     assert mission.truth()["area_km2"] > 0.0
+
+
+def test_a_floor_that_rises_out_of_the_water_is_refused_where_it_does() -> None:
+    world = msgspec.structs.replace(SCENE.world, depth_m=5.0, relief_rms_m=5.0, relief_outer_m=10.0)
+    with pytest.raises(UsageError, match=r"`world.depth_m` 5 leaves the sonar above the surface at .* m east"):
+        flown(msgspec.structs.replace(SCENE, world=world))
