@@ -15,7 +15,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFits, fit_shapes, hypotheses_of
+from auv_mcm.classify.evidence import TEMPERATURE
+from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFit, ShapeFits, fit_shapes, hypotheses_of
 from auv_mcm.classify.likelihood import beam_of, row_sums
 from auv_mcm.classify.shapes import Shape, flat_ground_range_m, view_shape
 from auv_mcm.confirm.region import Region
@@ -109,12 +110,18 @@ def shape_rows(n_objects: int = 24, seed: int = 5) -> list[ShapeRow]:
 
 
 def best_class(views: Sequence[ShapeFits]) -> Solid | None:
-    """The class of least cost over all views, a class that a view does not show at all being out; None if there is none."""
+    """The class of least cost over all views, sizes weighed as beliefs do; a class that some view does not show at all is out. None if none
+    is left."""
     total = {
-        solid: sum(min((fit.best.cost for fit in fits.fits if fit.solid == solid), default=math.inf) for fits in views) for solid in SOLIDS
+        solid: math.fsum(min((_weighed(fit) for fit in fits.fits if fit.solid == solid), default=math.inf) for fits in views)
+        for solid in SOLIDS
     }
     best = min(total, key=lambda solid: total[solid])
     return best if total[best] < math.inf else None
+
+
+def _weighed(fit: ShapeFit) -> float:
+    return fit.best.cost - TEMPERATURE * math.log(max(fit.plausibility, 1e-9))
 
 
 def numpy_ratio(region: Region, n: int = 64) -> float:

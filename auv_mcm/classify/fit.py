@@ -48,9 +48,9 @@ _PLACE_GRAIN_M: Final = 0.05
 class Effort(NamedTuple):
     """How many hypotheses are tried: starts per solid; how many walk, for how many steps of how many tries; the same with the beam."""
 
-    n_starts: int = 640
+    n_starts: int = 512
     n_walks: int = 10
-    n_steps: int = 18
+    n_steps: int = 16
     n_tries: int = 6
     n_fine_walks: int = 3
     n_fine_steps: int = 20

@@ -155,7 +155,8 @@ def test_gain_and_repetition_change_nothing() -> None:
 def test_an_object_mirrored_along_the_track_is_the_same_object_mirrored() -> None:
     region = closed_form_region(SHAPES["cylinder"], 20.0, random=random_numbers(4))
     mirrored = msgspec.structs.replace(region, intensity=region.intensity[::-1], row=61.0 - region.row)
-    here, there = (of(fit_shapes(view, None, 1.0), "cylinder") for view in (region, mirrored))
+    thorough = Effort(1280, 14, 24, 8, 4, 28, 10)  # starts are not mirrored: what the search leaves open differs
+    here, there = (of(fit_shapes(view, None, 1.0, effort=thorough), "cylinder") for view in (region, mirrored))
     assert isinstance(here.best.shape, Cylinder)
     assert isinstance(there.best.shape, Cylinder)
     assert there.best.cost == pytest.approx(here.best.cost, abs=6.0)
