@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _EXIT_CODES = "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
+_BENCHES = ("waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes")
 _BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2"}
 
 
@@ -213,10 +214,11 @@ def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "bench",
         "measure speed, memory and what is found",
         "waterfall: the whole chain, cost per stage; detect: the detector's cost per tile; simulate: the simulator's cost;\n"
-        "scenes: what is found in the named scenes. Further arguments go to the bench.",
+        "scenes: what is found in the named scenes; segmentation, snakes, shapes: parts of confirmation and classification,\n"
+        "error beside time. Further arguments go to the bench.",
         ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
     )
-    parser.add_argument("bench", choices=("waterfall", "detect", "simulate", "scenes"), help="what to measure")
+    parser.add_argument("bench", choices=_BENCHES, help="what to measure")
     parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
     parser.set_defaults(command=_bench)
 
@@ -354,7 +356,7 @@ def _config(arguments: argparse.Namespace) -> int:
 
 
 def _bench(arguments: argparse.Namespace) -> int:
-    from sim_replay.bench import main as bench
+    from sim_replay.benches.chain import main as bench
 
     return bench([arguments.bench, *arguments.arguments])
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours, Start, converge, settings_of, start_from_detection
 from auv_mcm.kernels import snake, snake_twin
-from sim_replay.bench_snake import box, drawn_pair, mask_of, overlap, plain_region, random_start
+from sim_replay.benches.snakes import box, drawn_pair, mask_of, overlap, plain_region, random_start
 
 SHAPE = (64, 80)
 many_runs = pytest.mark.skipif(snake.c_kernel() is None, reason="minutes without the C kernel, which takes the twin's decisions to the bit")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.hausdorff import contour_distance, shadow_mask
 from auv_mcm.classify.likelihood import row_sums
 from auv_mcm.classify.shapes import Cylinder
-from sim_replay.bench_shape import closed_form_region
+from sim_replay.benches.shapes import closed_form_region
 
 Mask = NDArray[np.bool_]
 ROW_M, COLUMN_M = 0.12, 0.06

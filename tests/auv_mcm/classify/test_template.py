@@ -15,7 +15,7 @@ from auv_mcm.classify.shapes import Sphere
 from auv_mcm.classify.template import template_scores
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import intervals
-from sim_replay.bench_shape import closed_form_region
+from sim_replay.benches.shapes import closed_form_region
 
 TRUTH = np.array([[3.66, 20.0, 1.0, 0.4, 0.0, 0.0, 0.0, 0.0]])
 

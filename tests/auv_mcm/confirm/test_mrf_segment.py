@@ -14,7 +14,7 @@ from scipy import ndimage
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
-from sim_replay.drawn_regions import Drawing, draw_region
+from sim_replay.benches.drawn_regions import Drawing, draw_region
 
 
 def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8], label: int) -> float:

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
-from sim_replay.drawn_regions import Drawing, draw_region
+from sim_replay.benches.drawn_regions import Drawing, draw_region
 
 
 def sea_floor(seed: int, spread_rows: float, spread_columns: float) -> NDArray[np.float64]:

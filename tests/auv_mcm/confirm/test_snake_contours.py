@@ -14,7 +14,7 @@ from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
 from auv_mcm.confirm.snake_rules import Findings
 from auv_mcm.kernels import snake
-from sim_replay.bench_snake import N_STARTS, drawn_pair, mask_of, overlap, plain_region, random_start
+from sim_replay.benches.snakes import N_STARTS, drawn_pair, mask_of, overlap, plain_region, random_start
 
 SHAPE = (128, 128)
 many_runs = pytest.mark.skipif(snake.c_kernel() is None, reason="minutes without the C kernel, which takes the twin's decisions to the bit")

@@ -7,6 +7,7 @@ single pixels the paper's variant works, and what breaks it is to take the pixel
 
 from __future__ import annotations
 
+import argparse
 import math
 import statistics
 import time
@@ -22,7 +23,7 @@ from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.trws import energy_of, icm, trws, trws_numpy
-from sim_replay.drawn_regions import Drawing, draw_region
+from sim_replay.benches.drawn_regions import Drawing, draw_region
 
 Labels = NDArray[np.uint8]
 
@@ -33,9 +34,14 @@ _TRUE_LEVELS: Final = np.array([1.0, 10.0**-0.9, 8.0])
 _INDEPENDENT: Final = edge_weights(1.0, (1, 1), Correlation(1.0, 1.0))
 
 
-def main() -> None:
-    """Print every table of this bench."""
+def add_arguments(_: argparse.ArgumentParser) -> None:
+    """This bench has no options."""
+
+
+def run(_: argparse.Namespace) -> int:
+    """Print every table of this bench; returns the exit code."""
     print("\n".join(mrf_rows()))
+    return 0
 
 
 def mrf_rows() -> list[str]:
@@ -159,7 +165,3 @@ def _sweeps_knob() -> Iterator[_Knob]:
         slow = time.perf_counter() - began
         fast = statistics.median(times)
         yield _Knob(sweeps, 1e3 * fast, slow / fast, *(statistics.median(values) for values in (gaps, excesses, shadows)))
-
-
-if __name__ == "__main__":
-    main()

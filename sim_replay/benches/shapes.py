@@ -1,13 +1,13 @@
 """How often the class of a solid is found, how well its size, and in what time, for more and fewer hypotheses.
 
-python -m sim_replay.bench_shape [N_OBJECTS]
+auv-mcm bench shapes [--objects N]
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 import statistics
-import sys
 import time
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -262,16 +262,17 @@ def closed_form_region(
     )
 
 
-def main(arguments: Sequence[str]) -> int:
-    n_objects = int(arguments[0]) if arguments else 24
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `auv-mcm bench shapes`."""
+    parser.add_argument("--objects", type=int, default=24, help="objects drawn, two views each (default 24)")
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Print the table; returns the exit code."""
     print(f"{'effort':<10}{'hypotheses':>11}{'cpu ms':>9}{'one view':>10}{'two views':>11}{'size error':>12}{'numpy / C':>11}")
-    for row in shape_rows(n_objects):
+    for row in shape_rows(chosen.objects):
         print(
             f"{row.effort:<10}{row.n_hypotheses:>11d}{row.cpu_ms:>9.1f}{row.accuracy:>10.3f}{row.accuracy_of_two:>11.3f}"
             f"{row.size_error:>12.3f}{row.numpy_ratio:>11.0f}"
         )
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -265,7 +265,7 @@ def _print_accuracy(repeat: int) -> None:
 
 def _print_mission(minutes: float) -> None:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "sim_replay.bench_simulate", f"{minutes}"]
+    command = [sys.executable, "-m", "sim_replay.benches.simulate", f"{minutes}"]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         last = result.stderr.strip().splitlines()[-1:] or ["no message"]

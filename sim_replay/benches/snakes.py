@@ -1,7 +1,7 @@
 """What the cooperating snakes cost for the contours they give, and which false alarms of the detector they reject.
 
-python -m sim_replay.bench_snake            contour error beside time, for schedules from coarse to fine
-python -m sim_replay.bench_snake --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
+auv-mcm bench snakes            contour error beside time, for schedules from coarse to fine
+auv-mcm bench snakes --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -286,11 +285,13 @@ def _labels(detections: Sequence[Detection], objects: Sequence[dict[str, Any]]) 
     return labels
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Print the tables; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m sim_replay.bench_snake", description="Snakes: contour error beside time.")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `auv-mcm bench snakes`."""
     parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
-    chosen = parser.parse_args(arguments)
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Print the tables; returns the exit code."""
     print(f"one pair on {_SHAPE[0]} x {_SHAPE[1]} pixels, -10 dB, single look; the Python twin takes {twin_ratio():.0f} times as long\n")
     print(f"{'schedule':<22}{'shadow IoU':>11}{'5 %':>7}{'highlight':>11}{'pair ms':>9}{'proposals':>11}")
     for row in snake_rows():
@@ -305,7 +306,3 @@ def main(arguments: Sequence[str]) -> int:
             reasons = ", ".join(f"{code} {number}" for code, number in scene.reasons.most_common(6))
             print(f"{scene.scene:<10}{scene.n_clutter:>9}{share:>10.1%}{scene.n_targets:>9}{scene.n_lost:>6}  {reasons}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -10,7 +10,7 @@ import pytest
 
 from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
-from sim_replay.bench_scenes import add_arguments, config_for, run
+from sim_replay.benches.scenes import add_arguments, config_for, run
 from sim_replay.simulator.scene_file import read_scene
 
 

@@ -7,11 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_figures_come_for_every_step() -> None:
-    command = [sys.executable, "-m", "sim_replay.bench", "simulate", "--repeat", "1", "--minutes", "0.05"]
+    command = [sys.executable, "-m", "sim_replay.benches.chain", "simulate", "--repeat", "1", "--minutes", "0.05"]
     told = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
     for step in ("numpy: rays", "numpy: rays, speckle, 16-bit recorder", "numpy: 5 rays per ping", "sea floor from scratch"):
         (cost_ms,) = re.findall(rf"^ +{re.escape(step)} +([\d.]+)", told, re.MULTILINE)

@@ -11,10 +11,10 @@ from xtf_logs import written
 
 from auv_mcm.cli import main
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize("bench", ["waterfall", "detect", "simulate", "scenes"])
+@pytest.mark.parametrize("bench", ["waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes"])
 def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["bench", bench, "--help"])
@@ -24,12 +24,12 @@ def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.
 
 def test_a_bench_loads_no_other_ones_modules() -> None:
     code = (
-        "import sys; from sim_replay.bench import main\n"
+        "import sys; from sim_replay.benches.chain import main\n"
         "try: main(['detect', '--help'])\n"
-        "except SystemExit: print(sorted(name for name in sys.modules if name.startswith('sim_replay.bench')))"
+        "except SystemExit: print(sorted(name for name in sys.modules if name.startswith('sim_replay.benches')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.splitlines()[-1] == "['sim_replay.bench']"
+    assert done.stdout.splitlines()[-1] == "['sim_replay.benches', 'sim_replay.benches.chain']"
 
 
 def test_detect_tells_what_each_step_costs_per_pixel_and_peak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

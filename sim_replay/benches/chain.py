@@ -4,6 +4,7 @@ auv-mcm bench waterfall [LOG]   the whole chain on one core, per stage, at two m
 auv-mcm bench detect [LOG]      cost of the detector per tile
 auv-mcm bench simulate          cost of the simulator
 auv-mcm bench scenes            what the chain finds in the named scenes
+auv-mcm bench segmentation, snakes, shapes   parts of confirmation and classification: error beside time
 
 Costs of the chain are medians over fresh processes, those of the detector over repetitions in one. Times on a shared machine move by
 half; compare figures of one run only.
@@ -38,8 +39,11 @@ from sim_replay.xtf_writer import write_xtf
 
 _SCENE: Final = "demo"
 _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
-    "simulate": ("sim_replay.bench_simulate", "cost of the simulator"),
-    "scenes": ("sim_replay.bench_scenes", "what the chain finds in the named scenes"),
+    "simulate": ("sim_replay.benches.simulate", "cost of the simulator"),
+    "scenes": ("sim_replay.benches.scenes", "what the chain finds in the named scenes"),
+    "segmentation": ("sim_replay.benches.segmentation", "Markov-field segmentation: error beside time"),
+    "snakes": ("sim_replay.benches.snakes", "contours: error beside time"),
+    "shapes": ("sim_replay.benches.shapes", "classification by shape: error beside time"),
 }
 
 
@@ -115,7 +119,7 @@ def _bench_waterfall(log: Path, folder: Path, minutes: float, repeat: int) -> No
 
 def _run_chain(log: Path, *options: str) -> dict[str, Any]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "sim_replay.bench", "chain", str(log), *options]
+    command = [sys.executable, "-m", "sim_replay.benches.chain", "chain", str(log), *options]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         raise BadInputError(

@@ -1,0 +1,1 @@
+"""Benches: what things cost and how true they are, error beside time."""
