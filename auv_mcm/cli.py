@@ -325,7 +325,10 @@ def _score(arguments: argparse.Namespace) -> int:
     score = score_files(arguments.files, gate_m=arguments.gate_m, threshold=arguments.threshold)
     print(table(score))
     if arguments.json is not None:
-        arguments.json.write_bytes(to_json(score))
+        try:
+            arguments.json.write_bytes(to_json(score))
+        except OSError as error:
+            raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
     if arguments.plot is not None:
         plot(score, arguments.plot)
     return 0

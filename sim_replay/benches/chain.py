@@ -34,6 +34,7 @@ import numpy as np
 from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Ping, Tile
+from sim_replay.benches.arguments import count, duration_min
 from sim_replay.xtf import XtfLog
 from sim_replay.xtf_writer import write_xtf
 
@@ -52,11 +53,11 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="auv-mcm bench", description="Measure cost and quality; medians over one run.")
     benches = parser.add_subparsers(dest="bench", required=True)
     waterfall = benches.add_parser("waterfall", help="the whole chain on one core, cost per stage, at two mission lengths")
-    waterfall.add_argument("--minutes", type=float, default=30.0, help="length of the tiled version (default 30)")
+    waterfall.add_argument("--minutes", type=duration_min, default=30.0, help="length of the tiled version (default 30)")
     detect = benches.add_parser("detect", help="cost of the detector per tile")
     for bench in (waterfall, detect):
         bench.add_argument("log", nargs="?", type=Path, help=f"an XTF log; without it the scene '{_SCENE}' is flown")
-        bench.add_argument("--repeat", type=int, default=5, help="repetitions (default 5)")
+        bench.add_argument("--repeat", type=count, default=5, help="repetitions (default 5)")
     chain = benches.add_parser("chain", help="one run over a log; prints JSON (what the waterfall bench starts)")
     chain.add_argument("log", type=Path)
     chain.add_argument("--exhaustive", action="store_true")

@@ -21,6 +21,7 @@ from auv_mcm.classify.likelihood import beam_of, row_sums
 from auv_mcm.classify.shapes import Shape, flat_ground_range_m, view_shape
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import Solid, shape_costs, shape_costs_numpy
+from sim_replay.benches.arguments import count
 from sim_replay.simulator.echo import absorption_db_per_km, bin_ranges_m, flat_floor_intensity, floor_tables
 from sim_replay.simulator.scene import STEADY, Lawnmower, Scene, SceneObject, Sonar, Track, World
 from sim_replay.simulator.sea import Sea
@@ -264,7 +265,7 @@ def closed_form_region(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `auv-mcm bench shapes`."""
-    parser.add_argument("--objects", type=int, default=24, help="objects drawn, two views each (default 24)")
+    parser.add_argument("--objects", type=count, default=24, help="objects drawn, two views each (default 24)")
 
 
 def run(chosen: argparse.Namespace) -> int:

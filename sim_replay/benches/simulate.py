@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Ping
+from sim_replay.benches.arguments import count, duration_min
 from sim_replay.simulator import backend, rays, scene
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import pack
@@ -56,8 +57,8 @@ Speckle: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.uint64]], NDArray
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `auv-mcm bench simulate`."""
-    parser.add_argument("--repeat", type=int, default=15, help="repetitions of each step (default 15)")
-    parser.add_argument("--minutes", type=float, default=30.0, help="length of the mission that is streamed (default 30)")
+    parser.add_argument("--repeat", type=count, default=15, help="repetitions of each step (default 15)")
+    parser.add_argument("--minutes", type=duration_min, default=30.0, help="length of the mission that is streamed (default 30)")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -66,6 +66,8 @@ def test_simulate_replay_and_score_follow_one_another(tmp_path: Path, capsys: py
     assert "1 target" in capsys.readouterr().out
     assert json.loads((tmp_path / "score.json").read_text("utf-8"))
     assert (tmp_path / "froc.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["score", *files, "--json", str(tmp_path / "nowhere" / "score.json")]) == 2
+    assert "--json" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,17 @@ def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.
     assert f"auv-mcm bench {bench}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["simulate", "--repeat", "0"], ["simulate", "--minutes", "nan"], ["shapes", "--objects", "-3"], ["detect", "--repeat", "many"]],
+)
+def test_numbers_that_nothing_can_be_measured_with_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", *arguments])
+    assert ended.value.code == 2
+    assert f"'{arguments[-1]}' is no" in capsys.readouterr().err
+
+
 def test_a_bench_loads_no_other_ones_modules() -> None:
     code = (
         "import sys; from sim_replay.benches.chain import main\n"
@@ -29,7 +40,7 @@ def test_a_bench_loads_no_other_ones_modules() -> None:
         "except SystemExit: print(sorted(name for name in sys.modules if name.startswith('sim_replay.benches')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.splitlines()[-1] == "['sim_replay.benches', 'sim_replay.benches.chain']"
+    assert done.stdout.splitlines()[-1] == "['sim_replay.benches', 'sim_replay.benches.arguments', 'sim_replay.benches.chain']"
 
 
 def test_detect_tells_what_each_step_costs_per_pixel_and_peak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
