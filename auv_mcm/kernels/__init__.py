@@ -66,7 +66,7 @@ def c_function(name: str, *argument_types: Any) -> Callable[..., None] | None:
         return None
     function: Callable[..., None] = getattr(library, f"auv_mcm_{name}")
     function.argtypes = list(argument_types)  # type: ignore[attr-defined]  # ctypes' own way
-    function.restype = None  # type: ignore[attr-defined]
+    function.restype = None  # type: ignore[attr-defined]  # the same
     return function
 
 

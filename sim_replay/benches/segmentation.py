@@ -23,7 +23,7 @@ from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.trws import energy_of, icm, trws, trws_numpy
-from sim_replay.benches.drawn_regions import Drawing, draw_region
+from sim_replay.benches.drawn_regions import Drawing, aperture_drawings, draw_region
 
 Labels = NDArray[np.uint8]
 
@@ -53,7 +53,7 @@ def mrf_rows() -> list[str]:
     for spread in _SPREADS_PIXELS:
         grain = max(1.0, math.sqrt(2.0 * math.pi) * spread)
         for name, method in _METHODS.items():
-            score = _score(method, _drawings(spread))
+            score = _score(method, aperture_drawings(_N_REGIONS, spread, seed=11))
             figures = f"{score.shadow:>11.3f}{score.worst:>10.3f}{score.pieces:>8.0f}{score.highlight:>14.3f}{score.ms:>8.1f}"
             rows.append(f"{grain:>4.1f}px  {name:<48}{figures}")
     rows += ["", f"128 x 128 cells, medians: {'sweeps':>8}{'ms':>8}{'numpy / C':>11}{'gap %':>8}{'above best %':>14}{'shadow IoU':>12}"]
@@ -79,23 +79,6 @@ class _Knob(NamedTuple):
     gap_percent: float
     excess_percent: float
     shadow: float
-
-
-def _drawings(spread: float) -> Iterator[Drawing]:
-    random = np.random.Generator(np.random.PCG64(11))
-    for seed in range(_N_REGIONS):
-        yield Drawing(
-            n_rows=144,
-            n_columns=160,
-            row_spacing_m=0.03,
-            column_spacing_m=0.03,
-            object_rows=int(random.integers(17, 67)),
-            shadow_columns=int(random.integers(30, 90)),
-            lean=float(random.uniform(-0.4, 0.4)),
-            spread_rows=spread,
-            spread_columns=spread,
-            seed=seed,
-        )
 
 
 def _overlap(one: Labels, other: Labels, label: int) -> float:

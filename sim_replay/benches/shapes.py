@@ -180,7 +180,7 @@ def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.
     sea = Sea(Scene(seed=seed, world=world, sonar=_SONAR, track=track, objects=(thing,)))
     row_m = _SPEED_MPS / _PING_RATE_HZ
     ahead = 0.618 * seed % 1.0 - 0.5  # pings do not fall on the object's middle
-    depth_m = world.depth_m - sea.floor_m(thing.east_m, 0.0) - _ALTITUDE_M
+    depth_m = world.depth_m - sea.world.floor_m(thing.east_m, 0.0) - _ALTITUDE_M
     poses = [
         Pose(i / _PING_RATE_HZ, 0.0, (i - _N_ROWS // 2 + ahead) * row_m, depth_m, 0.0, 0.0, 0.0, 0.0, _SPEED_MPS, 0) for i in range(_N_ROWS)
     ]

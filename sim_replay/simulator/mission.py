@@ -87,4 +87,4 @@ class Mission:
         return [self._navigation.told(pose, altitude) for pose, altitude in zip(block, altitudes, strict=True)]
 
     def _depth_of_floor(self, east_m: float, north_m: float) -> float:
-        return self.scene.world.depth_m - self.sea.floor_m(east_m, north_m)
+        return self.scene.world.depth_m - self.sea.world.floor_m(east_m, north_m)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from auv_mcm.errors import UsageError
@@ -18,9 +19,9 @@ _STREAM: Final = 0x4F424A45  # keeps these random numbers apart from others of t
 _TRIES: Final = 400  # places drawn for one object before there is none left
 _SIZE_EXPONENT: Final = 2.5  # stones longer than d are as many as d^-2.5
 _MOAT_WIDTH: Final = 0.6  # half width of a scour moat, in parts of the object's half sizes
-_FISH_STRENGTH_DB: Final = -42.0
 
-DepthOfFloor = Callable[[float, float], float]
+HeightOfFloor: TypeAlias = Callable[[float, float], float]  # m above the datum, of east and north
+Floats: TypeAlias = NDArray[np.float64]
 
 
 class Usual(NamedTuple):
@@ -47,7 +48,7 @@ USUAL: Final[dict[ObjectKind, Usual]] = {
     "tyre": Usual(0.9, 0.9, 0.25, strength_db=-18.0, specular_db=3.0),
     "pipe": Usual(4.5, 0.4, 0.4),
     "anchor_scar": Usual(25.0, 2.4, 0.25),
-    "fish_school": Usual(4.0, 2.5, 1.2, n_members=150, strength_db=_FISH_STRENGTH_DB),
+    "fish_school": Usual(4.0, 2.5, 1.2, n_members=150, strength_db=-42.0),
     "point": Usual(0.0, 0.0, 0.0, strength_db=-15.0),
 }
 _SPECULAR_EXPONENT: Final = 40.0
@@ -81,7 +82,7 @@ class Placed(NamedTuple):
 
 
 class Material(NamedTuple):
-    """What a body scatters like."""
+    """What a body scatters like; see backscatter.target_table."""
 
     strength_db: float
     specular_db: float
@@ -208,10 +209,11 @@ def _power_law(uniform: float, smallest: float, largest: float) -> float:
 
 
 def material_of(thing: Placed) -> Material:
+    """What the object's bodies are made of."""
     return Material(thing.strength_db, thing.specular_db, _SPECULAR_EXPONENT)
 
 
-def bodies_of(thing: Placed, floor_m: Callable[[float, float], float], material: int) -> list[Body]:
+def bodies_of(thing: Placed, floor_m: HeightOfFloor, material: int) -> list[Body]:
     """The bodies of an object on a floor of the given height above the datum; none for what only echoes."""
     if thing.kind in ("point", "fish_school"):
         return []
@@ -264,7 +266,7 @@ def _polyhedron(thing: Placed, base_m: float, material: int) -> Body:
     return _body(thing, POLYHEDRON, base_m, (), material, reach, planes, n_sides)
 
 
-def hull_planes(corners_m: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> tuple[Planes, int]:
+def hull_planes(corners_m: Floats) -> tuple[Planes, int]:
     """Sides and tops of the convex hull of (n, 3) corners, as seen from above, and the number of sides.
 
     A side (a, b, d) bounds the outline: a u + b v <= d. A top (a, b, c) bounds the height: z <= a u + b v + c.
@@ -275,7 +277,7 @@ def hull_planes(corners_m: np.ndarray[tuple[int, int], np.dtype[np.float64]]) ->
     return tuple(sorted(sides)) + tuple(sorted(tops)), len(sides)
 
 
-def _rock_corners(half_length: float, half_width: float, height: float, seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _rock_corners(half_length: float, half_width: float, height: float, seed: int) -> Floats:
     """Corners of an angular rock that fills its sizes: points on a half-buried superellipsoid, flattened by chance."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, seed])))
     n = int(random.integers(14, 26))
@@ -290,7 +292,7 @@ def _rock_corners(half_length: float, half_width: float, height: float, seed: in
     return corners
 
 
-def _group(thing: Placed, floor_m: Callable[[float, float], float], material: int) -> list[Body]:
+def _group(thing: Placed, floor_m: HeightOfFloor, material: int) -> list[Body]:
     """A boulder cluster, or debris: plates, blocks and rods, strewn over the group's extent."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 1, thing.seed])))
     sine, cosine = math.sin(thing.azimuth_rad), math.cos(thing.azimuth_rad)
@@ -327,7 +329,7 @@ def _body(
     return Body(kind, thing.east_m, thing.north_m, base_m, thing.azimuth_rad, reach_m, sizes, material, planes, n_sides)
 
 
-def points_of(thing: Placed, floor_m: Callable[[float, float], float]) -> list[tuple[float, float, float, float]]:
+def points_of(thing: Placed, floor_m: HeightOfFloor) -> list[tuple[float, float, float, float]]:
     """East, north, height above the datum (m) and target strength (linear, m2) of what echoes without a body."""
     if thing.kind not in ("point", "fish_school"):
         return []

@@ -34,7 +34,7 @@ from sim_replay.simulator.scene import Scene, Sonar
 from sim_replay.simulator.scene_file import check_scene
 from sim_replay.simulator.speckle import band_limited_rows, gaussian_taps, row_keys, speckle_rows
 from sim_replay.simulator.vehicle import Pose
-from sim_replay.simulator.world import NODES, PATCH, World
+from sim_replay.simulator.world import World
 
 Floats = NDArray[np.float64]
 
@@ -59,8 +59,6 @@ class Sea:
         self.world: Final = World(scene.world, scene.seed)
         self.objects: Final[tuple[Placed, ...]] = place_objects(scene)
         self.recorder: Final = complete(sonar.recorder)
-        self._patch_here: tuple[int, int] | None = None
-        self._heights_here = np.empty((NODES, NODES))
         materials: list[Material] = []
         bodies: list[Body] = []
         points: list[tuple[float, float, float, float]] = []
@@ -68,8 +66,8 @@ class Sea:
             material = material_of(thing)
             if material not in materials:
                 materials.append(material)
-            bodies += bodies_of(thing, self.floor_m, len(self.world.covers) + materials.index(material))
-            points += points_of(thing, self.floor_m)
+            bodies += bodies_of(thing, self.world.floor_m, len(self.world.covers) + materials.index(material))
+            points += points_of(thing, self.world.floor_m)
         self._bodies = pack(bodies)
         self.points: Final = np.array(points).reshape(-1, 4)
         self._tables = np.concatenate([floor_tables(scene, self.world.covers), material_tables(materials)])
@@ -87,28 +85,14 @@ class Sea:
         self._taps = gaussian_taps(sonar.range_resolution_m / (sonar.range_m / sonar.n_samples))
         self._threads = threads
 
-    def floor_m(self, east_m: float, north_m: float) -> float:
-        """Height of the bare floor above the datum at a place, bilinear between nodes."""
-        row, column = north_m / self.world.cell_m, east_m / self.world.cell_m
-        place = math.floor(row / PATCH), math.floor(column / PATCH)
-        if place != self._patch_here:
-            patches = self.world.patches(np.ones((1, 1), dtype=np.bool_), *place)
-            self._patch_here, self._heights_here = place, patches.elevation[int(patches.slots[0, 0])].astype(np.float64)
-        row, column = row - place[0] * PATCH, column - place[1] * PATCH
-        i, j = min(int(row), PATCH - 1), min(int(column), PATCH - 1)
-        heights, down, right = self._heights_here, row - i, column - j
-        south = heights[i, j] * (1.0 - right) + heights[i, j + 1] * right
-        north = heights[i + 1, j] * (1.0 - right) + heights[i + 1, j + 1] * right
-        return float(south * (1.0 - down) + north * down)
-
     def altitude_m(self, pose: Pose) -> float:
         """Height of the sonar over the bare floor."""
-        return self.scene.world.depth_m - pose.depth_m - self.floor_m(pose.east_m, pose.north_m)
+        return self.scene.world.depth_m - pose.depth_m - self.world.floor_m(pose.east_m, pose.north_m)
 
     def mean_intensity(self, poses: Sequence[Pose]) -> Floats:
         """Mean received intensity, (n_poses, 2, n_samples), port first, without noise."""
         sonar, datum_m, cell_m = self.sonar, self.scene.world.depth_m, self.world.cell_m
-        floor = np.array([self.floor_m(pose.east_m, pose.north_m) for pose in poses])
+        floor = np.array([self.world.floor_m(pose.east_m, pose.north_m) for pose in poses])
         fan = rays.fan(poses, floor, sonar, datum_m, cell_m)
         energy = self.energy(fan, 2 * len(poses), sonar.range_m / sonar.n_samples)
         intensity = energy.reshape(len(poses), 2, sonar.n_samples) * self.spreading

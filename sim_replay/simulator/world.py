@@ -90,6 +90,8 @@ class World:
             Ground(cover, seed, f"{index} {cover.type}", cell_m=cell_m, step=self._step) for index, cover in enumerate(self.covers)
         )
         self._slot_of: dict[tuple[int, int], int] = {}
+        self._patch_here: tuple[int, int] | None = None
+        self._heights_here = np.empty((NODES, NODES))
         self._allocate(max_patches)
 
     def _allocate(self, n_slots: int) -> None:
@@ -135,6 +137,20 @@ class World:
             far = height[i + 1, j] * (1.0 - right) + height[i + 1, j + 1] * right
             out[chosen] = near * (1.0 - down) + far * down
         return out
+
+    def floor_m(self, east_m: float, north_m: float) -> float:
+        """elevation_m of one place (m), for a vehicle that asks at every step: the patch it is over is kept beside the pool."""
+        row, column = north_m / self.cell_m, east_m / self.cell_m
+        place = math.floor(row / PATCH), math.floor(column / PATCH)
+        if place != self._patch_here:
+            patch = self.patches(np.ones((1, 1), dtype=np.bool_), *place)
+            self._patch_here, self._heights_here = place, patch.elevation[int(patch.slots[0, 0])].astype(np.float64)
+        row, column = row - place[0] * PATCH, column - place[1] * PATCH
+        i, j = min(int(row), PATCH - 1), min(int(column), PATCH - 1)
+        heights, up, right = self._heights_here, row - i, column - j
+        south = heights[i, j] * (1.0 - right) + heights[i, j + 1] * right
+        north = heights[i + 1, j] * (1.0 - right) + heights[i + 1, j + 1] * right
+        return float(south * (1.0 - up) + north * up)
 
     def seabed_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Labels:
         """Index into `covers` of the node nearest to places of any one shape; uint8."""

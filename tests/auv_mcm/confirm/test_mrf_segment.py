@@ -14,30 +14,11 @@ from scipy import ndimage
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
-from sim_replay.benches.drawn_regions import Drawing, draw_region
+from sim_replay.benches.drawn_regions import Drawing, aperture_drawings, draw_region
 
 
 def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8], label: int) -> float:
     return float(((one == label) & (other == label)).sum() / max(1, ((one == label) | (other == label)).sum()))
-
-
-def synthetic_aperture(n: int, spread: float, **changes: float) -> Iterator[Drawing]:
-    """Objects of 0.5 to 2 m with shadows of 0.9 to 2.7 m on pixels of 3 cm."""
-    random = np.random.Generator(np.random.PCG64(5))
-    for seed in range(n):
-        yield Drawing(
-            n_rows=144,
-            n_columns=160,
-            row_spacing_m=0.03,
-            column_spacing_m=0.03,
-            object_rows=int(random.integers(17, 67)),
-            shadow_columns=int(random.integers(30, 90)),
-            lean=float(random.uniform(-0.4, 0.4)),
-            spread_rows=spread,
-            spread_columns=spread,
-            seed=seed,
-            **changes,  # type: ignore[arg-type]
-        )
 
 
 def side_scan(n: int) -> Iterator[Drawing]:
@@ -70,7 +51,7 @@ def medians(drawings: Iterator[Drawing]) -> tuple[float, float]:
 
 
 def test_shadow_at_9_db_in_correlated_single_look_speckle_is_found_whole() -> None:
-    drawings = [drawing for spread in (0.8, 1.1, 1.4) for drawing in synthetic_aperture(10, spread)]
+    drawings = [drawing for spread in (0.8, 1.1, 1.4) for drawing in aperture_drawings(10, spread, seed=5)]
     shadow, highlight = medians(iter(drawings))
     assert shadow >= 0.93
     assert highlight >= 0.7
@@ -83,7 +64,7 @@ def test_shadow_in_side_scan_of_coarse_pings_is_found_whole() -> None:
 
 
 def test_spiky_sea_floor_makes_no_objects() -> None:
-    shadow, highlight = medians(synthetic_aperture(8, 0.0, texture_nu=1.5))
+    shadow, highlight = medians(msgspec.structs.replace(drawing, texture_nu=1.5) for drawing in aperture_drawings(8, 0.0, seed=5))
     assert shadow >= 0.96
     assert highlight >= 0.9
     region, _ = draw_region(Drawing(texture_nu=1.5, spread_rows=0.0, spread_columns=0.0, seed=1))
@@ -93,7 +74,7 @@ def test_spiky_sea_floor_makes_no_objects() -> None:
 def test_paper_breaks_the_shadow_that_is_whole_here() -> None:
     n_pieces: dict[str, list[int]] = {"paper": [], "ours": []}
     overlaps: dict[str, list[float]] = {"paper": [], "ours": []}
-    for drawing in synthetic_aperture(6, 1.2):
+    for drawing in aperture_drawings(6, 1.2, seed=5):
         region, truth = draw_region(drawing)
         for name, labels in (("paper", segment_as_paper(region).labels), ("ours", segment(region).labels)):
             overlaps[name].append(overlap(labels, truth, SHADOW))

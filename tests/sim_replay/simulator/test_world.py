@@ -325,3 +325,9 @@ def test_every_type_has_a_usual_cover_that_a_scene_may_override(kind: SeabedType
     changed = cover_of(Seabed(type=kind, texture_shape=0.0, stones_per_ha=5.0, level_db=-3.0))
     assert (changed.texture_shape, changed.stones_per_ha, changed.level_db) == (0.0, 5.0, -3.0)
     assert changed.sediment == USUAL[kind].sediment
+
+
+def test_the_height_of_one_place_is_that_of_many() -> None:
+    world = World(scene.World(relief_rms_m=0.3, slope_deg=2.0), 4)
+    places = np.random.default_rng(1).uniform(-40.0, 40.0, (2, 200))
+    assert [world.floor_m(east, north) for east, north in places.T] == pytest.approx(world.elevation_m(*places), abs=1e-9)
