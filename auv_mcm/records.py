@@ -121,6 +121,56 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     ping_number: NDArray[np.int64]
 
 
+class Surroundings(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """The sea floor around a detection, wide enough for any mine's shadow; kept until the detection has been looked at closely.
+
+    codes: (n_rows, n_columns) uint8 codes of `auv_mcm.snippet`, 0 where nothing was measured. row, column: the detection inside it,
+    fractional. first_ground_range_m: near edge of column 0. first_return_m: slant range of the first bottom return there.
+    """
+
+    codes: NDArray[np.uint8]
+    row: float
+    column: float
+    first_ground_range_m: float
+    first_return_m: float
+
+
+ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge", "clutter", "unknown"]
+
+
+class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.classify.shapes`.
+
+    highlight, shadow: (n, 2) float64 outlines (row, column) in pixels of the detection's snippet; (0, 2) where there is none.
+    """
+
+    classification: ContactClass
+    sizes: dict[str, float]
+    sigma: dict[str, float]
+    highlight: NDArray[np.float64]
+    shadow: NDArray[np.float64]
+
+
+class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """What a close look at one detection found.
+
+    log_ratio: evidence for a mine against clutter, nats. mass: (32,) float64 of `auv_mcm.classify.beliefs`. labels: (n, m) uint8 of
+    `auv_mcm.confirm.region` for the pixels of the snippet; (0, 0) where the field was not solved. highlight, shadow: (n, 2) float64
+    contours (row, column) in pixels of the snippet; (0, 2) where there is none. model: None if no solid explains the view.
+    rejected: the contours cannot be those of a mine, for the codes in `reasons`.
+    """
+
+    log_ratio: float
+    mass: NDArray[np.float64]
+    half_turn_symmetric: bool
+    labels: NDArray[np.uint8]
+    highlight: NDArray[np.float64]
+    shadow: NDArray[np.float64]
+    model: ShapeModel | None
+    rejected: bool
+    reasons: tuple[str, ...]
+
+
 class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """One object seen once, on one side, in one pass.
 
@@ -129,7 +179,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     standard deviations of the sea floor around. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
     codes of `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
     snippet_column: the centroid inside it.
-    covariance_m2: (2, 2) float64 east/north.
+    covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone. surroundings: until it was looked at closely.
+    confirmation: None if it was not, for the reason that `reasons` gives.
     """
 
     side: Side
@@ -159,16 +210,17 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     snippet_column: float
     row_spacing_m: float
     column_spacing_m: float
-
-
-ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge", "clutter", "unknown"]
+    surroundings: Surroundings | None = None
+    confirmation: Confirmation | None = None
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """An object on the sea floor, from one or more detections. `belief` sums to 1 over classes plus `unknown`.
 
     covariance_m2: (2, 2) float64 east/north of the fused position. views: its detections, in order of time.
-    aspects_deg: compass direction from sonar to object per view, [0, 360).
+    aspects_deg: compass direction from sonar to object per view, [0, 360). *_sigma_m: 1-sigma of the sizes, NaN where no shape was
+    fitted. conflict: how far the views contradict each other, 0..1, NaN for one view. next_look_deg: compass directions to look from, the
+    most telling first, each standing for its opposite as well; empty if another look would hardly change the decision.
     """
 
     id: str
@@ -185,6 +237,11 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     aspects_deg: tuple[float, ...]
     reasons: tuple[str, ...]
     views: tuple[Detection, ...]
+    length_sigma_m: float = NAN
+    width_sigma_m: float = NAN
+    height_sigma_m: float = NAN
+    conflict: float = NAN
+    next_look_deg: tuple[float, ...] = ()
 
 
 class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):

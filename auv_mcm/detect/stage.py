@@ -14,7 +14,8 @@ from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
 from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
 from auv_mcm.navigation import interpolate_track
-from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Tile
+from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
+from auv_mcm.snippet import pack_snippet
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 
 OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
@@ -23,6 +24,11 @@ OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
 _STALE_SIGMA_M: Final = 25.0
 _UNSEEN_BOTTOM: Final = 0.2  # relative error of the first return that only a bottom not seen has
 STEP_M: Final = 0.4  # peaks closer than this are one candidate
+_NEAR_M: Final = 3.0  # of the surroundings, before the object
+_BEHIND_M: Final = 2.5  # and behind the longest shadow looked for
+_TALLEST_M: Final = 0.8
+_FAR_M: Final = (5.0, 12.0)
+_DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 
 class TileDetections(NamedTuple):
@@ -108,9 +114,30 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
                 snippet_column=m.snippet_column,
                 row_spacing_m=tile.row_spacing_m,
                 column_spacing_m=tile.column_spacing_m,
+                surroundings=_surroundings(tile, peak, m),
             )
         )
     return tuple(detections)
+
+
+def _surroundings(tile: Tile, peak: Peak, measured: Measurement) -> Surroundings:
+    """ROWS_M about the score's peak, which does not depend on where the tile was cut."""
+    n_rows, n_columns = tile.mask.shape
+    column_m = tile.column_spacing_m
+    first_return_m = float(tile.first_return_m[peak.row])
+    shadow_m = _TALLEST_M * peak.column * column_m / max(first_return_m - _TALLEST_M, 0.5)
+    far_m = min(max(shadow_m + _BEHIND_M, _FAR_M[0]), _FAR_M[1])
+    reach = round(ROWS_M / tile.row_spacing_m)
+    top, near = max(0, peak.row - reach), max(0, peak.column - round(_NEAR_M / column_m))
+    part = slice(top, min(n_rows, peak.row + reach + 1)), slice(near, min(n_columns, peak.column + round(far_m / column_m) + 1))
+    valid = (tile.mask[part] & VALID) != 0
+    return Surroundings(
+        codes=pack_snippet(np.where(valid, np.maximum(tile.intensity[part], np.float32(_DARKEST)), np.float32(0.0))),
+        row=measured.row - top,
+        column=measured.column - near,
+        first_ground_range_m=near * column_m,
+        first_return_m=first_return_m,
+    )
 
 
 def _between(values: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
