@@ -61,6 +61,7 @@ _MAX_TAPS: Final = 15
 _STEPS: Final = 2  # of Fisher scoring; they leave 0.02 nats at the median, 0.5 at the 95th percentile
 _LEAST_HIGHLIGHT, _LEAST_SHADOW = 4.0, 8.0  # pixels
 _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
+_AT_ONCE: Final = 16  # hypotheses that numpy weighs together: more no longer fit the cache
 _CLEARANCE: Final = 1.2  # altitude over the height of a solid, at least
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
@@ -172,10 +173,10 @@ def shape_costs_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Bea
     clear = hypotheses[:, 1] > reach_m(solid, hypotheses) * (1.0 + abs(image.shear))
     top = top_m(solid, hypotheses)
     clear &= (image.altitude_m * hypotheses[:, 2] >= _CLEARANCE * top) & (top > 0.0)
-    for k in np.flatnonzero(clear):
-        ends = intervals(solid, hypotheses[k : k + 1], image, beam)[0]
-        costs.cost[k], mean = _cost(ends, image, beam)
-        costs.mean[k] = np.nan if costs.cost[k] >= FORBIDDEN else mean
+    chosen = np.flatnonzero(clear)
+    for first in range(0, chosen.size, _AT_ONCE):
+        some = chosen[first : first + _AT_ONCE]
+        costs.cost[some], costs.mean[some] = _costs(intervals(solid, hypotheses[some], image, beam), image, beam)
     return costs
 
 
@@ -204,9 +205,10 @@ def top_m(solid: Solid, hypotheses: Array) -> Array:
 
 
 def up_to(sums: Array, column: Array) -> Array:
-    """Cumulative sums (n_rows, n_columns + 1) at fractional columns (n_rows, m), linear in between."""
+    """Cumulative sums (n_rows, n_columns + 1) at fractional columns (..., n_rows, m), linear in between."""
     left = np.minimum(column.astype(np.intp), sums.shape[1] - 2)
-    low, high = (np.take_along_axis(sums, at, axis=1) for at in (left, left + 1))
+    at = left + sums.shape[1] * np.arange(sums.shape[0])[:, np.newaxis]
+    low, high = np.take(sums, at), np.take(sums, at + 1)
     return np.asarray(low + (high - low) * (column - left), dtype=np.float64)
 
 
@@ -230,50 +232,54 @@ def _wedge_foot(fields: Array, offset: Array) -> Array:
     return np.asarray(np.where(near <= far, near, np.nan), dtype=np.float64)
 
 
-def _cost(ends: Array, image: RowSums, beam: Beam) -> tuple[float, Array]:
-    """ends: (n_rows, n_taps, 3) columns of one hypothesis."""
+def _costs(ends: Array, image: RowSums, beam: Beam) -> Costs:
+    """ends: (n, n_rows, n_taps, 3) columns."""
     whole = np.array([image.counts[:, -1].sum(), image.echoes[:, -1].sum()])
-    middle = ends[:, beam.share.size // 2]
-    parts = np.stack([np.diff(up_to(sums, middle), axis=1).sum(axis=0) for sums in (image.counts, image.echoes)])
-    count, total = (np.append(part, of_all - part.sum()) for part, of_all in zip(parts, whole, strict=True))
-    mean = np.maximum(np.divide(total, count, out=np.zeros(3), where=count > 0.0), LEAST_MEAN)
-    if not (count[0] >= _LEAST_HIGHLIGHT and count[1] >= _LEAST_SHADOW and count[2] > 0.0):
-        return FORBIDDEN, mean
+    middle = ends[:, :, beam.share.size // 2]
+    parts = [np.diff(up_to(sums, middle), axis=2).sum(axis=1) for sums in (image.counts, image.echoes)]
+    count, total = (np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip(parts, whole, strict=True))
+    mean = np.maximum(np.divide(total, count, out=np.zeros(count.shape), where=count > 0.0), LEAST_MEAN)
+    visible = (count[:, 0] >= _LEAST_HIGHLIGHT) & (count[:, 1] >= _LEAST_SHADOW) & (count[:, 2] > 0.0)
+    count, total, mean, share = count[visible], total[visible], mean[visible], np.eye(3)
     if beam.share.size > 1:
-        count, total, share = _pieces(ends, image, beam, whole)
+        count, total, share = _pieces(ends[visible], image, beam, whole)
         for _ in range(_STEPS):
             mean = _improved(count, total, share, mean)
-    else:
-        share = np.eye(3)
-    expected = share @ mean
-    cost = image.samples_per_pixel * float((count * np.log(expected) + total / expected - count).sum())
-    visible = mean[1] <= _BRIGHTEST_SHADOW * mean[2] and mean[0] >= _DARKEST_HIGHLIGHT * mean[2]
-    return cost if visible else FORBIDDEN, mean
+    expected = (share @ mean[:, :, np.newaxis])[:, :, 0]
+    found = image.samples_per_pixel * (count * np.log(expected) + total / expected - count).sum(axis=1)
+    contrasting = (mean[:, 1] <= _BRIGHTEST_SHADOW * mean[:, 2]) & (mean[:, 0] >= _DARKEST_HIGHLIGHT * mean[:, 2])
+    costs = Costs(np.full(len(ends), FORBIDDEN), np.full((len(ends), 3), np.nan))
+    costs.cost[visible] = np.where(contrasting, found, FORBIDDEN)
+    costs.mean[visible] = np.where(contrasting[:, np.newaxis], mean, np.nan)
+    return costs
 
 
 def _pieces(ends: Array, image: RowSums, beam: Beam, whole: Array) -> tuple[Array, Array, Array]:
-    """Counts (m,), sums (m,) and shares (m, 3) of pieces of rows of one mixture each; the last is all the rest."""
-    n_rows = len(ends)
-    columns = ends.transpose(0, 2, 1).reshape(n_rows, -1)
+    """Counts (n, m), sums (n, m) and shares (n, m, 3) of pieces of rows of one mixture each, some empty; the last is all the rest."""
+    seen = ends[:, :, :, 2].any(axis=(0, 2))
+    ends = ends[:, seen]
+    n, n_rows = ends.shape[:2]
+    columns = ends.transpose(0, 1, 3, 2).reshape(n, n_rows, 3 * beam.share.size)
     change = np.kron(np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), beam.share[:, np.newaxis])  # of highlight and shadow
-    order = np.argsort(columns, axis=1, kind="stable")
-    columns = np.take_along_axis(columns, order, axis=1)
-    object_share = np.cumsum(change[order], axis=1)[:, :-1].reshape(-1, 2)
-    count, total = (np.diff(up_to(sums, columns), axis=1).ravel() for sums in (image.counts, image.echoes))
-    share = np.column_stack((object_share, 1.0 - object_share.sum(axis=1)))
-    kept = np.diff(columns, axis=1).ravel() > 0.0
-    count, total, share = count[kept], total[kept], share[kept]
-    return np.append(count, whole[0] - count.sum()), np.append(total, whole[1] - total.sum()), np.vstack((share, [0.0, 0.0, 1.0]))
+    order = np.argsort(columns, axis=2, kind="stable")
+    columns = np.take_along_axis(columns, order, axis=2)
+    object_share = np.cumsum(change[order], axis=2)[:, :, :-1].reshape(n, n_rows * (columns.shape[2] - 1), 2)
+    count, total = (np.diff(up_to(sums[seen], columns), axis=2).reshape(object_share.shape[:2]) for sums in (image.counts, image.echoes))
+    share = np.concatenate((object_share, 1.0 - object_share.sum(axis=2, keepdims=True)), axis=2)
+    rest = np.broadcast_to([0.0, 0.0, 1.0], (n, 1, 3))
+    count, total = (np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip((count, total), whole, strict=True))
+    return count, total, np.concatenate((share, rest), axis=1)
 
 
 def _improved(count: Array, total: Array, share: Array, mean: Array) -> Array:
-    """Means after one step of Fisher scoring."""
-    part = share * mean
-    expected = part.sum(axis=1)
-    part = part / expected[:, np.newaxis]
-    information = (part * count[:, np.newaxis]).T @ part
-    information += (1e-9 * np.trace(information) + 1e-12) * np.eye(3)
-    step = np.linalg.solve(information, part.T @ (total / expected - count))
+    """Means (n, 3) after one step of Fisher scoring."""
+    part = share * mean[:, np.newaxis]
+    expected = part.sum(axis=2)
+    part = part / expected[:, :, np.newaxis]
+    information = (part * count[:, :, np.newaxis]).swapaxes(1, 2) @ part
+    information += (1e-9 * information.trace(axis1=1, axis2=2) + 1e-12)[:, np.newaxis, np.newaxis] * np.eye(3)
+    excess = part.swapaxes(1, 2) @ (total / expected - count)[:, :, np.newaxis]
+    step = np.linalg.solve(information, excess)[:, :, 0]
     return np.asarray(np.maximum(mean * np.exp(np.clip(step, -1.0, 1.0)), LEAST_MEAN), dtype=np.float64)
 
 
