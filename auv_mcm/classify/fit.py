@@ -157,11 +157,9 @@ def fit_shapes(
 
     contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost of what it encloses
     plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at least 1. Everything is the same in
-    every run. Raises ValueError as row_sums does, and if the region's highlight has no place.
+    every run. Raises ValueError as row_sums does.
     """
     effort = Effort() if effort is None else effort
-    if not (math.isfinite(region.row) and math.isfinite(region.column)):
-        raise ValueError(f"row and column of a region must be numbers, not {region.row} and {region.column}")
     image = row_sums(region, correlation_area, looks=looks)
     if image is None:
         return ShapeFits(fits=(), contour_cost=contour_cost, n_hypotheses=0, flags=("no_data",))

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels.shape import LEAST_MEAN, PENCIL, Array, Beam, RowSums
 
 _CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is as strong
@@ -30,18 +30,11 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
     In the image of a squinted sub-aperture a slice is a line sheared by tan(squint): a point at ground range y is drawn in the row where
     it was closest, y tan(squint) ahead of where its slice started. Columns are shifted by whole rows so that slices become rows again,
     the one of the region's middle column staying where it was; distances are then those along and across the slices.
-    Raises ValueError for a correlation area below 1, less than half a look, spacings or an altitude that are not positive, or planes of
-    different shapes.
+    Raises ValueError as require_sound does, and for a correlation area below 1 or less than half a look.
     """
-    if region.intensity.ndim != 2 or region.valid.shape != region.intensity.shape:
-        raise ValueError(f"intensity and valid must be planes of one shape, not {region.intensity.shape} and {region.valid.shape}")
-    if not (region.row_spacing_m > 0.0 and region.column_spacing_m > 0.0 and region.altitude_m > 0.0):
-        raise ValueError(
-            f"row_spacing_m, column_spacing_m and altitude_m must be positive, "
-            f"not {region.row_spacing_m}, {region.column_spacing_m} and {region.altitude_m}"
-        )
-    if not (correlation_area >= 1.0 and looks >= 0.5):
-        raise ValueError(f"correlation_area must be at least 1 and looks at least 0.5, not {correlation_area} and {looks}")
+    require_sound(region)
+    if not (1.0 <= correlation_area < math.inf and 0.5 <= looks < math.inf):
+        raise ValueError(f"correlation_area must be at least 1 and looks at least 0.5, both finite, not {correlation_area} and {looks}")
     counted = counted_pixels(region)
     if not (region.intensity[counted] > 0.0).any():
         return None
@@ -49,7 +42,9 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
     if floor == 0.0:
         positive = region.intensity[counted]
         floor = float(np.median(positive[positive > 0.0]))
-    intensity = np.minimum(np.divide(region.intensity, floor, out=np.zeros(counted.shape), where=counted), _CAP)
+    # The quotient of a spike and a faint floor has no number: cut first.
+    capped = np.minimum(np.where(counted, region.intensity, 0.0), _CAP * floor)
+    intensity = np.minimum(capped / floor, _CAP)
     if region.squint_rad != 0.0:
         intensity, counted = _deskewed(region, intensity), _deskewed(region, counted.astype(np.float64)) > 0.0
     cosine = math.cos(region.squint_rad)

@@ -12,6 +12,8 @@ without an object. Logarithms keep a glint from outvoting a shadow, and row sums
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from auv_mcm.classify.likelihood import counted_pixels, cumulative, row_sums
@@ -31,7 +33,8 @@ def template_scores(solid: Solid, hypotheses: Array, region: Region, correlation
         return np.zeros(len(hypotheses))
     counted = counted_pixels(region)
     level = float(np.median(region.intensity[counted & (region.intensity > 0.0)]))
-    logarithms = np.log(np.maximum(np.divide(region.intensity, level, out=np.ones(counted.shape), where=counted), _DARKEST))
+    echoes = np.maximum(np.where(counted, region.intensity, level), np.finfo(np.float64).smallest_subnormal)
+    logarithms = np.maximum(np.log(echoes) - math.log(level), math.log(_DARKEST))
     sums = cumulative(np.where(counted, logarithms, 0.0))
     n_all, of_all = float(image.counts[:, -1].sum()), float(sums[:, -1].sum())
     variance = correlation_area * _trigamma(looks)

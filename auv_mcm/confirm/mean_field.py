@@ -24,6 +24,7 @@ _SWEEPS: Final = 2
 _SHADOW_RANGE: Final = (1e-3, 0.5)  # times the background; a lighter shadow is sea floor
 _HIGHLIGHT_RANGE: Final = (2.0, 1e3)
 _GLINT: Final = 3.0  # times the highlight's mean
+SPIKE: Final = 10.0  # times a mean: speckle is hardly ever brighter, and one pixel that is must not make a class's mean
 _ABSENT_BELOW: Final = 8.0  # independent samples
 _OWN_WEIGHT: Final = 12.0  # independent samples that the start counts for
 
@@ -90,7 +91,8 @@ def fit_means(
             probability = _softmin(cost - _heard(probability, weight))
         share = probability * samples
         number = share.sum(axis=(1, 2))
-        total = (share * intensity).sum(axis=(1, 2))
+        brightest = SPIKE * np.array([means.background, means.shadow, means.highlight])
+        total = (share * np.minimum(intensity, brightest[:, None, None])).sum(axis=(1, 2))
         first = (start.background, start.shadow, start.highlight)
         level = [float((total[k] + _OWN_WEIGHT * first[k]) / (number[k] + _OWN_WEIGHT)) for k in range(3)]
         background = level[BACKGROUND]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.likelihoods import BackgroundLaw, choose_background_law
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
-from auv_mcm.confirm.mean_field import ClassMeans, data_costs, fit_means, start_means
+from auv_mcm.confirm.mean_field import SPIKE, ClassMeans, data_costs, fit_means, start_means
 from auv_mcm.confirm.mrf_priors import pair_costs, without_odd_clusters
-from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
 from auv_mcm.kernels.soft_edges import point_spread, smeared, soft_edges
 from auv_mcm.kernels.trws import trws
@@ -89,16 +89,16 @@ def segment(
     n_sweeps: of TRW-S at most, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between unlike blocks of one
     speckle grain, nats; without it what the shadow of the smallest mine survives. estimate_markov: estimate it instead from the
     labels of the mean field (Derin and Elliott), which passes their errors on.
-    Pixels that are not valid, not finite or negative count as not measured. Raises ValueError if planes and shapes do not fit or
+    Pixels that are not valid, not finite or negative count as not measured. Raises ValueError as require_sound does, or if
     n_sweeps is not positive.
     """
-    if region.intensity.ndim != 2 or region.intensity.shape != region.valid.shape:
-        raise ValueError(f"intensity and valid must have one 2-d shape, not {region.intensity.shape} and {region.valid.shape}")
+    require_sound(region)
     usable = region.valid & np.isfinite(region.intensity) & (region.intensity >= 0.0)
     unit = _sea_floor_level(region.intensity, usable)
     if unit is None:
         return _nothing_done(region, "too_little_data")
-    intensity = np.clip(np.where(usable, region.intensity, unit) / unit, *_RANGE)
+    # The quotient of a spike and a faint sea floor has no number: cut first.
+    intensity = np.clip(np.minimum(np.where(usable, region.intensity, unit), _RANGE[1] * unit) / unit, *_RANGE)
     if float(np.log(intensity[usable]).var()) < _FLATTEST:
         return _nothing_done(region, "no_speckle")
 
@@ -137,7 +137,7 @@ def segment(
     labels = np.kron(labels, np.ones(factors, dtype=np.uint8))[: usable.shape[0], : usable.shape[1]]
     level = _core_means(labels, intensity, usable, means, correlation)
     labels = soft_edges(
-        intensity,
+        np.minimum(intensity, SPIKE * level.max()),
         usable,
         _with_grown_shadow(labels, correlation),
         level=level,
@@ -239,7 +239,7 @@ def _core_means(labels: Labels, intensity: Plane, usable: NDArray[np.bool_], mea
     for label in (BACKGROUND, SHADOW, HIGHLIGHT):
         core = usable & (smeared((labels == label).astype(np.float64), *spread) > _CORE)
         if core.sum() >= least:
-            level[label] = intensity[core].mean()
+            level[label] = np.minimum(intensity[core], SPIKE * level[label]).mean()
     return np.asarray(np.clip(level, level[BACKGROUND] * 1e-3, level[BACKGROUND] * 1e3))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm.markov_estimate import MarkovEstimate, estimate_smoothness
 from auv_mcm.confirm.mrf import edge_weights
 from auv_mcm.confirm.mrf_priors import pair_costs, without_odd_clusters
-from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.soft_edges import smeared
 from auv_mcm.kernels.trws import icm
@@ -45,7 +45,11 @@ class PaperSegmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def segment_as_paper(region: Region) -> PaperSegmentation:
-    """Label a region the way of the paper. Pixels that are not valid, not finite or negative have no data term."""
+    """Label a region the way of the paper. Pixels that are not valid, not finite or negative have no data term.
+
+    Raises ValueError as require_sound does.
+    """
+    require_sound(region)
     usable = region.valid & np.isfinite(region.intensity) & (region.intensity >= 0.0)
     labels = np.full(usable.shape, BACKGROUND, dtype=np.uint8)
     markov = MarkovEstimate(_PRIOR_SMOOTHNESS, math.inf, 0, "prior")

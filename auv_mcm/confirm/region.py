@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import msgspec
@@ -11,6 +12,10 @@ from numpy.typing import NDArray
 BACKGROUND: Final = 0
 SHADOW: Final = 1
 HIGHLIGHT: Final = 2
+
+_LEAST_M: Final = 1e-6
+_MOST: Final = 1e9  # metres or pixels; beyond, places a centimetre apart are one number
+_MOST_SQUINT_RAD: Final = 0.25 * math.pi
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -33,3 +38,22 @@ class Region(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     column: float
     beam_width_rad: float
     squint_rad: float = 0.0
+
+
+def require_sound(region: Region) -> None:
+    """Raises ValueError if planes are not of one 2-d shape, or a number of the geometry is none that a sonar can have."""
+    if region.intensity.ndim != 2 or region.valid.shape != region.intensity.shape:
+        raise ValueError(f"intensity and valid must be planes of one shape, not {region.intensity.shape} and {region.valid.shape}")
+    lengths = region.row_spacing_m, region.column_spacing_m, region.altitude_m
+    if not all(_LEAST_M <= length <= _MOST for length in lengths):
+        raise ValueError(
+            f"row_spacing_m, column_spacing_m and altitude_m must be positive numbers from {_LEAST_M:g} to {_MOST:g}, not "
+            f"{lengths[0]}, {lengths[1]} and {lengths[2]}: leave out regions without navigation"
+        )
+    for name, place in (("row", region.row), ("column", region.column), ("first_ground_range_m", region.first_ground_range_m)):
+        if not abs(place) <= _MOST:
+            raise ValueError(f"{name} of a region must be a number from -{_MOST:g} to {_MOST:g}, not {place}")
+    if not abs(region.squint_rad) < _MOST_SQUINT_RAD:
+        raise ValueError(f"squint_rad must be between -pi/4 and pi/4, not {region.squint_rad}")
+    if not 0.0 <= region.beam_width_rad < math.pi:
+        raise ValueError(f"beam_width_rad must be from 0 to less than pi, not {region.beam_width_rad}")

@@ -40,6 +40,7 @@ MAX_NODES: Final = 64
 NAMES: Final = ("highlight", "shadow")
 QUANTUM: Final = 2.0**-20
 """Intensities are whole multiples of this part of the window's mean."""
+_SPIKE: Final = 1e3  # times the median: brighter than any highlight; what is beyond would outweigh the rest of the window
 _BRIGHTEST: Final = 1e6  # times the window's mean; keeps sums over any window within 2^53 quanta
 _STEPS_PER_PX: Final = 16.0
 _NODES_PER_PX: Final = 2.0**20  # sums of coordinates, and halves of edges, stay exact
@@ -49,7 +50,8 @@ class RowSums(NamedTuple):
     """Cumulative sums along rows of a window.
 
     table: (n_rows, n_columns + 1, 2) float64, table[r, k] = sum over columns below k of (intensity over its mean, 1) where valid.
-    mean: of the valid intensities, 0 if there are none or no echo among them; the table's intensities are then 0.
+    mean: of the valid intensities, 0 if there are none or no echo among them; the table's intensities are then 0. Both of
+    intensities cut at 1000 times their median, unless that is 0.
     """
 
     table: NDArray[np.float64]
@@ -60,8 +62,11 @@ def row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> RowSum
     """Row sums of a (n_rows, n_columns) window. Pixels that are not valid, or hold no finite number >= 0, count as not measured."""
     counted = valid & (intensity >= 0.0) & (intensity < np.inf)
     measured = np.where(counted, intensity, 0.0)
-    highest = float(measured.max(initial=0.0))
     n_counted = int(counted.sum())
+    level = float(np.median(measured[counted])) if n_counted else 0.0
+    if level > 0.0:
+        measured = np.minimum(measured, _SPIKE * level)
+    highest = float(measured.max(initial=0.0))
     table = np.zeros((intensity.shape[0], intensity.shape[1] + 1, 2))
     np.cumsum(counted, axis=1, out=table[:, 1:, 1])
     if highest <= 0.0:

@@ -198,5 +198,5 @@ def test_a_shadow_that_leaves_the_region_is_flagged() -> None:
 
 def test_a_highlight_without_a_place_is_refused() -> None:
     region = closed_form_region(SHAPES["sphere"], 20.0)
-    with pytest.raises(ValueError, match="row and column"):
+    with pytest.raises(ValueError, match="row of a region must be a number"):
         fit_shapes(msgspec.structs.replace(region, row=math.nan), None, 1.0)

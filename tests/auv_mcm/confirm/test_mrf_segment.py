@@ -144,7 +144,7 @@ def test_smoothness_can_be_given_or_estimated() -> None:
 
 def test_planes_that_do_not_fit_are_refused() -> None:
     region, _ = draw_region(Drawing())
-    with pytest.raises(ValueError, match="one 2-d shape"):
+    with pytest.raises(ValueError, match="planes of one shape"):
         segment(msgspec.structs.replace(region, valid=region.valid[:5]))
     with pytest.raises(ValueError, match="n_sweeps"):
         segment(region, n_sweeps=0)
