@@ -37,7 +37,8 @@ def pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plan
     row_m, column_m = region.row_spacing_m * factors[0], region.column_spacing_m * factors[1]
     range_m = region.first_ground_range_m + (np.arange(n_columns) + 0.5) * column_m
     clearance_m = max(region.altitude_m - _HIGHEST_M, 0.1 * _HIGHEST_M)
-    reach = np.minimum((_HIGHEST_M * range_m / clearance_m + _REACH_MARGIN_M) / column_m, n_columns).astype(np.intp)
+    # A region's masked border may lie beyond the track.
+    reach = np.clip((_HIGHEST_M * range_m / clearance_m + _REACH_MARGIN_M) / column_m, 0, n_columns).astype(np.intp)
     columns = np.arange(n_columns)
     slope = math.tan(region.squint_rad) * column_m / row_m  # rows per column the line of sight moves ahead
 

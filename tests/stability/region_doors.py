@@ -1,0 +1,72 @@
+"""One region with an object, and every door of confirmation and classification that takes a region."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.classify.fit import Effort, fit_shapes
+from auv_mcm.classify.likelihood import labels_cost
+from auv_mcm.classify.shapes import TruncatedCone
+from auv_mcm.classify.template import template_scores
+from auv_mcm.confirm.mrf import segment
+from auv_mcm.confirm.paper_mrf import segment_as_paper
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.snake import Start, converge
+from sim_replay.benches.shapes import closed_form_region
+from sim_replay.benches.snakes import box
+
+Plane = NDArray[np.float64]
+
+RANGE_M = 18.0
+SMALL = Effort(80, 3, 4, 4, 1, 4, 4)
+HYPOTHESIS = np.array([[2.4, RANGE_M, 1.0, 0.49, 0.25, 0.47, 0.0, 0.0]])  # the truncated cone of `cone_region`
+START = Start(box(16, 42, 24, 52), box(16, 52, 24, 76))  # about its highlight and shadow
+
+
+@functools.cache
+def cone_region(seed: int = 1) -> Region:
+    """61 rows of 12 cm, 156 columns of 6 cm, single-look speckle. Nobody may write into it."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    cone = TruncatedCone(base_radius_m=0.49, top_radius_m=0.25, height_m=0.47)
+    region = closed_form_region(cone, RANGE_M, random=random, beam_width_rad=0.007, along_track_m=2.4)
+    for plane in (region.intensity, region.valid):
+        plane.setflags(write=False)
+    return region
+
+
+def labels_of(region: Region) -> NDArray[np.uint8]:
+    """Some labels for `labels_cost`: the boxes of START."""
+    labels = np.full(region.intensity.shape, BACKGROUND, dtype=np.uint8)
+    labels[16:24, 42:52], labels[16:24, 52:76] = HIGHLIGHT, SHADOW
+    return labels
+
+
+def plain(value: Any) -> Any:
+    """Results as lists and numbers that can be compared with =="""
+    if isinstance(value, msgspec.Struct):
+        return {name: plain(part) for name, part in msgspec.structs.asdict(value).items()}
+    if isinstance(value, np.ndarray):
+        return repr(value.tolist())
+    return repr(value)
+
+
+DOORS: dict[str, Callable[[Region], Any]] = {
+    "segment": segment,
+    "segment_as_paper": segment_as_paper,
+    "converge": lambda region: converge(region, START, correlation_px=1.5),
+    "fit_shapes": lambda region: fit_shapes(region, None, 1.5, effort=SMALL),
+    "template_scores": lambda region: template_scores("truncated_cone", HYPOTHESIS, region, 1.5),
+    "labels_cost": lambda region: labels_cost(region, labels_of(region), 1.5),
+}
+
+
+def through(door: str, region: Region) -> Any:
+    """What a door says, every floating-point flag but underflow being an error."""
+    with np.errstate(all="raise", under="ignore"):
+        return DOORS[door](region)
