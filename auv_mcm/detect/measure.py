@@ -25,7 +25,15 @@ _SEARCH_M: Final = 0.45
 _MAX_GAP_M: Final = 0.9  # between highlight and shadow: bright surroundings of scour lie there
 _CENTRE_ROWS_M: Final = 0.3
 _BRIDGE_M: Final = 0.3  # speckle peaks inside a shadow
-_FULL_ROW: Final = 0.3
+_LOW_OBJECT_M: Final = 0.1  # the shadows of such are the shortest that smoothing must leave
+_LONGEST_BLUR_M: Final = 0.5
+_DARK_CLIP: Final = 2.0  # of the background: a highlight must not be smoothed into the shadow behind it
+_PROFILE_M: Final = 1.2  # of the shadow next to the object tell its extent along track
+_HALF_DEPTH: Final = 0.5
+_FOOTPRINTS_TO_SIGMA: Final = 1.0 / math.sqrt(8.0 * math.log(2.0))
+_KEPT_OF_POINT: Final = 0.1
+_THREE_ROWS: Final = math.sqrt(8.0 * math.log(2.0) * 2.0 / 3.0)  # at half power, the Gaussian as wide as the mean of three
+_HALVINGS: Final = 30
 
 
 class Measurement(NamedTuple):
@@ -53,8 +61,19 @@ class Measurement(NamedTuple):
     snippet_column: float
 
 
+class _Extent(NamedTuple):
+    """Rows [first, stop) of a part of the region, and what they say about its length."""
+
+    first: int
+    stop: int
+    n_rows: float
+    smoothed_rows: float  # width at half power of a Gaussian that smooths along track as measuring did
+    level: float  # contrast at the edges as a share of that in the middle
+
+
 class _Roi(NamedTuple):
     contrast: NDArray[np.float32]  # ln of the 3 x 3 mean over background, 0 where nothing valid
+    darkness: NDArray[np.float32]  # the same of bounded intensity, over more pixels where beam and shadows are wide
     intensity: NDArray[np.float32]  # over background
     valid: NDArray[np.bool_]
     row: int  # of the peak
@@ -68,42 +87,49 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
     reach_rows = round(ROWS_M / row_m)
     rows = slice(max(0, peak.row - reach_rows), min(n_rows, peak.row + reach_rows + 1))
     columns = slice(max(0, peak.column - round(_NEAR_M / column_m)), min(n_columns, peak.column + round(_FAR_M / column_m) + 1))
-    roi = _region(tile, maps, peak, rows, columns)
+    altitude_m = float(tile.first_return_m[peak.row])
+    peak_footprint_m = math.hypot((peak.column + 0.5) * column_m, altitude_m) * beam_width_rad
+    low_shadow_m = _LOW_OBJECT_M * (peak.column + 0.5) * column_m / max(altitude_m, _LOW_OBJECT_M)
+    blur = (_blur_pixels(0.5 * peak_footprint_m, row_m), _blur_pixels(0.5 * low_shadow_m, column_m))
+    roi = _region(tile, maps, peak, rows, columns, blur)
     spread = math.sqrt(float(maps.small_box_variance[peak.row, peak.column]))
     bright_step = max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
     bright = roi.contrast > bright_step
-    dark = _bridged((roi.contrast < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m))
+    dark = _bridged((roi.darkness < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m))
 
     highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
     anchor_row, anchor_column = (roi.row, roi.column) if highlight is None else _strongest(roi, highlight)
     shadow = _shadow_behind(dark, highlight, anchor_row, anchor_column, row_m, column_m)
 
-    row, column, across_m, highlight_rows = float(anchor_row), float(anchor_column), column_m, 0
+    row, column, across_m = float(anchor_row), float(anchor_column), column_m
+    extents: list[_Extent] = []
     highlight_db = NAN
     if highlight is not None:
-        row, column, highlight_rows, highlight_columns = _weighted_extent(roi, highlight, bright_step)
+        row, column, extent, highlight_columns = _weighted_extent(roi, highlight, bright_step)
+        extents.append(extent)
         across_m = highlight_columns * column_m
         highlight_db = _decibels(roi, highlight)
-    shadow_length_m, height_m, shadow_db, shadow_rows = NAN, NAN, NAN, 0
+    shadow_length_m, height_m, shadow_db = NAN, NAN, NAN
     if shadow is not None:
         start, stop = _shadow_interval(shadow, round(row), round(_CENTRE_ROWS_M / row_m))
         if highlight is None:
             column = start - 0.5
-        shadow_rows = _full_rows(shadow)
+        extents.append(_shadow_extent(roi, shadow, round(row), (round(start), round(stop)), round(_PROFILE_M / column_m)))
         shadow_db = _decibels(roi, shadow)
         top = start if highlight is None else min(_far_edge(highlight, round(row)), start)
         top_m = (columns.start + top) * column_m
         far_m = (columns.start + stop) * column_m
         shadow_length_m = (stop - start) * column_m
-        altitude_m = float(tile.first_return_m[peak.row])
         # The ray that grazes the last lit point goes on to the shadow's end: heights are to ranges as the triangle says.
         height_m = altitude_m * (1.0 - math.hypot(top_m, altitude_m) / math.hypot(far_m, altitude_m))
     ground_m = (columns.start + column + 0.5) * column_m
-    footprint_m = math.hypot(ground_m, float(tile.first_return_m[peak.row])) * beam_width_rad
-    along_m = _without_footprint(max(highlight_rows, shadow_rows, 1) * row_m, footprint_m)
+    footprint_m = math.hypot(ground_m, altitude_m) * beam_width_rad
+    along_m = max((_length(extent, row_m, footprint_m) for extent in extents), default=row_m)
     # At the end of a track the tile cuts an object off, which says nothing about its length.
-    edges = [edge for edge, cut in ((0, peak.row - reach_rows < 0), (-1, peak.row + reach_rows >= n_rows)) if not cut]
-    border = any(part is not None and part[edge].any() for part in (highlight, shadow) for edge in edges)
+    border = any(
+        (extent.first == 0 and peak.row >= reach_rows) or (extent.stop == roi.valid.shape[0] and peak.row + reach_rows < n_rows)
+        for extent in extents
+    )
     cut = _snippet_cut(row, column, shadow_length_m, row_m, column_m)
     around = tile.mask[rows, columns][max(roi.row - 2, 0) : roi.row + 3, max(roi.column - 4, 0) : roi.column + 5]
     return Measurement(
@@ -134,16 +160,26 @@ def _snippet_cut(row: float, column: float, shadow_length_m: float, row_m: float
     return slice(max(0, middle - half_rows), middle + half_rows + 1), slice(max(0, centre - near), centre + behind + 1)
 
 
-def _region(tile: Tile, maps: ScoreMaps, peak: Peak, rows: slice, columns: slice) -> _Roi:
+def _blur_pixels(length_m: float, pixel_m: float) -> int:
+    """An odd number of pixels over which to smooth what varies over `length_m` and more, 3 at least."""
+    return max(3, 2 * round(0.5 * (min(length_m, _LONGEST_BLUR_M) / pixel_m - 1.0)) + 1)
+
+
+def _region(tile: Tile, maps: ScoreMaps, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
     valid = (tile.mask[rows, columns] & VALID) != 0
     background = np.float32(maps.background[peak.row, peak.column])
     intensity = np.where(valid, tile.intensity[rows, columns] / background, np.float32(0.0)).astype(np.float32)
-    border = cv2.BORDER_CONSTANT
-    total = cv2.blur(intensity, (3, 3), borderType=border)
-    weight = cv2.blur(valid.astype(np.float32), (3, 3), borderType=border)
+    contrast = _log_mean(intensity, valid, 3, 3)
+    darkness = _log_mean(np.minimum(intensity, np.float32(_DARK_CLIP)), valid, *blur)
+    return _Roi(contrast, darkness, intensity, valid, peak.row - rows.start, peak.column - columns.start)
+
+
+def _log_mean(intensity: NDArray[np.float32], valid: NDArray[np.bool_], n_rows: int, n_columns: int) -> NDArray[np.float32]:
+    """Logarithm of the mean over the valid pixels of a box around each pixel; 0 where few are valid."""
+    total = cv2.blur(intensity, (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
+    weight = cv2.blur(valid.astype(np.float32), (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
     mean = np.divide(total, weight, out=np.ones_like(total), where=weight > 0.3)
-    contrast = np.log(np.clip(mean, 1e-3, 1e3))
-    return _Roi(contrast, intensity, valid, peak.row - rows.start, peak.column - columns.start)
+    return np.asarray(np.log(np.clip(mean, 1e-3, 1e6)))
 
 
 def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
@@ -185,7 +221,7 @@ def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
     return int(row), int(column)
 
 
-def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> tuple[float, float, int, int]:
+def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> tuple[float, float, _Extent, int]:
     """Centre of a highlight in rows and columns, and its extent in them."""
     rows, columns = np.nonzero(part)
     contrast = roi.contrast[rows, columns].astype(np.float64)
@@ -194,8 +230,10 @@ def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> 
     total = weight.sum()
     # The 3 x 3 mean just outside a wide object still holds a third of its echo: strong ones look a pixel larger on every side.
     seam = 2 if math.log((math.exp(float(contrast.max())) - 1.0) / 3.0 + 1.0) > bright_step else 0
-    n_rows, n_columns = max(int(np.ptp(rows)) + 1 - seam, 1), max(int(np.ptp(columns)) + 1 - seam, 1)
-    return float(rows @ weight / total), float(columns @ weight / total), n_rows, n_columns
+    first, stop = int(rows.min()), int(rows.max()) + 1
+    excess = math.exp(float(contrast.max())) - 1.0
+    extent = _Extent(first, stop, max(stop - first - seam, 1), 0.0, (math.exp(bright_step) - 1.0) / excess)
+    return float(rows @ weight / total), float(columns @ weight / total), extent, max(int(np.ptp(columns)) + 1 - seam, 1)
 
 
 def _far_edge(part: NDArray[np.bool_], row: int) -> float:
@@ -205,10 +243,34 @@ def _far_edge(part: NDArray[np.bool_], row: int) -> float:
     return float(part.shape[1] - part[nearest, ::-1].argmax())
 
 
-def _full_rows(shadow: NDArray[np.bool_]) -> int:
-    """Extent in rows of a shadow's body: rows that only hold a dark speckle or two at its side do not count."""
-    count = shadow.sum(axis=1)
-    return int(np.ptp(np.flatnonzero(count > _FULL_ROW * count.max()))) + 1
+def _shadow_extent(roi: _Roi, shadow: NDArray[np.bool_], row: int, interval: tuple[int, int], reach: int) -> _Extent:
+    """Rows around `row` that are at least half as dark as the darkest of them, on average over the columns next to the object.
+
+    The mean over columns tells a shadow's sides where single pixels are speckle: those run together into dark areas of any size.
+    """
+    columns = slice(interval[0], max(interval[0] + 1, min(interval[1], interval[0] + reach)))
+    total = np.minimum(roi.intensity[:, columns], np.float32(_DARK_CLIP)).sum(axis=1, dtype=np.float64)
+    count = roi.valid[:, columns].sum(axis=1)
+    three = np.ones(3)
+    depth = 1.0 - (np.convolve(total, three) / np.maximum(np.convolve(count, three), 1.0))[1:-1]
+    depth[count == 0] = 0.0
+    rows = np.flatnonzero(shadow.any(axis=1))
+    near = int(rows[np.argmin(np.abs(rows - row))])
+    around = slice(max(near - 1, 0), near + 2)
+    middle = around.start + int(np.argmax(depth[around]))
+    edge = _HALF_DEPTH * max(float(depth[middle]), 0.0)
+    shallow = np.flatnonzero(depth < edge)
+    first = int(shallow[shallow < middle].max(initial=-1)) + 1
+    stop = int(shallow[shallow > middle].min(initial=depth.shape[0]))
+    n_rows = stop - first - 1 + _beyond(depth, first, -1, edge) + _beyond(depth, stop - 1, 1, edge)
+    return _Extent(first, stop, n_rows, _THREE_ROWS, _HALF_DEPTH)
+
+
+def _beyond(depth: NDArray[np.float64], row: int, step: int, edge: float) -> float:
+    """How far beyond the centre of `row` the depth falls below `edge`, in rows; half a row at the end of the picture."""
+    if not 0 <= row + step < depth.shape[0] or depth[row] <= edge:
+        return 0.5
+    return float((depth[row] - edge) / (depth[row] - depth[row + step]))
 
 
 def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tuple[float, float]:
@@ -228,6 +290,31 @@ def _decibels(roi: _Roi, part: NDArray[np.bool_]) -> float:
     return 10.0 * math.log10(max(mean, 1e-4))
 
 
-def _without_footprint(extent_m: float, footprint_m: float) -> float:
-    """Length of an object whose image is smeared by the along-track beam; a point keeps a tenth of its image."""
-    return math.sqrt(max(extent_m**2 - footprint_m**2, (0.1 * extent_m) ** 2))
+def _length(extent: _Extent, row_m: float, footprint_m: float) -> float:
+    return without_footprint(extent.n_rows * row_m, math.hypot(footprint_m, extent.smoothed_rows * row_m), extent.level)
+
+
+def without_footprint(extent_m: float, footprint_m: float, level: float) -> float:
+    """Length along track of an even object whose image through the beam is `extent_m` long where it has faded to `level`.
+
+    footprint_m: the two-way beam at half power, taken as Gaussian. level: 0 < level < 1, contrast at the edges of the image over contrast
+    in its middle, both against the background; so it holds for highlights (intensity less background) and shadows (background less
+    intensity). The image of an object of length L at x from its middle is erf((x + L/2) / (s sqrt 2)) - erf((x - L/2) / (s sqrt 2))
+    with s = footprint / sqrt(8 ln 2), and L is found by halving, at most the image itself. A point, whose image is footprint
+    sqrt(log2(1 / level)) long, and anything shorter keeps a tenth of its image.
+    """
+    least_m = _KEPT_OF_POINT * extent_m
+    per_m = 1.0 / max(math.sqrt(2.0) * _FOOTPRINTS_TO_SIGMA * footprint_m, 1e-9)
+    half_m = 0.5 * extent_m
+
+    def faded(length_m: float) -> float:
+        inner, outer = (half_m - 0.5 * length_m) * per_m, (half_m + 0.5 * length_m) * per_m
+        return (math.erf(outer) - math.erf(inner)) / (2.0 * math.erf(0.5 * length_m * per_m))
+
+    shortest, longest = least_m, extent_m
+    if faded(shortest) >= level:
+        return least_m
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (shortest + longest)
+        shortest, longest = (middle, longest) if faded(middle) < level else (shortest, middle)
+    return 0.5 * (shortest + longest)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scene_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, Plane, make_tile, speckle
 
-from auv_mcm.detect.measure import ROWS_M, Measurement, _bridged, measure
+from auv_mcm.detect.measure import ROWS_M, Measurement, _bridged, measure, without_footprint
 from auv_mcm.detect.prescreen import Peak, find_peaks, score_tile
 from auv_mcm.records import SATURATED, TURN, VALID, Tile
 from auv_mcm.snippet import pack_snippet
@@ -194,13 +194,83 @@ def test_holes_up_to_the_gap_are_filled_and_nothing_else_is_changed(seed: int, g
     np.testing.assert_array_equal(_bridged(mask, gap), expected)
 
 
-def test_the_smear_of_the_beam_is_taken_off_the_length() -> None:
-    thing = Drawn(70, 150, 12, 6, 20)
-    tile = make_tile(draw(even(), thing))
-    sharp, wide = measured(tile, thing, 0.0), measured(tile, thing, 0.1)
+def beam(footprint_m: float, step_m: float) -> NDArray[np.float64]:
+    """Share of the energy per step along track of a beam that is Gaussian and `footprint_m` wide at half power."""
+    reach = math.ceil(3.0 * footprint_m / step_m)
+    share = 2.0 ** -((2.0 * np.arange(-reach, reach + 1) * step_m / footprint_m) ** 2)
+    return np.asarray(share / share.sum())
+
+
+@settings(max_examples=40)
+@given(length_m=st.floats(0.05, 6.0), footprint_m=st.floats(0.05, 1.5), level=st.floats(0.01, 0.5))
+def test_an_even_object_of_any_contrast_keeps_its_length_and_a_point_is_short(length_m: float, footprint_m: float, level: float) -> None:
+    """Against the image drawn step by step and measured with a ruler."""
+    step_m = 0.004
+    n_steps = round(length_m / step_m)
+    image = np.convolve(np.ones(n_steps), beam(footprint_m, step_m))
+    extent_m = np.count_nonzero(image >= level * image.max()) * step_m
+    found_m = without_footprint(extent_m, footprint_m, level)
+    if length_m > 0.6 * footprint_m:
+        assert found_m == pytest.approx(n_steps * step_m, rel=0.02, abs=2.5 * step_m)
+    else:
+        assert found_m < 0.7 * footprint_m + 2.5 * step_m
+    point_m = 2.0 * math.floor(0.5 * footprint_m * math.sqrt(math.log2(1.0 / level)) / step_m) * step_m
+    assert without_footprint(point_m, footprint_m, level) <= 0.11 * footprint_m * math.sqrt(math.log2(1.0 / level))
+
+
+def test_without_a_beam_an_object_is_as_long_as_its_image() -> None:
+    for level in (1e-3, 0.1, 0.5, 0.9):
+        assert without_footprint(2.0, 0.0, level) == pytest.approx(2.0, rel=1e-6)
+
+
+def test_what_is_measured_grows_with_the_image_and_never_beyond_it() -> None:
+    for level in (0.01, 0.1, 0.5, 0.9):
+        found = [without_footprint(extent_m, 0.8, level) for extent_m in np.linspace(0.01, 8.0, 200)]
+        assert np.all(np.diff(found) > 0.0)
+        assert np.all(np.array(found) <= np.linspace(0.01, 8.0, 200) + 1e-6)
+
+
+def through_beam(plane: Plane, footprint_m: float) -> Plane:
+    share = beam(footprint_m, ROW_M)
+    reach = len(share) // 2
+    padded = np.pad(plane.astype(np.float64), ((reach, reach), (0, 0)), mode="edge")
+    return np.asarray(sum(weight * padded[k : k + plane.shape[0]] for k, weight in enumerate(share)), dtype=np.float32)
+
+
+@settings(max_examples=30)
+@given(rows=st.integers(1, 4), bright=st.floats(20.0, 5000.0), footprint_m=st.floats(0.5, 1.2))
+def test_a_short_object_seen_through_a_wide_beam_is_short_however_bright(rows: int, bright: float, footprint_m: float) -> None:
+    thing = Drawn(58, 200, rows, 6, 40)
+    tile = make_tile(through_beam(draw(even(), thing, bright, 0.01), footprint_m))
     slant_m = math.hypot(thing.centre[1] * COLUMN_M, FIRST_RETURN_M)
-    assert wide.along_m == pytest.approx(math.sqrt(sharp.along_m**2 - (0.1 * slant_m) ** 2), rel=0.01)
-    assert measured(tile, thing, 1.0).along_m == pytest.approx(0.1 * sharp.along_m)  # smeared beyond knowing: a point
+    maps = score_tile(tile)
+    found = measure(tile, maps, Peak(5.0, thing.row + rows // 2, 203), footprint_m / slant_m)
+    assert found.has_highlight
+    assert found.along_m < max(rows * ROW_M, 0.5 * footprint_m) + 2.5 * ROW_M
+
+
+@pytest.mark.parametrize("bright", [6.0, 30.0, 300.0])
+@pytest.mark.parametrize("footprint_m", [0.3, 0.8, 1.2])
+def test_a_long_object_seen_through_a_wide_beam_keeps_its_length(bright: float, footprint_m: float) -> None:
+    thing = Drawn(52, 200, 18, 6, 40)
+    tile = make_tile(through_beam(draw(even(), thing, bright, 0.01), footprint_m))
+    slant_m = math.hypot(thing.centre[1] * COLUMN_M, FIRST_RETURN_M)
+    found = measure(tile, score_tile(tile), Peak(5.0, 61, 203), footprint_m / slant_m)
+    assert found.along_m == pytest.approx(18 * ROW_M, abs=2.5 * ROW_M)
+    assert found.row == pytest.approx(thing.centre[0], abs=0.5)
+
+
+def test_dark_speckle_beside_a_shadow_does_not_lengthen_it() -> None:
+    """Single-look speckle that changes every third row only, as where pings are far apart: dark pixels run together for metres."""
+    thing = Drawn(57, 200, 9, 6, 50)
+    lengths = []
+    for seed in range(12):
+        floor = np.repeat(speckle(seed, (SHAPE[0] // 3, SHAPE[1]), spread_pixels=1.0), 3, axis=0)
+        found = measured(make_tile(draw(floor, thing, 20.0, 0.05)), thing, 0.04)
+        assert not found.touches_border
+        lengths.append(found.along_m)
+    assert np.median(lengths) == pytest.approx(9 * ROW_M, abs=1.5 * ROW_M)
+    assert max(lengths) < 3.0
 
 
 def test_an_object_that_leaves_the_region_is_said_to_but_one_cut_off_by_the_end_of_the_track_is_not() -> None:
