@@ -21,7 +21,7 @@ _TINY: Final = 1e-300  # keeps 0 / 0 away where the quotient is clipped anyway
 _STEPS: Final = 6  # of Newton's method; the starts are chosen so that it never overshoots, and gets by with four
 _CHORD: Final = 0.2928  # just under 1 - sqrt(1/2): (1 + v)^(-1/2) <= 1 - 0.2928 v for v from 0 to 1
 _LEVEL: Final = 1e-15  # sine or cosine that rounding alone makes
-_UPRIGHT: Final = 1e-9  # taper that steeper sides of a cone are given, which moves them by nanometres
+_UPRIGHT: Final = 1e-9  # taper below which the sides of a cone count as upright, which moves them by nanometres
 
 
 class Slice(NamedTuple):
@@ -69,6 +69,8 @@ def cone_slice(base_radius: Array, top_radius: Array, height: Array, offset: Arr
     base_radius = np.where(hit, base_radius, 1.0)
     u = np.where(hit, np.abs(offset), 0.0)
     k = (base_radius - top_radius) / np.where(hit, height, 1.0)
+    # Dividing by a smaller taper would make heights of rounding.
+    top_radius, k = np.where(k < _UPRIGHT, base_radius, top_radius), np.where(k < _UPRIGHT, 0.0, k)
     apex = base_radius - k * altitude  # radius of the cone continued to the sonar's height; negative above its apex
     base = np.sqrt(np.maximum((base_radius - u) * (base_radius + u), 0.0))
     rim = np.sqrt(np.maximum((top_radius - u) * (top_radius + u), 0.0))

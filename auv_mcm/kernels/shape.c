@@ -145,11 +145,13 @@ static double cone_front(double base_radius, double k, double u, double y, doubl
 
 static int cone(const double *solid, double u, double y, double altitude, Slice *slice)
 {
-    const double top = solid[1], height = solid[2] - solid[3], base_radius = solid[0] - (solid[0] - top) * (solid[3] / solid[2]);
+    const double height = solid[2] - solid[3], base_radius = solid[0] - (solid[0] - solid[1]) * (solid[3] / solid[2]);
     u = fabs(u);
     if (!(u <= base_radius && height > 0.0))
         return 0;
-    const double k = (base_radius - top) / height, apex = base_radius - k * altitude;
+    const double taper = (base_radius - solid[1]) / height;
+    /* Dividing by a smaller taper would make heights of rounding. */
+    const double top = taper < 1e-9 ? base_radius : solid[1], k = taper < 1e-9 ? 0.0 : taper, apex = base_radius - k * altitude;
     const double base = half_chord(base_radius, u), rim = half_chord(top, u);
     const int flat = u <= top;
 
