@@ -1,0 +1,60 @@
+"""Words for the codes with which a close look at a detection says what it found, and on which side of the decision each stands.
+
+The codes of detection itself have theirs in `auv_mcm.detect.belief`.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal, TypeAlias
+
+from auv_mcm.confirm.snake_rules import REJECTING
+from auv_mcm.detect.belief import REASONS
+
+Bearing: TypeAlias = Literal["for", "against", "note"]
+
+CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
+    # what was looked at
+    "region_too_small": "too few pixels around it to look at it closely",
+    "geometry_unknown": "altitude or range is not known there, so that no height can be told",
+    "no_echo": "no echo at all was recorded around it",
+    "not_measured": "nothing was measured where its echo and shadow should be",
+    "no_data": "nothing was measured that a shape could be compared with",
+    "too_little_data": "too little was measured around it to tell echo, shadow and sea floor apart",
+    "no_speckle": "the picture has no speckle, without which echo and shadow cannot be told from sea floor",
+    # its contours
+    "start_replaced": "the first outline was no polygon: the contours started from plain boxes instead",
+    "touches_border": "its echo or shadow runs along the border of what was looked at",
+    "too_short": "echo and shadow are shorter along the track than those of any mine",
+    "too_long": "echo and shadow are longer along the track than those of any mine",
+    "highlight_too_large": "its echo covers more sea floor than that of any mine",
+    "shadow_too_large": "its shadow is larger than that of the largest mine there",
+    "too_low": "its shadow is that of something lower than any mine",
+    "too_high": "its shadow is that of something higher than any mine",
+    "shadow_not_dark": "its shadow is too bright: sound still comes back from it",
+    "shadow_goes_on": "the dark goes on beside it along the track, as in the trough of a ripple",
+    "hole_in_bright": "it is bright on both sides of the shadow: a gap in a bright patch, such as grass",
+    "little_evidence": "contours of an object explain the picture hardly better than bare sea floor",
+    "repeats": "the same contours fit other places nearby as well, as on ripples or grass",
+    # the solids fitted
+    "clutter": "free contours explain echo and shadow far better than the shape of any mine",
+    "at_bound": "a size of the best model is the last one tried: the object may be another size or shape",
+    "altitude": "a shape fits only for another altitude than was measured: heights are uncertain",
+    "buried": "the best model lies partly buried",
+    "cut_off": "the object or its shadow is cut off by the border of what was looked at",
+    "weak_highlight": "too little echo before the shadow to count: the shadow alone tells the shape",
+}
+
+_FOR: Final = frozenset({"highlight_and_shadow"})
+_AGAINST: Final = REJECTING | {
+    *("no_highlight", "no_shadow", "too_large", "too_small", "implausible_height", "crowded", "extended", "clutter"),
+}
+
+
+def in_words(code: str) -> str:
+    """What a code of detection or of a close look means; a code without an entry is told by its own name."""
+    return REASONS.get(code) or CLOSE_LOOK_REASONS.get(code) or code.replace("_", " ")
+
+
+def bearing(code: str) -> Bearing:
+    """Whether a code speaks for a mine, against one, or only says how far the view can be trusted."""
+    return "for" if code in _FOR else "against" if code in _AGAINST else "note"
