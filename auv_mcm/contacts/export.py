@@ -18,6 +18,7 @@ from typing import Any, Final, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.classify.beliefs import EVERYTHING, FRAME, pignistic
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.geodesy import LocalFrame, wrap_longitude_deg
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
@@ -72,6 +73,20 @@ def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_poi
     return ring
 
 
+def class_belief(mass: NDArray[np.float64]) -> dict[str, float]:
+    """Belief per class of a view's mass (32,): each set's shared evenly among its classes, but that of the whole frame as `unknown`."""
+    told = mass.copy()
+    told[[0, EVERYTHING]] = 0.0
+    known = float(told.sum())
+    shares = known * pignistic(told) if known > 0.0 else np.zeros(len(FRAME))
+    return dict(zip((*FRAME, "unknown"), [*shares.tolist(), float(mass[EVERYTHING])], strict=True))
+
+
+def view_reasons(view: Detection) -> tuple[str, ...]:
+    """Codes of detection and of the close look, each once."""
+    return tuple(dict.fromkeys((*view.reasons, *(view.confirmation.reasons if view.confirmation else ()))))
+
+
 def iso_time(time_s: float) -> str | None:
     """UTC seconds since 1970 as ISO 8601 with milliseconds and Z; None if not a time of the years 1 to 9999."""
     try:
@@ -85,7 +100,8 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
     """A FeatureCollection with one point per contact, sorted by id; a contact without a position has a null geometry.
 
     `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north], [east-north, north-north]].
-    `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score.
+    `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score. `views` are in order of time;
+    `log_ratio` and `belief` of one that was not looked at closely are null.
     """
     return _collection([_contact_feature(contact) for contact in sorted(contacts, key=lambda contact: contact.id)])
 
@@ -134,6 +150,7 @@ def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
 CSV_COLUMNS: Final = (
     *("id", "time", "latitude_deg", "longitude_deg", "sigma_m", "p_mine", "class", "length_m", "width_m", "height_m", "n_views"),
     *("aspects_deg", "side", "ground_range_m", "score", "snippet", "reasons"),
+    *("length_sigma_m", "width_sigma_m", "height_sigma_m"),
 )
 
 
@@ -166,6 +183,9 @@ def contacts_csv(contacts: Iterable[Contact]) -> str:
                 _number(view.score, _METRE_DIGITS) if view else None,
                 _cell(snippet_path(contact)),
                 _cell("; ".join(contact.reasons)),
+                _number(contact.length_sigma_m, _METRE_DIGITS),
+                _number(contact.width_sigma_m, _METRE_DIGITS),
+                _number(contact.height_sigma_m, _METRE_DIGITS),
             ]
         )
     return text.getvalue()
@@ -195,13 +215,12 @@ def contacts_kml(contacts: Iterable[Contact], mission: str = "") -> str:
 
 def _contact_feature(contact: Contact) -> dict[str, Json]:
     view = best_view(contact)
-    known = {name: contact.belief[name] for name in get_args(ContactClass) if name in contact.belief}
     properties: dict[str, Json] = {
         "id": contact.id,
         "time": iso_time(contact.time_s),
         "p_mine": _number(contact.p_mine, _PROBABILITY_DIGITS),
         "class": contact.classification,
-        "belief": {name: _number(mass, _PROBABILITY_DIGITS) for name, mass in (known | contact.belief).items()},
+        "belief": _belief(contact.belief),
         "length_m": _number(contact.length_m, _METRE_DIGITS),
         "width_m": _number(contact.width_m, _METRE_DIGITS),
         "height_m": _number(contact.height_m, _METRE_DIGITS),
@@ -214,8 +233,34 @@ def _contact_feature(contact: Contact) -> dict[str, Json]:
         "reasons": list(contact.reasons),
         "score": _number(view.score, _METRE_DIGITS) if view else None,
         "covariance_m2": [[_number(float(value), 6) for value in row] for row in np.asarray(contact.covariance_m2)],
+        "length_sigma_m": _number(contact.length_sigma_m, _METRE_DIGITS),
+        "width_sigma_m": _number(contact.width_sigma_m, _METRE_DIGITS),
+        "height_sigma_m": _number(contact.height_sigma_m, _METRE_DIGITS),
+        "conflict": _number(contact.conflict, _PROBABILITY_DIGITS),
+        "next_look_deg": [_number(direction, _METRE_DIGITS) for direction in contact.next_look_deg],
+        "views": [_view(view) for view in contact.views],
     }
     return _feature(_point(contact.longitude_deg, contact.latitude_deg), properties)
+
+
+def _view(view: Detection) -> dict[str, Json]:
+    close = view.confirmation
+    return {
+        "time": iso_time(view.time_s),
+        "side": view.side,
+        "aspect_deg": _number(view.aspect_deg, _METRE_DIGITS),
+        "ground_range_m": _number(view.ground_range_m, _METRE_DIGITS),
+        "p_mine": _number(view.p_mine, _PROBABILITY_DIGITS),
+        "log_ratio": _number(close.log_ratio, _METRE_DIGITS) if close else None,
+        "belief": _belief(class_belief(close.mass)) if close else None,
+        "reasons": list(view_reasons(view)),
+    }
+
+
+def _belief(belief: Mapping[str, float]) -> dict[str, Json]:
+    """Classes in the order of the record, whatever others after them."""
+    known = {name: belief[name] for name in get_args(ContactClass) if name in belief}
+    return {name: _number(share, _PROBABILITY_DIGITS) for name, share in (known | dict(belief)).items()}
 
 
 def _collection(features: Sequence[Mapping[str, Json]]) -> bytes:
@@ -303,10 +348,12 @@ def _kml_coordinates(points: NDArray[np.float64]) -> str:
 
 def _kml_table(contact: Contact) -> str:
     view = best_view(contact)
+    belief = contact.belief.get(contact.classification, NAN)
     rows: list[tuple[str, Any]] = [
         ("p_mine", f"{contact.p_mine:.2f}"),
         ("class", contact.classification.replace("_", " ")),
-        ("size (length, width, height)", " × ".join("?" if math.isnan(size) else f"{size:.2f}" for size in _sizes(contact)) + " m"),
+        ("belief in the class", f"{belief:.2f}" if math.isfinite(belief) else "?"),
+        ("size (length, width, height) ± 1 sigma", " × ".join(_size(*size) for size in _sizes(contact)) + " m"),
         ("position error (1 sigma)", f"{sigma_m(contact):.2f} m"),
         ("views", len(contact.views)),
         ("aspects", ", ".join(f"{aspect:03.0f}°" for aspect in contact.aspects_deg)),
@@ -318,5 +365,16 @@ def _kml_table(contact: Contact) -> str:
     )
 
 
-def _sizes(contact: Contact) -> tuple[float, float, float]:
-    return contact.length_m, contact.width_m, contact.height_m
+def _sizes(contact: Contact) -> tuple[tuple[float, float], ...]:
+    """Length, width and height, each with its 1-sigma."""
+    return (
+        (contact.length_m, contact.length_sigma_m),
+        (contact.width_m, contact.width_sigma_m),
+        (contact.height_m, contact.height_sigma_m),
+    )
+
+
+def _size(value_m: float, error_m: float) -> str:
+    if not math.isfinite(value_m):
+        return "?"
+    return f"{value_m:.2f} ± {error_m:.2f}" if math.isfinite(error_m) else f"{value_m:.2f}"

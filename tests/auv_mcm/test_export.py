@@ -17,9 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.classify.beliefs import FRAME, vacuous
+from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.export import (
     CSV_COLUMNS,
+    class_belief,
     contacts_csv,
     contacts_geojson,
     contacts_kml,
@@ -29,7 +32,7 @@ from auv_mcm.contacts.export import (
     iso_time,
     waypoints_geojson,
 )
-from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
+from auv_mcm.records import NAN, Confirmation, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 
 KML = "{http://www.opengis.net/kml/2.2}"
@@ -135,7 +138,79 @@ def test_contact_properties_are_those_of_the_contract() -> None:
         "reasons": ["long and narrow", "shadow 1.9 m"],
         "score": 20.0,
         "covariance_m2": [[4.0, 0.0], [0.0, 1.0]],
+        "length_sigma_m": None,
+        "width_sigma_m": None,
+        "height_sigma_m": None,
+        "conflict": None,
+        "next_look_deg": [],
+        "views": [
+            {
+                "time": time,
+                "side": side,
+                "aspect_deg": 287.2,
+                "ground_range_m": ground_range_m,
+                "p_mine": 0.8,
+                "log_ratio": None,
+                "belief": None,
+                "reasons": ["bright"],
+            }
+            for time, side, ground_range_m in (("2023-11-14T22:13:20.000Z", "port", 18.6), ("2023-11-14T22:15:00.000Z", "starboard", 30.0))
+        ],
     }
+
+
+def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None:
+    mass = view_mass({name: ClassEvidence(nll=0.0 if name == "wedge" else 400.0) for name in FRAME}, 0.9)
+    nothing = np.empty((0, 2))
+    found = Confirmation(
+        log_ratio=3.14159,
+        mass=mass,
+        half_turn_symmetric=False,
+        labels=np.zeros((0, 0), dtype=np.uint8),
+        highlight=nothing,
+        shadow=nothing,
+        model=None,
+        rejected=False,
+        reasons=("buried", "bright"),
+    )
+    told = contact(
+        length_sigma_m=0.12345,
+        width_sigma_m=0.05,
+        conflict=0.123456,
+        next_look_deg=(37.00012, 120.0),
+        views=(detection(confirmation=found), detection(aspect_deg=NAN)),
+    )
+    properties = strict(contacts_geojson([told]))["features"][0]["properties"]
+    assert [properties[name] for name in ("length_sigma_m", "width_sigma_m", "height_sigma_m")] == [0.123, 0.05, None]
+    assert properties["conflict"] == 0.1235
+    assert properties["next_look_deg"] == [37.0, 120.0]
+    close, far = properties["views"]
+    assert close["log_ratio"] == 3.142
+    assert list(close["belief"]) == [*FRAME, "unknown"]
+    assert close["belief"] == {name: pytest.approx(share, abs=5e-5) for name, share in class_belief(mass).items()}
+    assert close["reasons"] == ["bright", "buried"]
+    assert [far[name] for name in ("aspect_deg", "log_ratio", "belief")] == [None, None, None]
+    row = next(csv.DictReader(io.StringIO(contacts_csv([told]))))
+    assert [row[name] for name in CSV_COLUMNS[-3:]] == ["0.123", "0.05", ""]
+    assert CSV_COLUMNS[-4:-3] == ("reasons",), "columns of before stay where they were"
+    description = contacts_kml([told])
+    assert "2.00 ± 0.12 × 0.50 ± 0.05 × ? m" in description
+    assert "belief in the class&lt;/td&gt;&lt;td&gt;0.75" in description
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=32, max_size=32).filter(lambda shares: sum(shares[1:]) > 0.1))
+def test_belief_per_class_shares_out_all_mass_but_that_of_the_whole_frame(shares: list[float]) -> None:
+    mass = np.array([0.0, *shares[1:]]) / sum(shares[1:])
+    expected: dict[str, float] = dict.fromkeys((*FRAME, "unknown"), 0.0)
+    for number, share in enumerate(mass.tolist()):
+        members = [name for bit, name in enumerate(FRAME) if number >> bit & 1]
+        for name in members if len(members) < len(FRAME) else ["unknown"]:
+            expected[name] += share / len(members) if len(members) < len(FRAME) else share
+    assert class_belief(mass) == pytest.approx(expected)
+
+
+def test_belief_of_a_view_that_tells_nothing_is_all_unknown() -> None:
+    assert class_belief(vacuous()) == dict.fromkeys(FRAME, 0.0) | {"unknown": 1.0}
 
 
 def test_bytes_do_not_depend_on_the_order_of_contacts_or_beliefs() -> None:
