@@ -44,6 +44,15 @@ def snippet_picture(view: Detection) -> Bytes:
     return np.ascontiguousarray(drawn[::-1, ::-1] if view.side == "port" else drawn[::-1])
 
 
+def in_picture(view: Detection, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where places (n, 2) (row, column) of a detection's snippet lie in its picture: (n, 2) right, down as shares of width and height.
+
+    Pixel (r, k) of the snippet covers [r, r + 1) x [k, k + 1).
+    """
+    along, across = (points / np.maximum(view.snippet.shape, 1)).T
+    return np.column_stack([1.0 - across if view.side == "port" else across, 1.0 - along])
+
+
 def snippet_png(view: Detection) -> bytes:
     """The picture of `snippets/<id>.png`, at the resolution of the waterfall."""
     return encoded(snippet_picture(view), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 3])

@@ -103,9 +103,9 @@ def draw_chart(
     known = track[np.isfinite(track).all(axis=1)]
     return Chart(
         height=projection.height,
-        track="".join(_path(piece) for piece in _unbroken(track)),
+        track="".join(svg_path(piece) for piece in _unbroken(track)),
         ends=tuple((float(right), float(down)) for right, down in (known[[0, -1]] if len(known) else known)),
-        coverage="".join(_path(drawn(ring)) + "Z" for ring in rings_deg),
+        coverage="".join(svg_path(drawn(ring)) + "Z" for ring in rings_deg),
         markers=_markers(located, drawn(contacts_deg), projection),
         legs=_legs(waypoints, drawn(way_deg)),
         **_graticule(projection),
@@ -126,7 +126,7 @@ def _fitted(frame: LocalFrame, plane: Points) -> _Projection:
     return _Projection(frame, middle[0] - WIDTH / 2.0 / scale, middle[1] + height / 2.0 / scale, float(scale), float(height))
 
 
-def _path(points: Points) -> str:
+def svg_path(points: Points) -> str:
     """SVG path data to a tenth of a unit, points that fall together dropped."""
     tenths = np.round(points * 10.0)
     if len(tenths) > 1:
@@ -161,7 +161,7 @@ def _markers(contacts: Sequence[Contact], places: Points, projection: _Projectio
         ring_m = error_ellipse_ring_m(contact)
         ellipse = ""
         if np.isfinite(ring_m).all():
-            ellipse = _path(ring_m * [1.0, -1.0] * projection.units_per_m + places[number]) + "Z"
+            ellipse = svg_path(ring_m * [1.0, -1.0] * projection.units_per_m + places[number]) + "Z"
         markers.append(Marker(contact, right, down, ellipse, label))
     return tuple(reversed(markers))
 
@@ -180,8 +180,8 @@ def _legs(waypoints: Sequence[Waypoint], places: Points) -> tuple[LegLine, ...]:
                 number=number,
                 contact_id=waypoints[run[1]].contact_id,
                 why=waypoints[run[1]].why,
-                turn=_path(places[max(members[0] - 1, 0) : run[0] + 1]),
-                run=_path(places[run]),
+                turn=svg_path(places[max(members[0] - 1, 0) : run[0] + 1]),
+                run=svg_path(places[run]),
                 right=float(arrow[0]),
                 down=float(arrow[1]),
                 turn_deg=math.degrees(math.atan2(leave[0] - entry[0], entry[1] - leave[1])),
@@ -236,7 +236,7 @@ def _graticule(projection: _Projection) -> _Graticule:
             inside = ((points >= 0.0) & (points <= [WIDTH, projection.height])).all(axis=1)
             if inside.sum() < 2:
                 continue
-            lines.append(_path(points))
+            lines.append(svg_path(points))
             digits = max(0, -math.floor(math.log10(step_deg * 60.0) + 1e-9))
             right, down = points[inside][0].tolist()
             wrapped = (value + 180.0) % 360.0 - 180.0

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Final, NamedTuple
+
+from auv_mcm.classify.beliefs import APART_FROM, DEMPSTER_BELOW
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -166,6 +168,73 @@ def area(square_metres: float) -> str:
 
 def metres(value: float, digits: int = 2) -> str:
     return f"{value:.{digits}f} m" if math.isfinite(value) else "unknown"
+
+
+def plus_minus(value_m: float, sigma_m: float) -> str:
+    """A size with its 1-sigma, if that is known."""
+    return f"{value_m:.2f} ± {sigma_m:.2f} m" if math.isfinite(value_m) and math.isfinite(sigma_m) else metres(value_m)
+
+
+def decibels(level_db: float) -> str:
+    return f"{level_db:+.1f} dB".replace("-", "\u2212") if math.isfinite(level_db) else "none"
+
+
+def evidence(log_ratio: float) -> str:
+    """Evidence for a mine against clutter in nats, and in words: steps of ten and a hundred to one."""
+    if not math.isfinite(log_ratio):
+        return "unknown"
+    strength = next(text for least, text in ((4.6, "strongly "), (2.3, ""), (1.0, "slightly "), (0.0, None)) if abs(log_ratio) >= least)
+    verdict = "undecided" if strength is None else f"{strength}{'for' if log_ratio > 0.0 else 'against'} a mine"
+    return f"{verdict} ({log_ratio:+.1f}\u00a0nats)".replace("-", "\u2212")
+
+
+def agreement(conflict: float) -> str:
+    """How far the views of a contact contradict each other; the steps are those at which they are combined in another way."""
+    if not math.isfinite(conflict):
+        return "unknown"
+    steps = (
+        (APART_FROM, "they contradict each other so far that they hardly show one object"),
+        (DEMPSTER_BELOW, "they contradict each other: what they disagree in counts as unknown"),
+        (0.3, "they agree in part"),
+        (0.0, "they agree"),
+    )
+    return f"{next(text for least, text in steps if conflict >= least)} (conflict {conflict:.2f})"
+
+
+def listed(parts: Sequence[str], last: str = "and") -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
+
+
+def class_name(name: str) -> str:
+    return name.replace("_", " ")
+
+
+_SIZES: Final = {
+    "length_m": "length",
+    "width_m": "width",
+    "height_m": "height",
+    "radius_m": "radius",
+    "base_radius_m": "base radius",
+    "top_radius_m": "top radius",
+    "burial_m": "buried",
+    "azimuth_rad": "turned",
+}
+
+
+def model_sizes(sizes: Mapping[str, float], sigma: Mapping[str, float]) -> str:
+    """Sizes of a solid with their 1-sigma, in the order people give them."""
+    told = []
+    for name, word in _SIZES.items():
+        size, error = sizes.get(name, math.nan), sigma.get(name, math.nan)
+        if not math.isfinite(size) or (name == "burial_m" and size < 0.005):
+            continue
+        if name == "azimuth_rad":
+            told.append(f"{word} {math.degrees(size):.0f}°".replace("-", "\u2212"))
+            if math.isfinite(error):
+                told[-1] += f" ± {math.degrees(error):.0f}°"
+        else:
+            told.append(f"{word} {plus_minus(size, error)}")
+    return ", ".join(told)
 
 
 def degrees_minutes(degrees: float, positive: str, negative: str, digits: int = 4) -> str:

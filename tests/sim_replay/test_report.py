@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import math
 import re
-from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,190 +14,15 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from report_samples import ROW_M, START_S, Page, collected, contact, detection, mission, tile, waypoints
 
 from auv_mcm.contacts.picture import COLOURS, display_levels, snippet_picture, snippet_png
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.records import (
-    LOW_RESOLUTION,
-    NAN,
-    TURN,
-    VALID,
-    Contact,
-    CoveragePatch,
-    Detection,
-    Notice,
-    PoseTrack,
-    Side,
-    Tile,
-    Waypoint,
-)
+from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Notice, Side
 from auv_mcm.snippet import pack_snippet
-from sim_replay.report import MissionRecord, PictureCollector, render_report, write_report
+from sim_replay.report import PictureCollector, render_report, write_report
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.words import area, degrees_minutes, distance, duration, explained, is_loss, nice_step
-
-ROW_M, COLUMN_M = 0.12, 0.06
-START_S = 1_700_000_000.0
-VOID = {"meta", "img", "br", "link", "input", "hr"}
-
-
-class Page(HTMLParser):
-    """Collects what a browser would load or show, and checks that elements close in order."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.links: list[str] = []
-        self.sources: list[str] = []
-        self.tags: list[str] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        if tag not in VOID:
-            self.open.append(tag)
-        for name, value in attrs:
-            if name == "id":
-                self.ids.append(value or "")
-            elif name in ("href", "xlink:href"):
-                self.links.append(value or "")
-            elif name in ("src", "srcset", "data", "poster", "action"):
-                self.sources.append(value or "")
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
-def tile(index: int, side: Side = "port", n_rows: int = 64, n_columns: int = 200, first_row: int | None = None, **changes: Any) -> Tile:
-    first = index * n_rows if first_row is None else first_row
-    time_s = START_S + (first + np.arange(n_rows, dtype=np.float64)) * (ROW_M / 2.0)
-    nothing = np.zeros(n_rows)
-    pose = PoseTrack(
-        time_s=time_s,
-        latitude_deg=nothing,
-        longitude_deg=nothing,
-        depth_m=nothing,
-        heading_rad=nothing,
-        pitch_rad=nothing,
-        roll_rad=nothing,
-        speed_mps=nothing,
-        altitude_m=nothing,
-        stale=np.zeros(n_rows, dtype=np.bool_),
-    )
-    speckle = np.random.default_rng(index).gamma(2.0, 0.5, (n_rows, n_columns)).astype(np.float32)
-    plain = Tile(
-        side=side,
-        index=index,
-        first_row=first,
-        core_start=0,
-        core_stop=n_rows,
-        row_spacing_m=ROW_M,
-        column_spacing_m=COLUMN_M,
-        intensity=speckle,
-        mask=np.full((n_rows, n_columns), VALID, dtype=np.uint8),
-        pose=pose,
-        first_return_m=nothing,
-        first_return_sigma_m=nothing,
-        ping_number=first + np.arange(n_rows),
-    )
-    return msgspec.structs.replace(plain, **changes)
-
-
-def detection(side: Side = "port", row: float = 30.0, column: float = 100.0, **changes: Any) -> Detection:
-    plain = Detection(
-        side=side,
-        row=row,
-        column=column,
-        time_s=START_S,
-        ping_number=30,
-        latitude_deg=55.0,
-        longitude_deg=12.0,
-        covariance_m2=np.eye(2),
-        heading_rad=0.0,
-        aspect_deg=270.0,
-        ground_range_m=6.0,
-        slant_range_m=7.0,
-        altitude_m=4.0,
-        score=9.0,
-        highlight_db=8.0,
-        shadow_db=NAN,
-        length_m=1.5,
-        width_m=0.5,
-        height_m=NAN,
-        shadow_length_m=NAN,
-        p_mine=0.8,
-        reasons=("saturated",),
-        snippet=pack_snippet(np.ones((20, 60))),
-        snippet_row=4.0,
-        snippet_column=10.0,
-        row_spacing_m=ROW_M,
-        column_spacing_m=COLUMN_M,
-    )
-    return msgspec.structs.replace(plain, **changes)
-
-
-def contact(name: str = "C0001", p_mine: float = 0.9, **changes: Any) -> Contact:
-    plain = Contact(
-        id=name,
-        time_s=START_S,
-        latitude_deg=55.0,
-        longitude_deg=12.0,
-        covariance_m2=np.eye(2),
-        p_mine=p_mine,
-        classification="truncated_cone",
-        belief={"truncated_cone": 0.6, "unknown": 0.4},
-        length_m=1.5,
-        width_m=0.5,
-        height_m=NAN,
-        aspects_deg=(270.0,),
-        reasons=("saturated", "new_reason"),
-        views=(detection(),),
-    )
-    return msgspec.structs.replace(plain, **changes)
-
-
-def mission(**changes: Any) -> MissionRecord:
-    plain = MissionRecord(
-        name="Line 7",
-        logs=("line7.xtf",),
-        start_s=START_S,
-        stop_s=START_S + 3723.0,
-        track_latitude_deg=np.array([55.0, 55.001, NAN, 55.001, 55.0]),
-        track_longitude_deg=np.array([12.0, 12.0, NAN, 12.001, 12.001]),
-        distance_m=3200.0,
-        covered_km2=0.31,
-        wall_s=10.0,
-        config_yaml="mission: Line 7\n",
-        costs={"read": 1.0, "waterfall": 3.0},
-    )
-    return msgspec.structs.replace(plain, **changes)
-
-
-def waypoints() -> list[Waypoint]:
-    return [
-        Waypoint(leg=1, kind=kind, latitude_deg=55.0, longitude_deg=12.0 + step, heading_rad=0.0, contact_id="C0001", why="second look")
-        for kind, step in (("start", 0.0), ("turn", 0.0003), ("leg_entry", 0.0006), ("leg_exit", 0.001))
-    ]
-
-
-def collected(n_tiles: int = 3) -> PictureCollector:
-    pictures = PictureCollector()
-    for index in range(n_tiles):
-        pictures.add_tile(tile(index, "port"))
-        pictures.add_tile(tile(index, "starboard"))
-    return pictures
 
 
 def full_page(**changes: Any) -> str:

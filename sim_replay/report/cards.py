@@ -1,0 +1,285 @@
+"""A card per contact: pictures, what it is called and why, what each view says, and from where to look next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+from auv_mcm.classify.reasons import Bearing, bearing, in_words
+from auv_mcm.contacts.export import best_view, class_belief, error_ellipse, is_mine_like, view_reasons
+from auv_mcm.records import Confirmation, Contact, ContactClass, Detection, Waypoint
+from sim_replay.report import words
+from sim_replay.report.panels import ViewPicture, view_picture
+from sim_replay.report.pictures import Strip
+
+_PICTURE_BYTES: Final = 4_700_000  # of pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
+_MOST_VIEWS: Final = 8
+_LEAST_TOLD: Final = 0.005
+_OPEN_FROM: Final = 0.1
+_SOLIDS: Final = frozenset({"cylinder", "sphere", "truncated_cone", "wedge"})
+_COMPASS: Final = 44.0  # radius of its rose, drawing units
+
+
+class Share(NamedTuple):
+    name: str
+    text: str
+    percent: float
+
+
+class Reason(NamedTuple):
+    bearing: Bearing
+    text: str
+
+
+class ViewLine(NamedTuple):
+    """What one view says. number: in order of time, from 1. beliefs, evidence, model: empty if it was not looked at closely."""
+
+    number: int
+    place: str
+    verdict: str
+    beliefs: list[Share]
+    evidence: str
+    model: str
+    reasons: list[Reason]
+
+
+class Arrow(NamedTuple):
+    """A look towards the contact on the compass: from the rim to near the middle, and where its number stands."""
+
+    path: str
+    text: str
+    right: float
+    down: float
+
+
+class Compass(NamedTuple):
+    told: str
+    arrows: list[Arrow]
+    next_look: str  # SVG path data
+
+
+class Card(NamedTuple):
+    contact: Contact
+    mine_like: bool
+    band: str
+    called: str
+    because: str
+    picture: ViewPicture | None
+    pictured: str
+    facts: list[tuple[str, str]]
+    beliefs: list[Share]
+    reasons: list[Reason]
+    views: list[ViewLine]
+    n_more_views: int
+    agreement: str
+    next_look: str
+    compass: Compass | None
+    strips: list[int]
+    leg: int | None
+
+
+def cards(contacts: Sequence[Contact], strips: Sequence[Strip], waypoints: Sequence[Waypoint]) -> list[Card]:
+    """Cards in the order of `contacts`; pictures go to the first, as many as the page has room for."""
+    legs = {point.contact_id: point.leg for point in waypoints if point.kind == "leg_exit"}
+    left = _PICTURE_BYTES
+    made = []
+    for contact in contacts:
+        mine_like = is_mine_like(contact)
+        shown = _shown_view(contact)
+        picture = None
+        if shown is not None and left > 0:
+            picture = view_picture(shown, panels=mine_like)
+            left -= picture.n_bytes
+        made.append(_card(contact, shown, picture, strips, legs))
+    return made
+
+
+def band(p_mine: float) -> str:
+    """Style class of a p_mine: four steps are told apart by colour at a glance."""
+    return "p4" if p_mine >= 0.8 else "p3" if p_mine >= 0.5 else "p2" if p_mine >= 0.2 else "p1"
+
+
+def place_m(view: Detection) -> tuple[float, float]:
+    """Metres along track from the mission's first grid row, and across track, starboard positive."""
+    across_m = view.column * view.column_spacing_m
+    return view.row * view.row_spacing_m, across_m if view.side == "starboard" else -across_m
+
+
+def _card(contact: Contact, shown: Detection | None, picture: ViewPicture | None, strips: Sequence[Strip], legs: Mapping[str, int]) -> Card:
+    told = _views_told(contact)
+    views = [_view_line(number, view) for number, view in told]
+    beliefs = _shares(contact.belief)
+    if len(views) == 1 and [_rounded(share) for share in views[0].beliefs] == [_rounded(share) for share in beliefs]:
+        views = [views[0]._replace(beliefs=[])]  # one view is all there is: once is enough
+    told_with_views = {reason.text for line in views for reason in line.reasons}
+    called, because = _verdict(contact)
+    number = next((number for number, view in enumerate(contact.views, start=1) if view is shown), 0)
+    return Card(
+        contact=contact,
+        mine_like=is_mine_like(contact),
+        band=band(contact.p_mine),
+        called=called,
+        because=because,
+        picture=picture,
+        pictured=f"view {number} of {len(contact.views)}" if len(contact.views) > 1 else "",
+        facts=_facts(contact),
+        beliefs=beliefs,
+        reasons=[reason for reason in _reasons(contact.reasons) if reason.text not in told_with_views],
+        views=views,
+        n_more_views=len(contact.views) - len(views),
+        agreement=words.agreement(contact.conflict) if math.isfinite(contact.conflict) else "",
+        next_look=_next_look(contact),
+        compass=_compass(contact, [number for number, _ in told]),
+        strips=sorted({strip.number for strip in strips for view in contact.views if strip.holds(place_m(view)[0])}),
+        leg=legs.get(contact.id),
+    )
+
+
+def _shown_view(contact: Contact) -> Detection | None:
+    """Of the views looked at closely the one with the greatest score, else of all."""
+    close = tuple(view for view in contact.views if view.confirmation is not None and view.snippet.size)
+    return max(close, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=best_view(contact))
+
+
+def _views_told(contact: Contact) -> list[tuple[int, Detection]]:
+    """Numbered views in order of time; of very many those with the greatest scores."""
+    numbered = list(enumerate(contact.views, start=1))
+    strongest = sorted(numbered, key=lambda one: (-one[1].score if math.isfinite(one[1].score) else math.inf, one[0]))[:_MOST_VIEWS]
+    return sorted(strongest, key=lambda one: one[0])
+
+
+def _verdict(contact: Contact) -> tuple[str, str]:
+    """What the contact is called, and the shortest true reason."""
+    close = [view.confirmation for view in contact.views if view.confirmation is not None]
+    rejected = sum(found.rejected for found in close)
+    solid = words.class_name(contact.classification)
+    fitting = sum(
+        found.model is not None and found.model.classification == contact.classification and not found.rejected for found in close
+    )
+    called = "Mine-like" if is_mine_like(contact) else "Not mine-like"
+    if not close:
+        return called, "judged by the strength of echo and shadow alone; no view was looked at closely."
+    if not is_mine_like(contact):
+        if rejected:
+            return called, f"in {_of(rejected, contact)} the contours cannot be those of a mine."
+        return called, "something other than a mine explains what was seen at least as well."
+    if contact.classification in _SOLIDS:
+        if fitting:
+            return called, f"{_of(fitting, contact)} {'looks' if fitting == 1 else 'look'} most like a {solid}."
+        return called, f"all taken together, the views speak most for a {solid}."
+    return called, "echo and shadow are those of an object, but its shape is open."
+
+
+def _shows(found: Confirmation, classification: ContactClass) -> bool:
+    return found.model is not None and found.model.classification == classification and not found.rejected
+
+
+def _of(number: int, contact: Contact) -> str:
+    if len(contact.views) == 1:
+        return "the only view"
+    return f"{number} of {len(contact.views)} views" if number < len(contact.views) else f"all {number} views"
+
+
+def _view_line(number: int, view: Detection) -> ViewLine:
+    found = view.confirmation
+    direction, time = _compass_deg(view.aspect_deg), words.utc(view.time_s, "%H:%M:%S")
+    place = f"{view.side}, {words.metres(view.ground_range_m, 1)} off, looking towards {direction}, {time}"
+    if found is None:
+        return ViewLine(number, place, "Not looked at closely", [], "", "", _reasons(view.reasons))
+    verdict, model = "Contours rejected" if found.rejected else "Contours of an object", ""
+    if found.model is not None:
+        model = f"Best model: {words.class_name(found.model.classification)}, {words.model_sizes(found.model.sizes, found.model.sigma)}"
+    return ViewLine(
+        number, place, verdict, _shares(class_belief(found.mass)), words.evidence(found.log_ratio), model, _reasons(view_reasons(view))
+    )
+
+
+def _reasons(codes: Sequence[str]) -> list[Reason]:
+    """What speaks for a mine, what against, and then what limits both."""
+    told = [Reason(bearing(code), in_words(code)) for code in codes]
+    return sorted(told, key=lambda reason: ("for", "against", "note").index(reason.bearing))
+
+
+def _shares(belief: Mapping[str, float]) -> list[Share]:
+    """Greatest first, the unknown last."""
+    told = [Share(name, words.class_name(name), 100.0 * share) for name, share in belief.items() if share >= _LEAST_TOLD]
+    return sorted(told, key=lambda share: (share.name == "unknown", -share.percent))
+
+
+def _rounded(share: Share) -> tuple[str, int]:
+    return share.name, round(share.percent)
+
+
+def _next_look(contact: Contact) -> str:
+    if not contact.next_look_deg:
+        looked = any(view.confirmation is not None for view in contact.views)
+        return "another look would hardly change what it is called" if looked else ""
+    first = contact.next_look_deg[0]
+    line = f"along {_compass_deg(first)} or {_compass_deg(first + 180.0)}"
+    off = [abs(math.remainder(aspect - first, 180.0)) for aspect in contact.aspects_deg if math.isfinite(aspect)]
+    why = [f"the nearest look so far was {min(off):.0f}° off"] if off else []
+    likely = sorted(((share, name) for name, share in contact.belief.items() if share >= _OPEN_FROM and name != "unknown"), reverse=True)
+    if contact.belief.get("unknown", 0.0) >= 0.5:
+        why.append("most is still unknown")
+    elif len(likely) > 1:
+        why.append(f"it is open between {words.listed([words.class_name(name) for _, name in likely[:3]])}")
+    return f"{line}: {words.listed(why)}" if why else line
+
+
+def _compass_deg(direction_deg: float) -> str:
+    return f"{round(direction_deg) % 360:03d}°" if math.isfinite(direction_deg) else "?"
+
+
+def _compass(contact: Contact, numbers: Sequence[int]) -> Compass | None:
+    """Looks had as arrows towards the contact in the middle, the next proposed as a line through it; north is up."""
+    looks = [(number, contact.views[number - 1].aspect_deg) for number in numbers]
+    looks = [(number, aspect) for number, aspect in looks if math.isfinite(aspect)]
+    if not contact.next_look_deg and len(looks) < 2:
+        return None
+    arrows = []
+    for number, aspect in looks:
+        right, down = math.sin(math.radians(aspect)), -math.cos(math.radians(aspect))
+        tip, tail = (-9.0 * right, -9.0 * down), (-_COMPASS * right, -_COMPASS * down)
+        barbs = [(tip[0] - 8.0 * right + side * 4.0 * down, tip[1] - 8.0 * down - side * 4.0 * right) for side in (-1.0, 1.0)]
+        path = f"M{_at(tail)}L{_at(tip)}M{_at(barbs[0])}L{_at(tip)}L{_at(barbs[1])}"
+        arrows.append(Arrow(path, str(number), -(_COMPASS + 9.0) * right, -(_COMPASS + 9.0) * down + 3.5))
+    line = ""
+    if contact.next_look_deg:
+        turn = math.radians(contact.next_look_deg[0])
+        end = _COMPASS * math.sin(turn), -_COMPASS * math.cos(turn)
+        line = f"M{_at((-end[0], -end[1]))}L{_at(end)}"
+    told = "Looked towards it: " + (words.listed([_compass_deg(aspect) for _, aspect in looks]) or "directions not known")
+    return Compass(told, arrows, line)
+
+
+def _at(point: tuple[float, float]) -> str:
+    return f"{point[0]:.1f} {point[1]:.1f}"
+
+
+def _facts(contact: Contact) -> list[tuple[str, str]]:
+    major_m, minor_m, direction_deg = error_ellipse(contact)
+    length, width, height = (
+        words.plus_minus(*size)
+        for size in (
+            (contact.length_m, contact.length_sigma_m),
+            (contact.width_m, contact.width_sigma_m),
+            (contact.height_m, contact.height_sigma_m),
+        )
+    )
+    facts = [
+        ("Size", f"{length} × {width}, height {height}"),
+        ("Position", f"{contact.latitude_deg:.7f}, {contact.longitude_deg:.7f}"),
+        ("", f"{words.degrees_minutes(contact.latitude_deg, 'N', 'S')}, {words.degrees_minutes(contact.longitude_deg, 'E', 'W')}"),
+        ("Error, 1 σ", f"{major_m:.2f} × {minor_m:.2f} m along {direction_deg:03.0f}°" if major_m >= 0.0 else "not known"),
+        ("First seen", f"{words.utc(contact.time_s)} UTC"),
+        ("Aspect", ", ".join(_compass_deg(aspect) for aspect in contact.aspects_deg) or "not known"),
+    ]
+    view = best_view(contact)
+    if view is not None:
+        facts += [
+            ("Best view", f"{view.side}, {words.metres(view.ground_range_m, 1)} off, ping {view.ping_number}"),
+            ("Contrast", f"echo {words.decibels(view.highlight_db)}, shadow {words.decibels(view.shadow_db)}"),
+            ("Score", f"{view.score:.1f} σ" if math.isfinite(view.score) else "unknown"),
+        ]
+    return facts
