@@ -26,15 +26,22 @@ Plane = NDArray[np.float64]
 RANGE_M = 18.0
 SMALL = Effort(80, 3, 4, 4, 1, 4, 4)
 HYPOTHESIS = np.array([[2.4, RANGE_M, 1.0, 0.49, 0.25, 0.47, 0.0, 0.0]])  # the truncated cone of `cone_region`
-START = Start(box(16, 42, 24, 52), box(16, 52, 24, 76))  # about its highlight and shadow
+START = Start(box(16, 22, 24, 32), box(16, 32, 24, 56))  # about its highlight and shadow
 
 
 @functools.cache
 def cone_region(seed: int = 1) -> Region:
-    """61 rows of 12 cm, 156 columns of 6 cm, single-look speckle. Nobody may write into it."""
+    """40 rows of 12 cm, 90 columns of 6 cm, single-look speckle. Nobody may write into it."""
     random = np.random.Generator(np.random.PCG64(seed))
     cone = TruncatedCone(base_radius_m=0.49, top_radius_m=0.25, height_m=0.47)
-    region = closed_form_region(cone, RANGE_M, random=random, beam_width_rad=0.007, along_track_m=2.4)
+    whole = closed_form_region(cone, RANGE_M, random=random, beam_width_rad=0.007, along_track_m=2.4)
+    region = msgspec.structs.replace(
+        whole,
+        intensity=whole.intensity[:40, 20:110].copy(),
+        valid=whole.valid[:40, 20:110].copy(),
+        first_ground_range_m=whole.first_ground_range_m + 20 * whole.column_spacing_m,
+        column=whole.column - 20.0,
+    )
     for plane in (region.intensity, region.valid):
         plane.setflags(write=False)
     return region
@@ -43,7 +50,7 @@ def cone_region(seed: int = 1) -> Region:
 def labels_of(region: Region) -> NDArray[np.uint8]:
     """Some labels for `labels_cost`: the boxes of START."""
     labels = np.full(region.intensity.shape, BACKGROUND, dtype=np.uint8)
-    labels[16:24, 42:52], labels[16:24, 52:76] = HIGHLIGHT, SHADOW
+    labels[16:24, 22:32], labels[16:24, 32:56] = HIGHLIGHT, SHADOW
     return labels
 
 

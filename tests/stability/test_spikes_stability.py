@@ -24,7 +24,7 @@ FLOORS = [1.0, 1e-300, 1e-310]
 
 def with_spike(region: Region, level: float) -> Region:
     intensity = region.intensity.copy()
-    intensity[52, 130] = level
+    intensity[34, 80] = level
     return msgspec.structs.replace(region, intensity=intensity)
 
 

@@ -1,0 +1,157 @@
+"""Classes of one pixel or none, samples that are all alike, equations that say the same: flagged or bounded, never NaN."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from region_doors import DOORS, START, cone_region, plain, through
+
+from auv_mcm.classify.evidence import calibrated, fit_calibration
+from auv_mcm.classify.search import Box, curvature_covariance
+from auv_mcm.confirm.markov_estimate import estimate_smoothness
+from auv_mcm.confirm.mrf import segment
+from auv_mcm.confirm.paper_mrf import segment_as_paper
+from auv_mcm.confirm.region import BACKGROUND, Region
+from auv_mcm.confirm.snake import converge
+from auv_mcm.errors import BadInputError
+
+Plane = NDArray[np.float64]
+SHAPE = cone_region().intensity.shape
+
+
+@pytest.fixture(autouse=True)
+def _no_floating_point_flag() -> Iterator[None]:
+    with np.errstate(all="raise", under="ignore"):
+        yield
+
+
+def picture(plane: Plane) -> Region:
+    return msgspec.structs.replace(cone_region(), intensity=np.ascontiguousarray(plane, dtype=np.float64))
+
+
+def speckle(seed: int = 1) -> Plane:
+    return np.random.Generator(np.random.PCG64(seed)).exponential(1.0, SHAPE)
+
+
+def with_pixel(plane: Plane, level: float) -> Plane:
+    plane = plane.copy()
+    plane[30, 60] = level
+    return plane
+
+
+GRID = np.indices(SHAPE)
+PICTURES: dict[str, Callable[[], Plane]] = {
+    "constant": lambda: np.full(SHAPE, 3.0),
+    "one bright pixel in silence": lambda: with_pixel(np.zeros(SHAPE), 1.0),
+    "one dark pixel in a constant": lambda: with_pixel(np.ones(SHAPE), 0.0),
+    "one bright pixel in a constant": lambda: with_pixel(np.ones(SHAPE), 50.0),
+    "one dark pixel in speckle": lambda: with_pixel(speckle() + 0.5, 0.0),
+    "two levels by one bit": lambda: (speckle() > 0.7).astype(np.float64),
+    "every sample twice": lambda: np.repeat(np.repeat(speckle()[: -(-SHAPE[0] // 2), : -(-SHAPE[1] // 2)], 2, axis=0), 2, axis=1)[
+        : SHAPE[0], : SHAPE[1]
+    ],
+    "every row alike": lambda: np.tile(speckle()[:1], (SHAPE[0], 1)),
+    "every column alike": lambda: np.tile(speckle()[:, :1], (1, SHAPE[1])),
+    "checkerboard": lambda: np.asarray(GRID.sum(axis=0) % 2, dtype=np.float64),
+    "half saturated": lambda: np.where(GRID[1] < SHAPE[1] // 2, 65535.0, speckle()),
+    "ramp of 40 dB": lambda: speckle() * 10.0 ** (4.0 * GRID[0] / SHAPE[0]),
+    "one measured ping": lambda: np.where(GRID[0] == 30, speckle(), math.nan),
+    "two measured pixels": lambda: np.where((GRID[0] == 30) & (GRID[1] // 2 == 30), speckle(), math.nan),
+}
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_with_hardly_a_class_are_answered_with_numbers(door: str, name: str) -> None:
+    answer = plain(through(door, picture(PICTURES[name]())))
+    allowed = {"criterion", "gain", "height_m", "repetition", "highlight_mean", "shadow_mean", "background_mean"}  # NaN: no contour
+    if isinstance(answer, dict):
+        answer = {key: value for key, value in answer.items() if key not in allowed}
+    assert "nan" not in repr(answer)
+
+
+@pytest.mark.parametrize("offset", [1e3, 1e6, 1e12])
+def test_contrast_that_drowns_in_an_offset_makes_no_object(offset: float) -> None:
+    """Sums of squares over a mean this far off would have lost all digits."""
+    drowned = picture(cone_region().intensity + offset)
+    assert "no_speckle" in segment(drowned).flags
+    assert converge(drowned, START).rejected
+    assert through("fit_shapes", drowned).fits == ()
+    assert abs(through("labels_cost", drowned)) < 1e-3
+    (score,) = through("template_scores", drowned)
+    assert abs(score) < 0.1
+
+
+def test_absent_classes_are_flagged_and_keep_means_on_their_side_of_the_floor() -> None:
+    flat = np.random.Generator(np.random.PCG64(2)).gamma(4.0, 0.25, SHAPE)
+    answer = segment(picture(flat))
+    assert set(answer.flags) == {"no_shadow", "no_highlight"}
+    assert 0.0 < answer.shadow_mean <= 0.5 * answer.background_mean
+    assert 2.0 * answer.background_mean <= answer.highlight_mean < math.inf
+
+
+LABELS: dict[str, Callable[[], NDArray[np.intp]]] = {
+    "flat": lambda: np.zeros((60, 60), dtype=np.intp),
+    "one pixel": lambda: (np.arange(3600).reshape(60, 60) == 1830).astype(np.intp),
+    "rows": lambda: np.indices((60, 60))[0] % 3,
+    "columns": lambda: np.indices((60, 60))[1] % 2,
+    "checkerboard": lambda: np.indices((60, 60)).sum(axis=0) % 2,
+    "quarters": lambda: np.kron(np.array([[0, 1], [2, 0]]), np.ones((30, 30), dtype=np.intp)),
+    "two labels at random": lambda: 2 * np.random.Generator(np.random.PCG64(3)).integers(0, 2, (60, 60)),
+    "three labels at random": lambda: np.random.Generator(np.random.PCG64(4)).integers(0, 3, (60, 60)),
+    "hardly any of one": lambda: np.random.Generator(np.random.PCG64(5)).choice(3, (60, 60), p=(0.6, 0.398, 0.002)),
+}
+
+
+@pytest.mark.parametrize("name", LABELS)
+def test_smoothness_of_fields_whose_equations_are_few_or_alike_is_bounded(name: str) -> None:
+    estimate = estimate_smoothness(LABELS[name]().astype(np.uint8), 0.9)
+    assert 0.2 <= estimate.smoothness <= 2.0
+    assert not math.isnan(estimate.condition)
+    if name in ("flat", "one pixel", "rows", "columns", "checkerboard", "quarters"):
+        assert (estimate.smoothness, estimate.verdict) == (0.9, "prior")
+
+
+@pytest.mark.parametrize("estimate", [False, True])
+def test_a_field_of_one_label_leaves_the_smoothness_to_the_prior(estimate: bool) -> None:
+    flat = picture(np.random.Generator(np.random.PCG64(2)).gamma(4.0, 0.25, SHAPE))
+    answer = segment(flat, estimate_markov=estimate)
+    assert 0.2 <= answer.smoothness <= 2.0
+    assert segment_as_paper(picture(np.full(SHAPE, 2.0))).markov.verdict == "prior"
+    assert (segment_as_paper(picture(np.full(SHAPE, 2.0))).labels == BACKGROUND).all()
+
+
+@pytest.mark.parametrize("rank", [0, 1, 2])
+@pytest.mark.parametrize("steepness", [1e-12, 1.0, 1e12, 1e100])
+def test_uncertainty_of_what_the_cost_does_not_tell_is_wide_and_finite(rank: int, steepness: float) -> None:
+    space = Box(np.full(3, -1.0), np.full(3, 1.0), np.zeros(3, dtype=np.bool_), np.full(3, 0.1))
+    ways = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8]])[:rank]
+    covariance = curvature_covariance(lambda points: steepness * np.square(points @ ways.T).sum(axis=1), space, np.zeros(3))
+    assert np.isfinite(covariance).all()
+    np.testing.assert_allclose(covariance, covariance.T, rtol=0.0, atol=1e-9 * covariance.max())
+    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+    if steepness <= 1.0:
+        blind = np.linalg.svd(np.vstack((ways, np.zeros((3 - rank, 3)))))[2][-1]
+        assert blind @ covariance @ blind > 0.1  # several grains of 0.1
+
+
+@pytest.mark.parametrize("n_mines", [1, 2, 500])
+def test_scores_that_one_threshold_separates_calibrate_finitely_and_in_order(n_mines: int) -> None:
+    score = np.concatenate((np.full(n_mines, 1.0), np.linspace(0.0, 0.4, 300)))
+    calibration = fit_calibration(score, np.arange(score.size) < n_mines)
+    assert 0.0 < calibration.slope < 1e3
+    probability = calibrated(np.array([0.0, 1e-300, 0.4, 0.5, 1.0 - 1e-16, 1.0]), calibration)
+    assert (np.diff(probability) >= 0.0).all()
+    assert 0.0 < probability[0] < probability[-1] < 1.0
+
+
+def test_scores_that_are_all_alike_or_not_numbers_are_refused() -> None:
+    mine = np.arange(10) < 5
+    for score in (np.full(10, 0.3), np.linspace(0.9, 0.1, 10)[::-1], np.where(np.arange(10) == 3, math.nan, 0.5)):
+        with pytest.raises(BadInputError, match="calibration"):
+            fit_calibration(score, mine)
