@@ -1,4 +1,4 @@
-"""Shared by all tests: reproducible property tests, and the folder of recorded data."""
+"""Shared by all tests: reproducible property tests, how much to ask of slow kernels, and the folder of recorded data."""
 
 from __future__ import annotations
 
@@ -8,10 +8,18 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from auv_mcm import kernels
+
 settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def n_runs() -> Callable[[int, int], int]:
+    """The first number where the C kernels are built, the second where their twins serve, which say the same a hundred times slower."""
+    return lambda with_c, with_twins: with_c if kernels.backend() == "c" else with_twins
 
 
 @pytest.fixture(scope="session")

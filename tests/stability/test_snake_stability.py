@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -19,7 +20,6 @@ from auv_mcm.kernels import snake, snake_twin
 from sim_replay.benches.snakes import box, drawn_pair, mask_of, overlap, plain_region, random_start
 
 SHAPE = (64, 80)
-many_runs = pytest.mark.skipif(snake.c_kernel() is None, reason="minutes without the C kernel, which takes the twin's decisions to the bit")
 NONE = np.empty((0, 2))
 
 
@@ -151,8 +151,8 @@ def test_gain_changes_nothing_but_the_means(gain: float) -> None:
     assert loud.reasons == quiet.reasons
 
 
-def test_mirror_along_track_gives_the_mirrored_object() -> None:
-    for seed in range(6):
+def test_mirror_along_track_gives_the_mirrored_object(n_runs: Callable[[int, int], int]) -> None:
+    for seed in range(n_runs(6, 2)):
         drawn = drawn_pair(seed)
         height = drawn.region.intensity.shape[0]
         start = random_start(drawn, seed)
@@ -206,8 +206,8 @@ def test_region_too_small_for_contours_is_rejected(shape: tuple[int, int]) -> No
     assert contours.reasons == ("region_too_small",)
 
 
-def test_threads_and_repetition_change_nothing() -> None:
-    regions = [scene(seed) for seed in range(6)]
+def test_threads_and_repetition_change_nothing(n_runs: Callable[[int, int], int]) -> None:
+    regions = [scene(seed) for seed in range(n_runs(6, 2))]
     once = [looked_at(region) for region in regions]
     with ThreadPoolExecutor(2) as pool:
         again = list(pool.map(lambda region: converge(region, start_from_detection(region)), regions))
@@ -225,9 +225,9 @@ def test_any_region_gives_a_result(seed: int, level: float, spikes: float, area:
     looked_at(region, Start(random.uniform(-5.0, 40.0, (4, 2)), random.uniform(-5.0, 40.0, (5, 2))), area)
 
 
-def test_contours_may_be_moved_on_as_they_are() -> None:
+def test_contours_may_be_moved_on_as_they_are(n_runs: Callable[[int, int], int]) -> None:
     """Halved edges have finer coordinates than the start; a second run must begin exactly where the first ended."""
-    for seed in range(10):
+    for seed in range(n_runs(10, 3)):
         region = scene(seed)
         table = snake.row_sums(region.intensity, region.valid).table
         known = settings_of(region, table, 1.0)
@@ -238,10 +238,9 @@ def test_contours_may_be_moved_on_as_they_are() -> None:
         assert np.array_equal(again.shadow, moved.shadow)
 
 
-@many_runs
-def test_small_noisy_regions_never_raise() -> None:
+def test_small_noisy_regions_never_raise(n_runs: Callable[[int, int], int]) -> None:
     random = np.random.default_rng(0)
-    for _ in range(100):
+    for _ in range(n_runs(100, 10)):
         shape = tuple(random.integers(8, 40, 2).tolist())
         region = plain_region(random.exponential(1.0, shape), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1]))
         looked_at(region, Start(random.uniform(-5.0, 40.0, (4, 2)), random.uniform(-5.0, 40.0, (5, 2))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import msgspec
 import numpy as np
@@ -50,31 +50,32 @@ def medians(drawings: Iterator[Drawing]) -> tuple[float, float]:
     return float(shadow), float(highlight)
 
 
-def test_shadow_at_9_db_in_correlated_single_look_speckle_is_found_whole() -> None:
-    drawings = [drawing for spread in (0.8, 1.1, 1.4) for drawing in aperture_drawings(10, spread, seed=5)]
+def test_shadow_at_9_db_in_correlated_single_look_speckle_is_found_whole(n_runs: Callable[[int, int], int]) -> None:
+    drawings = [drawing for spread in (0.8, 1.1, 1.4) for drawing in aperture_drawings(n_runs(10, 3), spread, seed=5)]
     shadow, highlight = medians(iter(drawings))
     assert shadow >= 0.93
     assert highlight >= 0.7
 
 
-def test_shadow_in_side_scan_of_coarse_pings_is_found_whole() -> None:
-    shadow, highlight = medians(side_scan(12))
+def test_shadow_in_side_scan_of_coarse_pings_is_found_whole(n_runs: Callable[[int, int], int]) -> None:
+    shadow, highlight = medians(side_scan(n_runs(12, 5)))
     assert shadow >= 0.93
     assert highlight >= 0.75
 
 
-def test_spiky_sea_floor_makes_no_objects() -> None:
-    shadow, highlight = medians(msgspec.structs.replace(drawing, texture_nu=1.5) for drawing in aperture_drawings(8, 0.0, seed=5))
+def test_spiky_sea_floor_makes_no_objects(n_runs: Callable[[int, int], int]) -> None:
+    drawings = aperture_drawings(n_runs(8, 3), 0.0, seed=5)
+    shadow, highlight = medians(msgspec.structs.replace(drawing, texture_nu=1.5) for drawing in drawings)
     assert shadow >= 0.96
     assert highlight >= 0.9
     region, _ = draw_region(Drawing(texture_nu=1.5, spread_rows=0.0, spread_columns=0.0, seed=1))
     assert segment(region).law.nu == pytest.approx(1.5, rel=0.3)
 
 
-def test_paper_breaks_the_shadow_that_is_whole_here() -> None:
+def test_paper_breaks_the_shadow_that_is_whole_here(n_runs: Callable[[int, int], int]) -> None:
     n_pieces: dict[str, list[int]] = {"paper": [], "ours": []}
     overlaps: dict[str, list[float]] = {"paper": [], "ours": []}
-    for drawing in aperture_drawings(6, 1.2, seed=5):
+    for drawing in aperture_drawings(n_runs(6, 3), 1.2, seed=5):
         region, truth = draw_region(drawing)
         for name, labels in (("paper", segment_as_paper(region).labels), ("ours", segment(region).labels)):
             overlaps[name].append(overlap(labels, truth, SHADOW))
