@@ -259,8 +259,8 @@ GROWTH = st.floats(1.0, 1.5)
 
 
 @settings(max_examples=200)
-@given(ANY_SOLID, PINGS, POSE, GROWTH, st.sampled_from(["radius", "height", "length", "range", "altitude"]))
-def test_shadow_ends_no_nearer_for_larger_and_farther_objects_and_lower_sonars(
+@given(ANY_SOLID, PINGS, POSE, GROWTH, st.sampled_from(["radius", "height", "length", "width", "burial", "range", "altitude"]))
+def test_shadow_ends_no_nearer_for_larger_and_farther_and_less_buried_objects_and_lower_sonars(
     shape: Shape, pings: Array, pose: tuple[float, float], growth: float, what: str
 ) -> None:
     altitude = 1.6 * pose[0] * height_m(shape)
@@ -277,9 +277,13 @@ def test_shadow_ends_no_nearer_for_larger_and_farther_objects_and_lower_sonars(
 
 
 def grown(shape: Shape, what: str, growth: float) -> Shape:
-    """The solid with one size greater, or itself if it has no such size, as deep in the floor as before."""
+    """The solid with one size greater, or itself if it has no such size, as deep in the floor as before; or less deep."""
     b = shape.burial_m
     match shape, what:
+        case _, "burial":
+            return remade(shape, burial_m=b / growth)
+        case Box() | Wedge(), "width":
+            return remade(shape, width_m=shape.width_m * growth)
         case Sphere(), "radius":
             return Sphere(radius_m=shape.radius_m * growth, burial_m=b)
         case Cylinder(), "radius":
@@ -304,34 +308,25 @@ def grown(shape: Shape, what: str, growth: float) -> Shape:
             return shape
 
 
-@settings(max_examples=100)
-@given(st.one_of(SOLIDS["cylinder"], SOLIDS["box"], SOLIDS["wedge"], SOLIDS["sphere"]), PINGS, POSE)
+def remade(shape: Shape, **changes: object) -> Shape:
+    """The solid with some fields changed, checked like any other."""
+    return type(shape)(**{**{name: getattr(shape, name) for name in shape.__struct_fields__}, **changes})
+
+
+@settings(max_examples=150)
+@given(ANY_SOLID, PINGS, POSE)
 def test_mirroring_along_the_track_mirrors_the_view(shape: Shape, pings: Array, pose: tuple[float, float]) -> None:
     offset, altitude = pings * reach_m(shape), pose[0] * height_m(shape)
     ground_range = reach_m(shape) + pose[1] * altitude
     match shape:
-        case Sphere():
+        case Sphere() | TruncatedCone():
             mirrored: Shape = shape
-        case Cylinder():
-            mirrored = Cylinder(radius_m=shape.radius_m, length_m=shape.length_m, azimuth_rad=-shape.azimuth_rad, burial_m=shape.burial_m)
-        case Box():
-            mirrored = Box(
-                length_m=shape.length_m,
-                width_m=shape.width_m,
-                height_m=shape.height_m,
-                azimuth_rad=-shape.azimuth_rad,
-                burial_m=shape.burial_m,
-            )
+        case Cylinder() | Box():
+            mirrored = remade(shape, azimuth_rad=-shape.azimuth_rad)
         case Wedge():  # no plane of symmetry across its axis: the reversed track sees it from the other end
-            mirrored = Wedge(
-                length_m=shape.length_m,
-                width_m=shape.width_m,
-                height_m=shape.height_m,
-                azimuth_rad=math.pi - shape.azimuth_rad,
-                burial_m=shape.burial_m,
-            )
-        case _:
-            raise AssertionError(shape)
+            mirrored = remade(shape, azimuth_rad=math.pi - shape.azimuth_rad)
+        case ConvexPolyhedron():
+            mirrored = remade(shape, vertices_m=shape.vertices_m * [-1.0, 1.0, 1.0], azimuth_rad=-shape.azimuth_rad)
     offset = clear_of_edges(lambda offset: view_shape(shape, offset, ground_range, altitude), offset, 1e-6)
     for one, other in zip(
         view_shape(shape, offset, ground_range, altitude), view_shape(mirrored, -offset, ground_range, altitude), strict=True
