@@ -18,7 +18,7 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 @pytest.fixture(scope="session")
 def n_runs() -> Callable[[int, int], int]:
-    """The first number where the C kernels are built, the second where their twins serve, which say the same a hundred times slower."""
+    """The first number where the C kernels are built, the second where their twins serve, which say the same many times slower."""
     return lambda with_c, with_twins: with_c if kernels.backend() == "c" else with_twins
 
 
