@@ -49,6 +49,7 @@ TRAINING_SEED, HELD_OUT_SEED = 3000, 7000
 _QUALITY: Final = 0.95  # of every view: simulated regions are whole and in the middle of a straight leg
 _PAIR: Final = subset("sphere", "truncated_cone")
 _AMBIGUOUS: Final = 1.0 / 3.0
+_BIN_EDGES: Final = (0.5, 0.7, 0.8, 0.9)
 _HEADINGS: Final = ("cylinder", "sphere", "cone", "wedge", "clutter", "sum", "sph/cone", "any", "prob.", "right")
 
 # Rocks that a detector would hand on: of a mine's size, higher or lower, more or less bedded in.
@@ -115,6 +116,14 @@ class BeliefRow(NamedTuple):
     ignorance: float
     probability: float
     correct: float
+
+
+class Bin(NamedTuple):
+    """Views of about one probability of the winning class: how many, its mean, and the share that was right."""
+
+    n_views: int
+    promised: float
+    right: float
 
 
 class Calibrated(NamedTuple):
@@ -303,6 +312,29 @@ def decided(probability: Array) -> NDArray[np.intp]:
     return np.where(ordered[:, -1] > ordered[:, -2] + 1e-9, probability.argmax(axis=1), -1)
 
 
+def reliability(masses: Array, names: Sequence[ContactClass]) -> list[Bin]:
+    """Promises and outcomes of masses (n, 32) by the probability of the winning class; bins without any are left out."""
+    probability = pignistic(masses)
+    promised, right = probability.max(axis=1), decided(probability) == np.array([FRAME.index(name) for name in names])
+    bins = np.searchsorted(_BIN_EDGES, promised, side="right")
+    return [
+        Bin(int((bins == index).sum()), float(promised[bins == index].mean()), float(right[bins == index].mean()))
+        for index in range(len(_BIN_EDGES) + 1)
+        if (bins == index).any()
+    ]
+
+
+def contour_wins(seen: Look) -> bool:
+    """Whether the free contour explains a view better than every solid."""
+    return seen.evidence["clutter"].nll < min(seen.evidence[solid].nll for solid in SOLIDS)
+
+
+def clutter_without_sizes(seen: Look) -> bool:
+    """Whether a view is called clutter if every size is as plausible as any other."""
+    unsized = {name: ClassEvidence(nll=item.nll) for name, item in seen.evidence.items()}
+    return bool(decided(pignistic(view_mass(unsized, _QUALITY))[np.newaxis])[0] == FRAME.index("clutter"))
+
+
 def paper_rows() -> list[BeliefRow]:
     """What the source paper prints; the rest is not known."""
     nan = math.nan
@@ -350,6 +382,14 @@ def run(chosen: argparse.Namespace) -> int:
     _print_rows("ours, two views at right angles", belief_rows(both, names))
     told = f"{_ambiguous(papers, names)} by the source paper's route, {_ambiguous(ours, names)} by ours"
     print(f"spheres and cones with more than a third of their mass on 'sphere or cone': {told}\n")
+    singles = [seen for pair in looks for seen in pair]
+    of_rocks = [seen for name, pair in zip(names, looks, strict=True) for seen in pair if name == "clutter"]
+    print(f"of {len(of_rocks)} views of clutter the free contour explains {sum(map(contour_wins, of_rocks))} better than every solid;")
+    print(f"without plausible sizes {sum(map(clutter_without_sizes, of_rocks))} would be called clutter\n")
+    print(f"{'views':>5}{'promised':>10}{'right':>8}   by probability of the winning class, one view")
+    for entry in reliability(np.array([mass_of_one(seen) for seen in singles]), [name for name in names for _ in range(2)]):
+        print(f"{entry.n_views:>5}{entry.promised:>10.3f}{entry.right:>8.3f}")
+    print()
     training = draw_things(chosen.objects, TRAINING_SEED)
     _print_calibration([(thing.name, looks_at(thing)) for thing in training], list(zip(names, looks, strict=True)))
     return 0

@@ -21,7 +21,9 @@ from sim_replay.benches.beliefs import (
     belief_rows,
     calibration_of,
     calibrations,
+    clutter_without_sizes,
     code_length,
+    contour_wins,
     decided,
     draw_thing,
     free_contour,
@@ -30,6 +32,7 @@ from sim_replay.benches.beliefs import (
     mass_of_one,
     mass_of_two,
     paper_rows,
+    reliability,
     shadow_evidence,
 )
 from sim_replay.benches.shapes import CORRELATION_AREA, closed_form_region
@@ -51,12 +54,12 @@ def test_the_sums_of_the_printed_beliefs_leave_something_open() -> None:
     assert [round(row.total, 3) for row in paper_rows()] == [0.91, 0.916, 0.798, 0.88]
 
 
-def test_rocks_are_drawn_the_same_again_but_not_twice_the_same() -> None:
-    rock, again, other = (draw_thing("clutter", seed) for seed in (HELD_OUT_SEED, HELD_OUT_SEED, HELD_OUT_SEED + 1))
+def test_a_rock_is_drawn_the_same_again_with_altitudes_wrong_either_way() -> None:
+    rock, again = (draw_thing("clutter", HELD_OUT_SEED) for _ in range(2))
     for view, view_again in zip(rock.views, again.views, strict=True):
         np.testing.assert_array_equal(view.intensity, view_again.intensity)
+    assert rock.views[0].altitude_m + rock.views[1].altitude_m == pytest.approx(12.0)
     assert rock.views[0].altitude_m != rock.views[1].altitude_m
-    assert rock.views[0].first_ground_range_m != other.views[0].first_ground_range_m
 
 
 def test_a_contours_code_length_is_that_of_the_snakes_criterion() -> None:
@@ -108,6 +111,26 @@ def test_calibration_counts_what_is_promised_to_the_true_and_to_the_winning_clas
     told = calibration_of(np.array([certain(0.5, "sphere"), certain(0.5, "wedge")]), ["sphere", "clutter"], 4.0)
     assert told.log_loss == pytest.approx(-0.5 * (math.log(0.6) + math.log(0.1)))
     assert told.error == pytest.approx(0.1)  # 0.6 promised, 0.5 kept
+
+
+def test_promises_are_set_beside_outcomes_where_there_are_any() -> None:
+    masses = np.array([certain(0.5, "sphere"), certain(0.6, "wedge"), certain(0.95, "wedge")])
+    low, high = reliability(masses, ["sphere", "clutter", "wedge"])
+    assert tuple(low) == pytest.approx((2, 0.64, 0.5))
+    assert tuple(high) == pytest.approx((1, 0.96, 1.0))
+
+
+def test_a_rock_of_implausible_size_is_told_by_its_size_alone() -> None:
+    def rock(plausible: float, contour: float) -> Look:
+        evidence = {name: ClassEvidence(nll=-100.0 if name == "wedge" else 0.0, plausibility=plausible) for name in FRAME}
+        evidence["clutter"] = ClassEvidence(nll=contour)
+        return Look(evidence, False, np.zeros((1, 1), dtype=np.bool_))
+
+    assert belief_rows(mass_of_one(rock(0.0, -60.0))[np.newaxis], ["clutter"])[0].correct == 1.0
+    assert not contour_wins(rock(0.0, -60.0))
+    assert not clutter_without_sizes(rock(0.0, -60.0))
+    assert contour_wins(rock(1.0, -150.0))
+    assert clutter_without_sizes(rock(1.0, -150.0))
 
 
 def test_two_views_that_agree_say_more_and_calibrations_tell_both() -> None:
