@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from region_doors import DOORS, HYPOTHESIS, RANGE_M, SMALL, START, cone_region, labels_of, plain, through
 
+from auv_mcm import kernels
 from auv_mcm.classify.fit import fit_shapes
 from auv_mcm.classify.likelihood import beam_of, labels_cost, row_sums
 from auv_mcm.classify.template import template_scores
@@ -38,7 +39,7 @@ def costs_of(region: Region, hypotheses: dict[Solid, Plane]) -> list[float]:
     return [float(shape_costs(solid, rows, image, beam_of(region)).cost[0]) for solid, rows in hypotheses.items()]
 
 
-@settings(max_examples=6)
+@settings(max_examples=6 if kernels.backend() == "c" else 3)
 @given(exponent=st.floats(-6.0, 6.0))
 def test_gain_changes_no_label_no_contour_and_no_solid(exponent: float) -> None:
     region, gain = cone_region(), 10.0**exponent

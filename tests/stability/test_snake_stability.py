@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm import kernels
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours, Start, converge, settings_of, start_from_detection
 from auv_mcm.kernels import snake, snake_twin
@@ -214,7 +215,7 @@ def test_threads_and_repetition_change_nothing(n_runs: Callable[[int, int], int]
     assert all(same(one, other) for one, other in zip(once, again, strict=True))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25 if kernels.backend() == "c" else 8, deadline=None)
 @given(seed=st.integers(0, 10_000), level=st.floats(-300.0, 300.0), spikes=st.floats(0.0, 0.3), area=st.sampled_from([1.0, 4.0, 1e6]))
 def test_any_region_gives_a_result(seed: int, level: float, spikes: float, area: float) -> None:
     random = np.random.default_rng(seed)
