@@ -11,9 +11,9 @@ from typing import Final
 
 from auv_mcm.detect.measure import Measurement
 
-_EVEN_SCORE: Final = 4.9
+_EVEN_SCORE: Final = 5.2
 _PER_DEVIATION: Final = 1.6
-_BOUND: Final = 4.0
+_BOUND: Final = 6.0
 _CROWD_FREE: Final = 2
 _PER_NEIGHBOUR: Final = 0.25
 _CROWD_BOUND: Final = 2.5

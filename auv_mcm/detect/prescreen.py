@@ -50,10 +50,12 @@ _LOG_CLIP: Final = 1.2  # bright objects and shadows must not pass for texture
 _MIN_DECAY: Final = 0.3  # less is measured where a structure, not texture, spans the large boxes
 _MIN_LOG_VARIANCE: Final = 1e-3
 
-# A shadow is the better witness: speckle and glints make bright spots, hardly anything else makes dark ones.
+# A shadow is the better witness: speckle, glints and texture make bright spots, hardly anything else makes dark ones. But they seldom
+# make brighter ones than this, and from there on a highlight counts like a shadow: far off it often is all that can be seen.
 HIGHLIGHT_WEIGHT: Final = 0.5
+CLEAR_HIGHLIGHT: Final = 4.0
 # Beyond these deviates more contrast says little more; the small slope left keeps the order of strong echoes.
-_HIGHLIGHT_KNEE: Final = 5.0
+_HIGHLIGHT_KNEE: Final = 6.0
 _SHADOW_KNEE: Final = 6.0
 _LOWEST_DEVIATE: Final = -2.0
 # An echo may be so strong that it counts without a shadow: over soft mud, or with the shadow filled by multipath.
@@ -203,7 +205,9 @@ def score_tile(tile: Tile) -> ScoreMaps:
         highlight[rows], darkest[rows] = _deviates(boxes.band(rows), tile, rows, background[rows], spread)
     shadow = -_darkest_behind(darkest, boxes.columns(_SHADOW_LAG_M))
 
-    combined = HIGHLIGHT_WEIGHT * _saturate(highlight, _HIGHLIGHT_KNEE) + _saturate(shadow, _SHADOW_KNEE)
+    bright = _saturate(highlight, _HIGHLIGHT_KNEE)
+    clear = np.maximum(bright - np.float32(CLEAR_HIGHLIGHT), np.float32(0.0))
+    combined = HIGHLIGHT_WEIGHT * bright + (1.0 - HIGHLIGHT_WEIGHT) * clear + _saturate(shadow, _SHADOW_KNEE)
     score = combined * np.float32(1.0 / np.hypot(HIGHLIGHT_WEIGHT, 1.0))
     score = np.maximum(score, _saturate(highlight - np.float32(_GLINT_DISCOUNT), _GLINT_KNEE))
     score[~known] = -np.inf

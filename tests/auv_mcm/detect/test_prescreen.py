@@ -153,7 +153,9 @@ def slow_scores(tile: Tile) -> Slow:
         inside = [darkest[start] for start in starts if 0 <= start[0] < n_rows and start[1] < n_columns]
         shadow[i, j] = -min(inside if len(inside) == len(starts) else [*inside, 0.0])
         weight = prescreen.HIGHLIGHT_WEIGHT
-        both = weight * bent(float(highlight[i, j]), prescreen._HIGHLIGHT_KNEE) + bent(float(shadow[i, j]), prescreen._SHADOW_KNEE)
+        bright = bent(float(highlight[i, j]), prescreen._HIGHLIGHT_KNEE)
+        usual = min(bright, prescreen.CLEAR_HIGHLIGHT)
+        both = weight * usual + (bright - usual) + bent(float(shadow[i, j]), prescreen._SHADOW_KNEE)
         glint = bent(float(highlight[i, j]) - prescreen._GLINT_DISCOUNT, prescreen._GLINT_KNEE)
         score[i, j] = max(both / math.hypot(weight, 1.0), glint) if known[i, j] else -math.inf
     return Slow(score, highlight, shadow, background, small)
