@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _EXIT_CODES = "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
-_BENCHES = ("waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes", "beliefs")
+_BENCHES = ("waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes", "beliefs", "images")
 _BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2"}
 
 
@@ -215,7 +215,8 @@ def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "measure speed, memory and what is found",
         "waterfall: the whole chain, cost per stage; detect: the detector's cost per tile; simulate: the simulator's cost;\n"
         "scenes: what is found in the named scenes; segmentation, snakes, shapes: parts of confirmation and classification,\n"
-        "error beside time; beliefs: what views make one believe. Further arguments go to the bench.",
+        "error beside time; beliefs: what views make one believe; images: outlines and calls on\n"
+        "real pictures. Further arguments go to the bench.",
         ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
     )
     parser.add_argument("bench", choices=_BENCHES, help="what to measure")

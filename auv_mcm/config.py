@@ -120,6 +120,18 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
     max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="longer than this an object is no mine, m")] = 3.5
 
 
+class ConfirmConfig(_Section, frozen=True, kw_only=True):
+    """The close look at detections: contours, Markov field, shapes."""
+
+    enabled: Annotated[bool, Meta(description="without it contacts carry the detector's p_mine and no class")] = True
+    min_p_mine: Annotated[
+        float, Meta(ge=0.0, le=1.0, description="p_mine below which a detection is looked at no further, at any step")
+    ] = 0.01
+    max_per_tile: Annotated[
+        int, Meta(ge=0, le=100_000, description="detections looked at per tile and side at most, best first; the rest is counted")
+    ] = 128
+
+
 class ContactsConfig(_Section, frozen=True, kw_only=True):
     """Association of detections to contacts."""
 
@@ -156,6 +168,7 @@ class Config(_Section, frozen=True, kw_only=True):
     navigation: NavigationConfig = NavigationConfig()
     waterfall: WaterfallConfig = WaterfallConfig()
     detect: DetectConfig = DetectConfig()
+    confirm: ConfirmConfig = ConfirmConfig()
     contacts: ContactsConfig = ContactsConfig()
     plan: PlanConfig = PlanConfig()
     service: ServiceConfig = ServiceConfig()
@@ -227,6 +240,8 @@ def _kind(kind: inspect.Type) -> str:
         kind = kind.type
     if isinstance(kind, inspect.LiteralType):
         return "one of " + ", ".join(str(value) for value in kind.values)
+    if isinstance(kind, inspect.BoolType):
+        return "true or false"
     if isinstance(kind, inspect.StrType):
         return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
     if isinstance(kind, inspect.TupleType):
@@ -246,6 +261,8 @@ def _scalar(value: Any) -> str:
     """YAML of one value on one line; empty for None. Exponents get a decimal point, which YAML 1.1 readers insist on."""
     if value is None:
         return ""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, tuple):
         return "[" + ", ".join(_scalar(item) for item in value) + "]"
     if isinstance(value, str):

@@ -1,6 +1,6 @@
 """The one chain from pings and navigation to contacts: synchronous, deterministic, the same live and replayed.
 
-    events -> intake -> waterfall -> detection -> suppression -> ledger -> events
+    events -> intake -> waterfall -> detection -> suppression -> close look -> ledger -> events
 
 What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on threads,
 or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they cost.
@@ -13,10 +13,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Final
 
 import msgspec
 
+from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.classify.stage import look_closely, passed_over
 from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
@@ -46,10 +49,19 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same.
+    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `look` takes the
+    place of the close look at a detection, to learn from what it sees.
     """
 
-    def __init__(self, config: Config, *, exhaustive: bool = False, threads: int = 1, timer: Callable[[], float] | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        *,
+        exhaustive: bool = False,
+        threads: int = 1,
+        timer: Callable[[], float] | None = None,
+        look: Callable[[Detection], Detection] | None = None,
+    ) -> None:
         self._config = config
         self._exhaustive = exhaustive
         self._timer = timer
@@ -62,7 +74,10 @@ class Pipeline:
         self._last_ping_s = math.nan
         self._waterfall: Waterfall | None = None
         self._suppressors = {side: Suppressor(config.detect, self._counts) for side in SIDES}
-        self._ledger = Ledger(config.contacts)
+        self._odds = shipped_odds()
+        beam_width_rad = math.radians(config.sonar.beam_width_deg)
+        self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
+        self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0)
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
 
@@ -164,7 +179,7 @@ class Pipeline:
                 with self._timed("waterfall"):
                     tiles = self._waterfall.close_segment()
                 events += self._look(tiles)
-                events += self._announce([d for side in SIDES for d in self._suppressors[side].flush()])
+                events += self._conclude([self._suppressors[side].flush() for side in SIDES])
                 self._intake.start_segment(self._waterfall.next_segment_m())
             else:
                 with self._timed("waterfall"):
@@ -178,7 +193,7 @@ class Pipeline:
         with self._timed("detect"):
             found = list(self._threads.map(self._detect, tiles)) if self._threads is not None else [self._detect(tile) for tile in tiles]
         events: list[PipelineEvent] = []
-        final: list[Detection] = []
+        settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
             with self._timed("coverage"):
                 patch = cover_tile(tile, self._config.sonar)
@@ -192,17 +207,42 @@ class Pipeline:
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
             with self._timed("suppress"):
-                final += self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop)
-        return events + self._announce(final)
+                settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop))
+        return events + self._conclude(settled)
 
     def _detect(self, tile: Tile) -> TileDetections | None:
         if not self._exhaustive and not worth_looking(tile):
             return None
         return detect_tile(tile, self._config)
 
-    def _announce(self, detections: list[Detection]) -> list[PipelineEvent]:
+    def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
+        """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
+        events: list[PipelineEvent] = []
+        final: list[Detection] = []
+        with self._timed("confirm"):
+            for detections in settled:
+                looked_at, n_over_budget = self._confirm(detections)
+                if n_over_budget and not self._counts["confirm.over_budget"]:
+                    events.append(_looks_over_budget(detections[0], n_over_budget))
+                self._counts["confirm.over_budget"] += n_over_budget
+                final += looked_at
         with self._timed("ledger"):
-            return list(self._ledger.add(detections))
+            return [*events, *self._ledger.add(final)]
+
+    def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int]:
+        """The detections of one tile, looked at, and how many more there were than may be."""
+        config = self._config.confirm
+        if not config.enabled:
+            return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0
+        best_first = sorted(detections, key=lambda d: (-d.p_mine, d.row, d.column))
+        chosen, rest = best_first[: config.max_per_tile], best_first[config.max_per_tile :]
+        mapped = map if self._threads is None else self._threads.map
+        looked_at = list(mapped(self._look_closely, chosen))
+        for detection in looked_at:
+            found = detection.confirmation
+            self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
+            self._counts["confirm.rejected"] += found is not None and found.rejected
+        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -216,6 +256,15 @@ class Pipeline:
 
 def _traces(pings: list[Ping]) -> list[EchoTrace]:
     return [trace for ping in pings for trace in (ping.port, ping.starboard) if trace is not None]
+
+
+def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
+    return Notice(
+        code="confirm.over_budget",
+        text=f"{n_over_budget} detections beyond the budget of a tile were not looked at closely; they keep the detector's p_mine. "
+        "Raise confirm.max_per_tile if the computer can afford it. More are counted.",
+        place=f"{detection.side}, ping {detection.ping_number}",
+    )
 
 
 def _over_budget(tile: Tile, result: TileDetections) -> Notice:

@@ -154,13 +154,15 @@ class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """What a close look at one detection found.
 
-    log_ratio: evidence for a mine against clutter, nats. mass: (32,) float64 of `auv_mcm.classify.beliefs`. labels: (n, m) uint8 of
-    `auv_mcm.confirm.region` for the pixels of the snippet; (0, 0) where the field was not solved. highlight, shadow: (n, 2) float64
-    contours (row, column) in pixels of the snippet; (0, 2) where there is none. model: None if no solid explains the view.
+    log_ratio: evidence for a mine against clutter, nats. shape_mass: (32,) float64 of `auv_mcm.classify.beliefs`, which kinds of
+    mine it may be; mass: the same with log_ratio. half_turn_symmetric: the best solid looks alike from the opposite side. labels: (n, m)
+    uint8 of `auv_mcm.confirm.region` for the pixels of the snippet; (0, 0) where the field was not solved. highlight, shadow: (n, 2)
+    float64 contours (row, column) in pixels of the snippet; (0, 2) where there is none. model: None if no solid explains the view.
     rejected: the contours cannot be those of a mine, for the codes in `reasons`.
     """
 
     log_ratio: float
+    shape_mass: NDArray[np.float64]
     mass: NDArray[np.float64]
     half_turn_symmetric: bool
     labels: NDArray[np.uint8]
@@ -171,6 +173,9 @@ class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     reasons: tuple[str, ...]
 
 
+LookStep: TypeAlias = Literal["detector", "contours", "shape"]
+
+
 class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """One object seen once, on one side, in one pass.
 
@@ -179,8 +184,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     standard deviations of the sea floor around. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
     codes of `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
     snippet_column: the centroid inside it.
-    covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone. surroundings: until it was looked at closely.
-    confirmation: None if it was not, for the reason that `reasons` gives.
+    covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone; p_by_step: after each step of the close look (`detector`,
+    `contours`, `shape`) that was taken. surroundings: until then. confirmation: None if there was no close look, which `reasons` tells.
     """
 
     side: Side
@@ -210,6 +215,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     snippet_column: float
     row_spacing_m: float
     column_spacing_m: float
+    p_by_step: dict[LookStep, float] = {}
     surroundings: Surroundings | None = None
     confirmation: Confirmation | None = None
 

@@ -7,6 +7,7 @@ counts every grain several times over, more than any smoothness prior can outwei
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ _NO_CORRELATION: Final = 0.05
 _LEAST_PAIRS: Final = 200
 _CLIP: Final = 5.0  # times the mean: one speckle in 150 is brighter; bright texture would outweigh all grains
 _LARGEST_BLOCK_M: Final = 0.25  # blocks must stay small against the shadow of the smallest mine
+_PARTS: Final = 3  # of a region along each axis
+_MOSTLY_USABLE: Final = 0.5
 _UNCORRELATED: Final = 1.15  # pixels; measurement scatter about 1
 
 
@@ -49,6 +52,21 @@ def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Corr
     """
     clipped = np.minimum(intensity, _CLIP)
     return Correlation(_grain(clipped.T, background.T), _grain(clipped, background))
+
+
+def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
+    """Pixels that one grain of speckle covers, 1 or more, where the sea floor itself is least correlated.
+
+    intensity, usable: (n_rows, n_columns), float64 with mean about 1 and bool. Ripples and objects are correlated too: the second lowest
+    of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be measured.
+    """
+    rows, columns = (np.linspace(0, size, _PARTS + 1).astype(int).tolist() for size in intensity.shape)
+    areas = sorted(
+        math.prod(measure_correlation(np.ascontiguousarray(intensity[part]), np.ascontiguousarray(usable[part])))
+        for part in ((slice(top, bottom), slice(near, far)) for top, bottom in pairwise(rows) for near, far in pairwise(columns))
+        if usable[part].size and usable[part].mean() > _MOSTLY_USABLE
+    )
+    return areas[min(1, len(areas) - 1)] if areas else 1.0
 
 
 def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:

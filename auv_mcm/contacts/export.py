@@ -18,7 +18,7 @@ from typing import Any, Final, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import EVERYTHING, FRAME, pignistic
+from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.geodesy import LocalFrame, wrap_longitude_deg
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
@@ -71,15 +71,6 @@ def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_poi
     ring = np.column_stack([along * sine + across * cosine, along * cosine - across * sine])
     ring[-1] = ring[0]
     return ring
-
-
-def class_belief(mass: NDArray[np.float64]) -> dict[str, float]:
-    """Belief per class of a view's mass (32,): each set's shared evenly among its classes, but that of the whole frame as `unknown`."""
-    told = mass.copy()
-    told[[0, EVERYTHING]] = 0.0
-    known = float(told.sum())
-    shares = known * pignistic(told) if known > 0.0 else np.zeros(len(FRAME))
-    return dict(zip((*FRAME, "unknown"), [*shares.tolist(), float(mass[EVERYTHING])], strict=True))
 
 
 def view_reasons(view: Detection) -> tuple[str, ...]:
@@ -252,7 +243,7 @@ def _view(view: Detection) -> dict[str, Json]:
         "ground_range_m": _number(view.ground_range_m, _METRE_DIGITS),
         "p_mine": _number(view.p_mine, _PROBABILITY_DIGITS),
         "log_ratio": _number(close.log_ratio, _METRE_DIGITS) if close else None,
-        "belief": _belief(class_belief(close.mass)) if close else None,
+        "belief": _belief(singleton_belief(close.mass)) if close else None,
         "reasons": list(view_reasons(view)),
     }
 

@@ -14,25 +14,27 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.classify.dimensions import Dimensions, dimensions
+from auv_mcm.classify.fusion import fuse
 from auv_mcm.config import ContactsConfig
-from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import Contact, ContactClass, Detection
 
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)
-_DEPENDENT_ASPECT_DEG: Final = 15.0
-_CLUTTER_P: Final = 0.2
-_MAX_ODDS: Final = 5.0
 _IMPOSSIBLE: Final = 1e6
 _LEAST_COVARIANCE_M2: Final = 1e-4 * np.eye(2)  # no centroid is known better than to a centimetre, whatever the errors configured
 
 
 class Ledger:
-    """Contacts of one mission, in order of first view."""
+    """Contacts of one mission, in order of first view.
 
-    def __init__(self, config: ContactsConfig) -> None:
+    prior: log-odds of a mine that every detection's p_mine contains.
+    """
+
+    def __init__(self, config: ContactsConfig, prior: float = 0.0) -> None:
         self._config = config
+        self._prior = prior
         self._contacts: list[Contact] = []
         self._frame: LocalFrame | None = None
         self._positions_m = np.empty((0, 2))
@@ -57,12 +59,14 @@ class Ledger:
         n_known = len(self._contacts)
         for detection, match in zip(detections, self._assign(detections), strict=True):
             if match is None:
-                self._contacts.append(_contact(f"C{len(self._contacts) + 1:05d}", (detection,)))
+                self._contacts.append(_contact(f"C{len(self._contacts) + 1:05d}", (detection,), self._prior))
                 index = len(self._contacts) - 1
             else:
                 index = match
                 contact = self._contacts[index]
-                self._contacts[index] = _contact(contact.id, tuple(sorted([*contact.views, detection], key=lambda d: d.time_s)))
+                self._contacts[index] = _contact(
+                    contact.id, tuple(sorted([*contact.views, detection], key=lambda d: d.time_s)), self._prior
+                )
             changed.add(index)
         moved = sorted(changed)
         self._positions_m = np.concatenate([self._positions_m, np.zeros((len(self._contacts) - n_known, 2))])
@@ -125,25 +129,31 @@ def _turned_rad(a: Detection, b: Detection) -> float:
     return abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
 
 
-def _contact(contact_id: str, views: tuple[Detection, ...]) -> Contact:
+def _contact(contact_id: str, views: tuple[Detection, ...], prior: float) -> Contact:
     latitude, longitude, covariance = _fused_position(views)
-    p_mine = _fused_probability(views)
-    best = max(views, key=lambda v: (v.score, -v.time_s))
+    verdict = fuse(views, prior)
+    size = _dimensions(views, verdict.classification)
+    reasons = (reason for view in views for reason in (*view.reasons, *(view.confirmation.reasons if view.confirmation else ())))
     return Contact(
         id=contact_id,
         time_s=views[0].time_s,
         latitude_deg=latitude,
         longitude_deg=longitude,
         covariance_m2=covariance,
-        p_mine=p_mine,
-        classification=_classification(p_mine),
-        belief=_belief(p_mine),
-        length_m=max(v.length_m for v in views),
-        width_m=best.width_m,
-        height_m=_median_known([v.height_m for v in views]),
+        p_mine=verdict.p_mine,
+        classification=verdict.classification,
+        belief=verdict.belief,
+        length_m=size.length_m,
+        width_m=size.width_m,
+        height_m=size.height_m,
         aspects_deg=tuple(v.aspect_deg for v in views),
-        reasons=tuple(dict.fromkeys(reason for view in views for reason in view.reasons)),
+        reasons=tuple(dict.fromkeys((*reasons, *verdict.reasons))),
         views=views,
+        length_sigma_m=size.length_sigma_m,
+        width_sigma_m=size.width_sigma_m,
+        height_sigma_m=size.height_sigma_m,
+        conflict=verdict.conflict,
+        next_look_deg=verdict.next_look_deg,
     )
 
 
@@ -160,29 +170,17 @@ def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray
     return float(latitude), float(longitude), covariance
 
 
-def _fused_probability(views: tuple[Detection, ...]) -> float:
-    """Log-odds of independent views add; views from within 15 degrees of each other count as one, by their mean."""
-    groups: list[list[Detection]] = []
-    for view in views:
-        for group in groups:
-            if abs(math.remainder(view.aspect_deg - group[0].aspect_deg, 360.0)) < _DEPENDENT_ASPECT_DEG:
-                group.append(view)
-                break
-        else:
-            groups.append([view])
-    odds = sum(sum(odds_of(v.p_mine) for v in group) / len(group) for group in groups)
-    return probability(min(max(odds, -_MAX_ODDS), _MAX_ODDS)) if len(views) > 1 else views[0].p_mine
-
-
-def _classification(p_mine: float) -> ContactClass:
-    # Telling mine shapes apart needs shadow models; highlight and shadow alone only separate clutter.
-    return "clutter" if p_mine < _CLUTTER_P else "unknown"
-
-
-def _belief(p_mine: float) -> dict[str, float]:
-    # Even at the threshold, so that the most believed class is the one told.
-    clutter = max(0.0, 1.0 - 0.5 * p_mine / _CLUTTER_P)
-    return {"cylinder": 0.0, "sphere": 0.0, "truncated_cone": 0.0, "wedge": 0.0, "clutter": clutter, "unknown": 1.0 - clutter}
+def _dimensions(views: tuple[Detection, ...], classification: ContactClass) -> Dimensions:
+    """Those of the solid of the class told in the view that shows it best; of a contact without one, what its views measured."""
+    models = [
+        (view.p_mine, -view.time_s, view.confirmation.model)
+        for view in views
+        if view.confirmation and view.confirmation.model and view.confirmation.model.classification == classification
+    ]
+    if models:
+        return dimensions(max(models, key=lambda told: told[:2])[2])
+    best = max(views, key=lambda v: (v.score, -v.time_s))
+    return Dimensions(max(v.length_m for v in views), best.width_m, _median_known([v.height_m for v in views]))
 
 
 def _median_known(values: list[float]) -> float:

@@ -27,7 +27,7 @@ STEP_M: Final = 0.4  # peaks closer than this are one candidate
 _NEAR_M: Final = 3.0  # of the surroundings, before the object
 _BEHIND_M: Final = 2.5  # and behind the longest shadow looked for
 _TALLEST_M: Final = 0.8
-_FAR_M: Final = (5.0, 12.0)
+_FAR_M: Final = (8.0, 12.0)
 _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 

@@ -1,8 +1,9 @@
-"""A second look at the best contacts: straight legs that see each object square to how it was seen before.
+"""Another look at contacts that are still undecided: straight legs that see each from where its views have told least.
 
 A cylinder seen end-on may look like a stone; from a direction 90 degrees away it shows its side. Evenly spread aspects are the best
 choice when nothing is known about an object's orientation (Bourque and Nguyen, "Optimal aspect angles for multi-view target recognition
-with side-scan sonar", 2011). The plan is a proposal: the vehicle decides.
+with side-scan sonar", 2011), so every contact names the middle of the widest gap between its own. The plan is a proposal: the vehicle
+decides.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
 from auv_mcm.records import Contact, Waypoint
 
-SAME_ASPECT_DEG: Final = 30.0  # views from directions closer than this count as one look
 SETTLING_RADII: Final = 1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
 _ARC_STEP_RAD: Final = math.radians(15.0)
 _LEAST_STEP_M: Final = 1e-3  # way-points closer than this are one
@@ -40,19 +40,18 @@ class _Leg(NamedTuple):
 
 
 def needs_second_look(contact: Contact, min_p_mine: float) -> bool:
-    """True for a likely mine that was seen from one direction only, and whose position is known."""
-    aspects = np.asarray(contact.aspects_deg, dtype=np.float64)
-    known = (contact.latitude_deg, contact.longitude_deg, *aspects)
-    if not (contact.p_mine >= min_p_mine and len(aspects) and all(map(math.isfinite, known))):
+    """True for a likely mine at a known place that another look may decide."""
+    if not (contact.p_mine >= min_p_mine and contact.next_look_deg):
         return False
-    apart = np.abs((aspects[:, np.newaxis] - aspects + 180.0) % 360.0 - 180.0)
-    return bool(apart.max() <= SAME_ASPECT_DEG)
+    return all(map(math.isfinite, (contact.latitude_deg, contact.longitude_deg, contact.next_look_deg[0])))
 
 
 def plan_reinspection(
     contacts: Iterable[Contact], start_latitude_deg: float, start_longitude_deg: float, start_heading_rad: float, config: PlanConfig
 ) -> tuple[Waypoint, ...]:
-    """Way-points from the start pose past the best `max_contacts` contacts that need a second look, in the order to sail them.
+    """Way-points from the start pose past the `max_contacts` most undecided contacts that need a second look, in the order to sail them.
+
+    Each is looked at from the first of its `next_look_deg` or from the opposite, whichever makes the shorter tour.
 
     Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`. The leg is
     `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each point, [0, 2 pi).
@@ -61,8 +60,8 @@ def plan_reinspection(
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
-    chosen = sorted((contact for contact in contacts if needs_second_look(contact, config.min_p_mine)), key=lambda c: (-c.p_mine, c.id))
-    chosen = chosen[: config.max_contacts]
+    undecided = (contact for contact in contacts if needs_second_look(contact, config.min_p_mine))
+    chosen = sorted(undecided, key=lambda contact: (abs(contact.p_mine - 0.5), contact.id))[: config.max_contacts]
     if not chosen:
         return ()
     if not all(map(math.isfinite, (start_latitude_deg, start_longitude_deg, start_heading_rad))):
@@ -79,18 +78,19 @@ def plan_reinspection(
 
 
 def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> list[_Leg]:
-    """Four legs per contact: on either side of it, along or against the first view's aspect. Number i sailed backwards is number i ^ 1.
+    """Four legs per contact: on either side of it, one way or the other, to look as it asks for. Number i sailed backwards is number i ^ 1.
 
-    Legs are laid out in the contact's own frame: true north at the contact is what its aspect refers to, which matters near the poles.
+    Legs are laid out in the contact's own frame: true north at the contact is what its aspects refer to, which matters near the poles.
     """
     frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
+    course_deg = contact.next_look_deg[0] - 90.0
+    course = math.radians(course_deg)
+    along, right = np.array([math.sin(course), math.cos(course), 0.0]), np.array([math.cos(course), -math.sin(course), 0.0])
     half_m = config.leg_length_m / 2.0 + SETTLING_RADII * config.turn_radius_m
     legs = []
-    for side in (1.0, -1.0):  # the track runs on this side (1: right) of the contact, as seen along the aspect
+    for side in (1.0, -1.0):  # the track runs on this side (1: right) of the contact, as seen along the course
         for way in (1.0, -1.0):
-            track_deg = (contact.aspects_deg[0] + (0.0 if way > 0.0 else 180.0)) % 360.0
-            course = math.radians(contact.aspects_deg[0])
-            along, right = np.array([math.sin(course), math.cos(course), 0.0]), np.array([math.cos(course), -math.sin(course), 0.0])
+            track_deg = (course_deg + (0.0 if way > 0.0 else 180.0)) % 360.0
             middle = side * config.stand_off_m * right
             latitude, longitude, height = frame.to_geodetic([middle - way * half_m * along, middle + way * half_m * along])
             (east0, north0, _), (east1, north1, _) = plan_frame.to_enu(latitude, longitude, np.zeros_like(height)).tolist()
@@ -162,9 +162,9 @@ def _true_course(here_deg: tuple[float, float], there_deg: tuple[float, float]) 
 
 def _reason(leg: _Leg, config: PlanConfig) -> str:
     contact = leg.contact
-    seen = "once" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} times"
-    look_deg = (leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360.0
+    looks = "one look" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} looks"
+    look_deg = round(leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360
     return (
-        f"second look at {contact.id} (p_mine {contact.p_mine:.2f}): seen {seen} looking towards {contact.aspects_deg[0]:03.0f}°, "
-        f"this leg looks towards {look_deg:03.0f}°, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
+        f"second look at {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards {look_deg:03d}°, "
+        f"in the widest gap between the directions had, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
     )

@@ -1,4 +1,4 @@
-"""How much the training-free chain finds in the named scenes, and how much a plain script finds in the same pings."""
+"""How much the chain finds in the named scenes, what each of its steps adds, and how much a plain script finds in the same pings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,12 +16,15 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
 
+from auv_mcm.classify.fusion import fuse
+from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.classify.stage import look_closely
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import NavSample, Ping
+from auv_mcm.records import Contact, Detection, LookStep, NavSample, Ping
 from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
 from sim_replay.scoring.intervals import Density, Proportion
@@ -32,8 +37,15 @@ FIRST_SEED: Final = 9100  # neither scenes nor constants were ever tried on seed
 _LIMIT_PER_KM2: Final = 100.0
 _NOTHING: Final = "-"
 
-System: TypeAlias = Literal["chain", "rival"]
+System: TypeAlias = Literal["chain", "detector", "rival"]
 SYSTEMS: Final[tuple[System, ...]] = get_args(System)
+STEPS: Final[dict[LookStep, str]] = {
+    "detector": "+ odds from the detector's measures",
+    "contours": "+ contours",
+    "shape": "+ Markov field and solids",
+}
+_ORDER: Final = {step: number for number, step in enumerate(STEPS)}
+_KEPT: Final = 0.98  # of the detector's Pd
 _HEADER: Final = (
     "scene",
     "system",
@@ -48,11 +60,31 @@ _HEADER: Final = (
 _SEABED_HEADER: Final = ("sea floor", "system", "targets", "km²", "Pd at p_mine 0.5", "FA/km² at p_mine 0.5")
 
 
+_STEP_HEADER: Final = (
+    "after",
+    f"Pd at {_LIMIT_PER_KM2:g} FA/km²",
+    "Pd at p_mine 0.5",
+    "FA/km² at p_mine 0.5",
+    f"FA/km² at {_KEPT:.0%} of the detector's Pd",
+    "looks",
+    "s per hour of survey",
+)
+
+
 class Flown(NamedTuple):
-    """One mission as both systems reported it."""
+    """One mission as all systems reported it. detector: the chain without a close look. steps: the chain as far as that step.
+
+    n_looks: close looks that went as far as each step. costs_s: time on one core for all that was done up to each step, the detector's
+    under `alone`. survey_s: duration of the mission.
+    """
 
     chain: Mission
+    detector: Mission
     rival: Mission
+    steps: dict[LookStep, Mission]
+    n_looks: dict[LookStep, int]
+    costs_s: dict[str, float]
+    survey_s: float
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,8 +127,10 @@ def run(arguments: argparse.Namespace) -> int:
     print("intervals are 95 %: Wilson's for Pd, exact Poisson for FA; rocks called and errors at p_mine 0.5\n")
     laid_out = _markdown if arguments.markdown else _columns
     print(laid_out(_HEADER, [_row(name, system, score) for (name, system), score in scores.items()]))
-    print()
     *_, last = pooled
+    print()
+    print(laid_out(_STEP_HEADER, list(_step_rows(pooled[last]))))
+    print()
     print(laid_out(_SEABED_HEADER, list(_seabed_rows({system: scores[last, system] for system in SYSTEMS}))))
     if arguments.json is not None:
         told = {f"{name} {system}": json.loads(to_json(score)) for (name, system), score in scores.items()}
@@ -108,19 +142,67 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def fly(name: str, seed: int) -> Flown:
-    """One mission through a named scene, seen by both systems."""
+    """One mission through a named scene, seen by all systems."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
-    pipeline = Pipeline(config_for(scene))
+    config = config_for(scene)
+    odds, beam_width_rad = shipped_odds(), math.radians(config.sonar.beam_width_deg)
+    n_looks: Counter[LookStep] = Counter()
+    looks_s: defaultdict[LookStep, float] = defaultdict(float)
+
+    def timed_look(detection: Detection) -> Detection:
+        start = time.perf_counter()
+        looked_at = look_closely(detection, beam_width_rad, odds, config.confirm)
+        *_, last = looked_at.p_by_step
+        n_looks[last] += 1
+        looks_s[last] += time.perf_counter() - start
+        return looked_at
+
+    chain = Pipeline(config, timer=time.perf_counter, look=timed_look)
+    alone = Pipeline(msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False)))
     kept: list[NavSample | Ping] = []
     for event in mission.events():
         kept.append(event)
-        pipeline.feed(event)
-    pipeline.finish()
+        chain.feed(event)
+        alone.feed(event)
+    for pipeline in (chain, alone):
+        pipeline.finish()
     place = f"{name}, seed {seed}"
     truth = parse_truth(mission.truth(), place)
-    chain = parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), place)
-    return Flown(Mission(chain, truth, place), Mission(tuple(rival_contacts(kept)), truth, place))
+
+    def told(contacts: Sequence[Contact]) -> Mission:
+        return Mission(parse_contacts(json.loads(contacts_geojson(contacts)), place), truth, place)
+
+    pings = [event.time_s for event in kept if isinstance(event, Ping)]
+    return Flown(
+        chain=told(chain.contacts),
+        detector=told(alone.contacts),
+        rival=Mission(tuple(rival_contacts(kept)), truth, place),
+        steps={step: told([as_after(contact, step, odds.prior) for contact in chain.contacts]) for step in STEPS},
+        n_looks={"detector": n_looks.total(), "contours": n_looks["contours"] + n_looks["shape"], "shape": n_looks["shape"]},
+        costs_s=_costs_s(chain.costs_s, n_looks, looks_s),
+        survey_s=pings[-1] - pings[0],
+    )
+
+
+def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
+    """The contact as it would be if no view had been looked at beyond a step."""
+    views = [
+        msgspec.structs.replace(
+            view, p_mine=[p for name, p in view.p_by_step.items() if _ORDER[name] <= _ORDER[step]][-1], confirmation=None
+        )
+        for view in contact.views
+    ]
+    return msgspec.structs.replace(contact, p_mine=fuse(views, prior).p_mine)
+
+
+def _costs_s(stages_s: Mapping[str, float], n_looks: Mapping[LookStep, int], looks_s: Mapping[LookStep, float]) -> dict[str, float]:
+    """Seconds up to and with each step; contours of looks that went on cost what those of looks that ended there did."""
+    alone = sum(cost for stage, cost in stages_s.items() if stage != "confirm")
+    per_contour = looks_s["contours"] / max(n_looks["contours"], 1)
+    contours = looks_s["contours"] + min(per_contour * n_looks["shape"], looks_s["shape"])
+    odds = alone + looks_s["detector"]
+    return {"alone": alone, "detector": odds, "contours": odds + contours, "shape": alone + sum(looks_s.values())}
 
 
 def config_for(scene: Scene) -> Config:
@@ -169,6 +251,30 @@ def _seabed_rows(scores: dict[System, Score]) -> Iterator[list[str]]:
                     area = group.false_alarms.area_km2
                     area_text = _NOTHING if area is None else f"{area:.3f}"
                     yield [name.replace("_", " "), system, str(group.pd.of), area_text, _share(group.pd), _density(group.false_alarms)]
+
+
+def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
+    hours = sum(mission.survey_s for mission in missions) / 3600.0
+    alone = score_missions([mission.detector for mission in missions])
+    wanted = _KEPT * (alone.at_threshold.pd.value or 0.0)
+    told: list[tuple[str, str, str, Score]] = [("the detector alone", "alone", "", alone)]
+    for step, words in STEPS.items():
+        n_looks = str(sum(mission.n_looks[step] for mission in missions))
+        told.append((words, step, n_looks, score_missions([mission.steps[step] for mission in missions])))
+    told.append(("+ kinds of mine in the fusion (the chain)", "shape", "", score_missions([mission.chain for mission in missions])))
+    for words, cost, n_looks, score in told:
+        headline = next(headline for headline in score.headlines if headline.limit_per_km2 == _LIMIT_PER_KM2)
+        enough = next((point for point in score.froc if (point.pd.value or 0.0) >= wanted), None)
+        seconds = sum(mission.costs_s[cost] for mission in missions) / hours
+        yield [
+            words,
+            _share(headline.pd),
+            _share(score.at_threshold.pd),
+            _density(score.at_threshold.false_alarms),
+            _NOTHING if enough is None else _density(enough.false_alarms),
+            n_looks,
+            f"{seconds:.0f}",
+        ]
 
 
 def _share(share: Proportion) -> str:

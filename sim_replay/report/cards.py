@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
-from auv_mcm.contacts.export import best_view, class_belief, error_ellipse, is_mine_like, view_reasons
+from auv_mcm.contacts.export import best_view, error_ellipse, is_mine_like, view_reasons
 from auv_mcm.records import Confirmation, Contact, ContactClass, Detection, Waypoint
 from sim_replay.report import words
 from sim_replay.report.panels import ViewPicture, view_picture
@@ -191,7 +192,7 @@ def _view_line(number: int, view: Detection) -> ViewLine:
     if found.model is not None:
         model = f"Best model: {words.class_name(found.model.classification)}, {words.model_sizes(found.model.sizes, found.model.sigma)}"
     return ViewLine(
-        number, place, verdict, _shares(class_belief(found.mass)), words.evidence(found.log_ratio), model, _reasons(view_reasons(view))
+        number, place, verdict, _shares(singleton_belief(found.mass)), words.evidence(found.log_ratio), model, _reasons(view_reasons(view))
     )
 
 

@@ -17,12 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import FRAME, vacuous
+from auv_mcm.classify.beliefs import FRAME, singleton_belief, vacuous
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.export import (
     CSV_COLUMNS,
-    class_belief,
     contacts_csv,
     contacts_geojson,
     contacts_kml,
@@ -164,6 +163,7 @@ def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None
     nothing = np.empty((0, 2))
     found = Confirmation(
         log_ratio=3.14159,
+        shape_mass=vacuous(),
         mass=mass,
         half_turn_symmetric=False,
         labels=np.zeros((0, 0), dtype=np.uint8),
@@ -187,7 +187,7 @@ def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None
     close, far = properties["views"]
     assert close["log_ratio"] == 3.142
     assert list(close["belief"]) == [*FRAME, "unknown"]
-    assert close["belief"] == {name: pytest.approx(share, abs=5e-5) for name, share in class_belief(mass).items()}
+    assert close["belief"] == {name: pytest.approx(share, abs=5e-5) for name, share in singleton_belief(mass).items()}
     assert close["reasons"] == ["bright", "buried"]
     assert [far[name] for name in ("aspect_deg", "log_ratio", "belief")] == [None, None, None]
     row = next(csv.DictReader(io.StringIO(contacts_csv([told]))))
@@ -196,21 +196,6 @@ def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None
     description = contacts_kml([told])
     assert "2.00 ± 0.12 × 0.50 ± 0.05 × ? m" in description
     assert "belief in the class&lt;/td&gt;&lt;td&gt;0.75" in description
-
-
-@given(st.lists(st.floats(0.0, 1.0), min_size=32, max_size=32).filter(lambda shares: sum(shares[1:]) > 0.1))
-def test_belief_per_class_shares_out_all_mass_but_that_of_the_whole_frame(shares: list[float]) -> None:
-    mass = np.array([0.0, *shares[1:]]) / sum(shares[1:])
-    expected: dict[str, float] = dict.fromkeys((*FRAME, "unknown"), 0.0)
-    for number, share in enumerate(mass.tolist()):
-        members = [name for bit, name in enumerate(FRAME) if number >> bit & 1]
-        for name in members if len(members) < len(FRAME) else ["unknown"]:
-            expected[name] += share / len(members) if len(members) < len(FRAME) else share
-    assert class_belief(mass) == pytest.approx(expected)
-
-
-def test_belief_of_a_view_that_tells_nothing_is_all_unknown() -> None:
-    assert class_belief(vacuous()) == dict.fromkeys(FRAME, 0.0) | {"unknown": 1.0}
 
 
 def test_bytes_do_not_depend_on_the_order_of_contacts_or_beliefs() -> None:

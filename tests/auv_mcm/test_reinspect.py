@@ -1,4 +1,4 @@
-"""Re-inspection plans: legs square to the first view, sailable turns, short tours, anywhere on the globe."""
+"""Re-inspection plans: legs that look from where each contact asks for, sailable turns, short tours, anywhere on the globe."""
 
 from __future__ import annotations
 
@@ -24,7 +24,14 @@ CONFIG = PlanConfig(max_contacts=40)
 START_HEADING = 0.4
 
 
-def contact(name: str, latitude: float, longitude: float, p_mine: float = 0.9, aspects: tuple[float, ...] = (0.0,)) -> Contact:
+def contact(
+    name: str,
+    latitude: float,
+    longitude: float,
+    p_mine: float = 0.9,
+    next_look: tuple[float, ...] = (90.0,),
+    aspects: tuple[float, ...] = (0.0,),
+) -> Contact:
     return Contact(
         id=name,
         time_s=0.0,
@@ -40,17 +47,18 @@ def contact(name: str, latitude: float, longitude: float, p_mine: float = 0.9, a
         aspects_deg=aspects,
         reasons=(),
         views=(),
+        next_look_deg=next_look,
     )
 
 
 def field(n: int, latitude: float = 55.0, longitude: float = 12.0, seed: int = 1, half_m: float = 300.0) -> list[Contact]:
-    """Contacts strewn over a square around a place, with random aspects and p_mine above the limit."""
+    """Contacts strewn over a square around a place, with random directions to look from and p_mine above the limit."""
     generator = np.random.default_rng(seed)
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     enu = np.column_stack([generator.uniform(-half_m, half_m, (n, 2)), np.zeros(n)])
     latitudes, longitudes, _ = frame.to_geodetic(enu)
     return [
-        contact(f"C{i:04d}", float(latitudes[i]), float(longitudes[i]), generator.uniform(0.5, 1.0), (generator.uniform(0.0, 360.0),))
+        contact(f"C{i:04d}", float(latitudes[i]), float(longitudes[i]), generator.uniform(0.5, 1.0), (generator.uniform(0.0, 180.0),))
         for i in range(n)
     ]
 
@@ -70,7 +78,9 @@ PLACES = pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (55.0, 
 
 
 @PLACES
-def test_contacts_lie_at_the_stand_off_abeam_of_mid_leg_and_legs_run_square_to_the_new_look(latitude: float, longitude: float) -> None:
+def test_contacts_lie_at_the_stand_off_abeam_of_mid_leg_and_are_seen_from_the_direction_asked_for_or_its_opposite(
+    latitude: float, longitude: float
+) -> None:
     contacts = {found.id: found for found in field(12, latitude, longitude)}
     plan = plan_reinspection(contacts.values(), latitude, longitude, START_HEADING, CONFIG)
     legs = legs_of(plan)
@@ -83,8 +93,8 @@ def test_contacts_lie_at_the_stand_off_abeam_of_mid_leg_and_legs_run_square_to_t
         assert np.hypot(*middle) == pytest.approx(CONFIG.stand_off_m, abs=1e-6)
         assert abs(middle @ track) < 1e-6
         look_deg = math.degrees(math.atan2(-middle[0], -middle[1]))
-        turned = abs(math.remainder(look_deg - target.aspects_deg[0], 360.0))
-        assert turned == pytest.approx(90.0, abs=1e-5)
+        assert math.remainder(look_deg - target.next_look_deg[0], 180.0) == pytest.approx(0.0, abs=1e-5)
+        assert f"this leg looks towards {round(look_deg) % 360:03d}°" in entry.why
         assert np.hypot(*(last - first)) >= CONFIG.leg_length_m + 2.0 * CONFIG.turn_radius_m - 1e-6
         side = "starboard" if math.remainder(look_deg - math.degrees(math.atan2(*track)), 360.0) > 0.0 else "port"
         assert f"{CONFIG.stand_off_m:.1f} m to {side}" in entry.why
@@ -134,21 +144,44 @@ def test_the_plan_starts_at_the_start_and_equal_input_gives_equal_plans() -> Non
     assert all(point.why for point in plan)
 
 
-def test_only_likely_mines_seen_from_one_direction_are_visited_best_first() -> None:
+def test_only_likely_mines_that_another_look_may_decide_are_visited_the_most_undecided_first() -> None:
     contacts = [
-        contact("one_view", 55.0, 12.0, 0.6),
-        contact("same_direction", 55.001, 12.0, 0.7, (350.0, 10.0)),
-        contact("two_directions", 55.0, 12.001, 0.99, (0.0, 31.0)),
-        contact("opposite", 55.0, 12.001, 0.99, (0.0, 180.0)),
+        contact("surer", 55.0, 12.0, 0.9),
+        contact("open", 55.001, 12.0, 0.6, (20.0, 110.0), (350.0, 10.0)),
+        contact("as_open", 55.002, 12.0, 0.6),
+        contact("decided", 55.0, 12.001, 0.99, ()),
         contact("stone", 55.0, 12.001, 0.49),
         contact("lost", NAN, 12.0, 0.9),
-        contact("never_seen", 55.0, 12.0, 0.9, ()),
+        contact("lost_too", 55.0, math.inf, 0.9),
+        contact("no_direction", 55.0, 12.0, 0.9, (NAN,)),
         contact("unknown_p", 55.0, 12.0, NAN),
     ]
-    assert [c.id for c in contacts if needs_second_look(c, 0.5)] == ["one_view", "same_direction"]
-    plan = plan_reinspection(contacts, 55.0, 12.0, 0.0, PlanConfig(max_contacts=1))
-    assert {point.contact_id for point in plan} == {"same_direction"}
-    assert "seen 2 times looking towards 350°" in plan[-1].why
+    assert [c.id for c in contacts if needs_second_look(c, 0.5)] == ["surer", "open", "as_open"]
+    for n_visited, visited in enumerate([{"as_open"}, {"as_open", "open"}, {"as_open", "open", "surer"}], start=1):
+        plan = plan_reinspection(contacts, 55.0, 12.0, 0.0, PlanConfig(max_contacts=n_visited))
+        assert {point.contact_id for point in plan} == visited
+
+
+def test_below_the_even_odds_the_nearest_to_them_come_first_too() -> None:
+    contacts = [contact("likely", 55.0, 12.0, 0.75), contact("unlikely", 55.001, 12.0, 0.375), contact("hardly", 55.002, 12.0, 0.1)]
+    plan = plan_reinspection(contacts, 55.0, 12.0, 0.0, PlanConfig(max_contacts=1, min_p_mine=0.1))
+    assert {point.contact_id for point in plan} == {"unlikely"}
+
+
+def test_the_reason_names_the_direction_and_what_is_open() -> None:
+    one, two = (
+        plan_reinspection([contact("C1", 55.0, 12.0, 0.625, (20.0, 110.0), aspects)], 55.0, 12.0, 0.0, CONFIG)[-1].why
+        for aspects in ((110.0,), (350.0, 10.0))
+    )
+    assert one.startswith("second look at C1: p_mine 0.62 is undecided after one look; this leg looks towards ")
+    assert "looks towards 020°" in one or "looks towards 200°" in one
+    assert "undecided after 2 looks" in two
+
+
+def test_directions_a_hair_from_north_are_told_as_north() -> None:
+    for next_look in (0.3, 179.8):
+        plan = plan_reinspection([contact("C1", 55.0, 12.0, 0.6, (next_look,))], 55.0, 12.0, 0.0, CONFIG)
+        assert any(f"looks towards {told}°" in plan[-1].why for told in ("000", "180"))
 
 
 def test_nothing_to_visit_is_an_empty_plan() -> None:

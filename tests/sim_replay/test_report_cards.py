@@ -48,6 +48,7 @@ def confirmation(**changes: Any) -> Confirmation:
     )
     plain = Confirmation(
         log_ratio=8.4,
+        shape_mass=mass(LIKE_A_CYLINDER),
         mass=mass(LIKE_A_CYLINDER),
         half_turn_symmetric=True,
         labels=labels,

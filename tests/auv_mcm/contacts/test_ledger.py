@@ -12,10 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.classify.beliefs import EVERYTHING, subset, vacuous
+from auv_mcm.classify.odds import with_ratio
 from auv_mcm.config import ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.records import NAN, Contact, Detection
+from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection, ShapeModel
 
 HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
 FIRST_LEG: dict[str, Any] = {"heading_rad": 0.0, "side": "starboard", "aspect_deg": 90.0}
@@ -288,10 +290,14 @@ def test_views_from_other_directions_add_up_and_views_from_the_same_do_not() -> 
         return contact.p_mine
 
     odds = 0.7 / 0.3
-    assert fused(100.0) == pytest.approx(odds**2 / (1.0 + odds**2))
-    assert fused(10.0) == pytest.approx(0.7)
-    assert fused(358.0) == pytest.approx(0.7)  # 12 degrees across north
-    assert fused(100.0, 0.3) == pytest.approx(0.5)
+    both = odds**2 / (1.0 + odds**2)
+    # No view is taken for quite reliable, which costs the odds a little.
+    assert fused(100.0) == pytest.approx(both, abs=1e-3)
+    assert fused(190.0) == pytest.approx(both, abs=1e-3)
+    assert fused(10.0) == pytest.approx(0.7, abs=1e-3)
+    assert fused(100.0, 0.3) == pytest.approx(0.5, abs=1e-3)
+    across_north = [fused(aspect) for aspect in (8.0, 3.0, 358.0)]
+    assert 0.7 < across_north[0] < across_north[1] < across_north[2] < both
     assert fused(100.0, 0.001) < 0.05
 
 
@@ -314,6 +320,73 @@ def test_sizes_reasons_and_class_come_from_all_views() -> None:
     assert contact.height_m == 0.4
     assert contact.reasons == ("no_shadow", "highlight_and_shadow")
     assert contact.classification == "clutter"
+
+
+def confirmed(
+    log_ratio: float, classification: ContactClass, sizes: dict[str, float], sigma: dict[str, float], certainty: float = 0.9
+) -> Confirmation:
+    """What a close look found that shows one solid, as certain as told."""
+    nowhere = np.empty((0, 2))
+    shape_mass = vacuous()
+    shape_mass[EVERYTHING], shape_mass[subset(classification, "clutter")] = 1.0 - certainty, certainty
+    return Confirmation(
+        log_ratio=log_ratio,
+        shape_mass=shape_mass,
+        mass=with_ratio(shape_mass, log_ratio),
+        half_turn_symmetric=True,
+        labels=np.zeros((0, 0), dtype=np.uint8),
+        highlight=nowhere,
+        shadow=nowhere,
+        model=ShapeModel(classification=classification, sizes=sizes, sigma=sigma, highlight=nowhere, shadow=nowhere),
+        rejected=False,
+        reasons=("buried",),
+    )
+
+
+def test_sizes_are_those_of_the_solid_told_in_the_view_that_shows_it_best() -> None:
+    small = confirmed(2.0, "sphere", {"radius_m": 0.3, "burial_m": 0.0}, {"radius_m": 0.02})
+    large = confirmed(3.0, "sphere", {"radius_m": 0.4, "burial_m": 0.1}, {"radius_m": 0.03, "burial_m": 0.08})
+    other = confirmed(2.5, "cylinder", {"radius_m": 0.25, "length_m": 2.0}, {}, certainty=0.2)
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, aspect_deg=0.0, p_mine=0.88, confirmation=small)])
+    book.add([view(0.0, 0.0, 900.0, aspect_deg=60.0, p_mine=0.95, confirmation=large)])
+    (contact,) = book.add([view(0.0, 0.0, 1700.0, aspect_deg=120.0, p_mine=0.99, confirmation=other)])
+    assert contact.classification == "sphere"
+    told = (contact.length_m, contact.width_m, contact.height_m)
+    assert told == pytest.approx((0.8, 0.8, 0.7))
+    assert (contact.length_sigma_m, contact.width_sigma_m, contact.height_sigma_m) == pytest.approx((0.06, 0.06, 0.1))
+    assert contact.reasons == ("highlight_and_shadow", "buried")
+
+
+def test_without_a_solid_of_the_class_told_sizes_are_those_measured() -> None:
+    cylinder = confirmed(-5.0, "cylinder", {"radius_m": 0.25, "length_m": 2.0}, {"radius_m": 0.02, "length_m": 0.1})
+    (contact,) = ledger().add([view(0.0, 0.0, 100.0, p_mine=0.01, confirmation=cylinder)])
+    assert contact.classification == "clutter"
+    assert (contact.length_m, contact.width_m, contact.height_m) == (0.8, 0.4, 0.3)
+    assert math.isnan(contact.length_sigma_m)
+
+
+def test_what_every_view_knows_of_the_rate_of_mines_counts_once_per_contact() -> None:
+    """One in ten is a mine: two views that say nothing beyond that leave it there."""
+    book = Ledger(ContactsConfig(), prior=math.log(0.1 / 0.9))
+    book.add([view(0.0, 0.0, 100.0, p_mine=0.1)])
+    (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=0.1, **{**SECOND_LEG, "aspect_deg": 180.0})])
+    assert contact.p_mine == pytest.approx(0.1)
+
+
+def test_contacts_say_how_far_views_agree_and_where_to_look_next() -> None:
+    book = ledger()
+    (once,) = book.add([view(0.0, 0.0, 100.0, p_mine=0.6, aspect_deg=90.0)])
+    assert math.isnan(once.conflict)
+    assert once.next_look_deg == pytest.approx((0.0,))
+    (twice,) = book.add([view(0.0, 0.0, 900.0, p_mine=0.5, aspect_deg=60.0, heading_rad=math.pi)])
+    assert 0.0 <= twice.conflict < 0.6
+    assert twice.next_look_deg == pytest.approx((165.0, 75.0))
+    (apart,) = book.add([view(0.0, 0.0, 1700.0, p_mine=1e-5, aspect_deg=0.0)])
+    assert "views_contradict" not in apart.reasons
+    book.add([view(0.0, 0.0, 2500.0, p_mine=1.0 - 1e-5, aspect_deg=30.0)])
+    assert "views_contradict" in book.contacts[0].reasons
+    assert book.contacts[0].p_mine == 1.0 - 1e-5
 
 
 def test_nothing_in_nothing_out() -> None:

@@ -1,0 +1,102 @@
+"""How likely a mine is after each step of a close look, and the belief mass that stands for it.
+
+Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), fitted on
+simulated missions with seeds that nothing is scored on. The log-odds of mines among the detections fitted on are taken off: what is
+left is the evidence of the view alone, a log-likelihood ratio that several views may add up. How rare mines are is put back once per
+contact, as one more source.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib import resources
+from typing import Annotated, Final, TypeAlias
+
+import msgspec
+import numpy as np
+
+from auv_mcm.classify.beliefs import MINES, Array, conjunctive, plausibility, subset, vacuous
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import LookStep
+
+TEMPER: Final = 0.5  # views sure by 6 nats that contradict each other are a conflict of 0.9, at which they are kept apart
+_RELIABILITY: Final = 0.999
+_BOUND: Final = 12.0  # nats
+_CLUTTER: Final = subset("clutter")
+
+
+_Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+_Prior: TypeAlias = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
+
+
+class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """log-odds = offset + sum of weight * feature."""
+
+    offset: _Weight
+    weights: dict[str, _Weight]
+
+
+class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The weights of each step. prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were."""
+
+    fitted_on: str
+    prior: _Prior
+    detector: Weights
+    contours: Weights
+    shape: Weights
+
+    def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
+        """Evidence in nats for a mine against anything else, without the prior, at most 12 either way.
+
+        Raises ValueError if the step's features are not those it was fitted with.
+        """
+        weighed: Weights = getattr(self, step)
+        if weighed.weights.keys() != features.keys():
+            raise ValueError(f"{step}: fitted with {sorted(weighed.weights)}, asked with {sorted(features)}")
+        odds = weighed.offset + sum(weight * features[name] for name, weight in weighed.weights.items())
+        return min(max(odds - self.prior, -_BOUND), _BOUND)
+
+    def p_mine(self, log_ratio: float) -> float:
+        """Probability of a mine for one view's evidence."""
+        return 1.0 / (1.0 + math.exp(-(log_ratio + self.prior)))
+
+
+def shipped_odds() -> MineOdds:
+    """The weights that ship with the package."""
+    return parse_odds(resources.files("auv_mcm.classify").joinpath("mine_odds.json").read_bytes(), "mine_odds.json")
+
+
+def parse_odds(data: bytes, place: str) -> MineOdds:
+    """Weights from JSON. Raises BadInputError naming `place` and what is wrong with it."""
+    try:
+        return msgspec.json.decode(data, type=MineOdds)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Make the file anew with 'python -m sim_replay.calibrate'") from error
+
+
+def mass_of_ratio(log_ratio: float) -> Array:
+    """(32,) mass on "a mine" and on "clutter" for evidence in nats; 0 nats say as much for either."""
+    mass = (1.0 - _RELIABILITY) * vacuous()
+    share = 1.0 / (1.0 + math.exp(-TEMPER * log_ratio))
+    mass[MINES] += _RELIABILITY * share
+    mass[_CLUTTER] += _RELIABILITY * (1.0 - share)
+    return mass
+
+
+def with_ratio(mass: Array, log_ratio: float) -> Array:
+    """(32,) `mass` (32,) and evidence in nats together, by Dempster's rule."""
+    both = conjunctive(mass, mass_of_ratio(log_ratio))[0]
+    both[0] = 0.0
+    return np.asarray(both / both.sum())
+
+
+def ratio_of_mass(mass: Array) -> float:
+    """Nats for a mine against clutter that a mass (32,) stands for: the inverse of `mass_of_ratio` but for its reliability.
+
+    From plausibilities, which multiply under Dempster's rule as likelihoods do (B. R. Cobb and P. P. Shenoy, Int. J. Approximate
+    Reasoning 41, 2006); ignorance gives 0.
+    """
+    likely = plausibility(mass)
+    least = 1.0 - _RELIABILITY
+    return math.log(max(float(likely[MINES]), least**2) / max(float(likely[_CLUTTER]), least**2)) / TEMPER
