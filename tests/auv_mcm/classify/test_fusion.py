@@ -1,0 +1,300 @@
+"""What several views say together: new evidence counts, repeated evidence hardly, contradiction is told."""
+
+from __future__ import annotations
+
+import math
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import pytest
+from drawn_looks import confirmation, detection, like
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.classify.beliefs import FRAME, vacuous
+from auv_mcm.classify.fusion import CONTRADICTION, Verdict, fuse
+from auv_mcm.records import NAN, Detection
+
+PRIOR = math.log(0.1 / 0.9)
+
+
+def looked_at(
+    log_ratio: float,
+    aspect_deg: float,
+    time_s: float = 0.0,
+    prior: float = PRIOR,
+    shape: NDArray[np.float64] | None = None,
+    **values: Any,
+) -> Detection:
+    """A view with evidence in nats, and which solids its shadow may be of."""
+    found = confirmation(log_ratio, shape, **values)
+    return detection(p_mine=1.0 / (1.0 + math.exp(-(log_ratio + prior))), aspect_deg=aspect_deg, time_s=time_s, confirmation=found)
+
+
+def odds(verdict: Verdict) -> float:
+    return math.log(verdict.p_mine / (1.0 - verdict.p_mine))
+
+
+def told(verdict: Verdict) -> tuple[Any, ...]:
+    """All of it, where NaN is NaN."""
+    return tuple(str(field) for field in verdict)
+
+
+aspects = st.floats(0.0, 359.0)
+shapes = st.sampled_from([None, like("cylinder"), like("sphere", "truncated_cone"), like("wedge", quality=0.6)])
+views = st.lists(st.tuples(st.floats(-8.0, 8.0), aspects, shapes, st.booleans(), st.booleans()), min_size=1, max_size=6).map(
+    lambda rows: [
+        looked_at(log_ratio, aspect, float(number), shape=shape, half_turn_symmetric=symmetric)
+        if close
+        else detection(p_mine=1.0 / (1.0 + math.exp(-log_ratio)), aspect_deg=aspect, time_s=float(number))
+        for number, (log_ratio, aspect, shape, symmetric, close) in enumerate(rows)
+    ]
+)
+
+
+# ---------------------------------------------------------------- one view
+
+
+@given(st.floats(-12.0, 12.0), st.floats(-6.0, 2.0), aspects, shapes)
+def test_one_view_keeps_its_p_mine_to_the_last_bit(
+    log_ratio: float, prior: float, aspect: float, shape: NDArray[np.float64] | None
+) -> None:
+    view = looked_at(log_ratio, aspect, prior=prior, shape=shape)
+    verdict = fuse([view], prior)
+    assert verdict.p_mine == view.p_mine
+    assert math.isnan(verdict.conflict)
+    assert verdict.reasons == ()
+
+
+@given(st.floats(0.0, 1.0))
+def test_one_view_without_a_close_look_keeps_its_p_mine_too(p_mine: float) -> None:
+    assert fuse([detection(p_mine=p_mine)], PRIOR).p_mine == p_mine
+
+
+def test_no_views_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least one view"):
+        fuse([], PRIOR)
+
+
+# ---------------------------------------------------------------- any views
+
+
+@settings(max_examples=50)
+@given(views, st.integers(0, 1000))
+def test_the_order_of_views_changes_not_a_bit(seen: list[Detection], seed: int) -> None:
+    shuffled = np.random.Generator(np.random.PCG64(seed)).permutation(len(seen))
+    assert told(fuse(seen, PRIOR)) == told(fuse([seen[number] for number in shuffled], PRIOR))
+
+
+def test_more_than_ten_views_in_any_order_are_the_same_too() -> None:
+    seen = [looked_at(0.3 * number - 1.0, 31.0 * number, float(number), shape=like("cylinder", quality=0.5)) for number in range(12)]
+    assert told(fuse(seen, PRIOR)) == told(fuse(seen[::-1], PRIOR)) == told(fuse(seen[5:] + seen[:5], PRIOR))
+
+
+@settings(max_examples=50)
+@given(views, st.floats(-6.0, 2.0))
+def test_belief_sums_to_one_and_everything_is_a_number_in_its_range(seen: list[Detection], prior: float) -> None:
+    verdict = fuse(seen, prior)
+    assert set(verdict.belief) == {*FRAME, "unknown"}
+    assert sum(verdict.belief.values()) == pytest.approx(1.0, abs=1e-12)
+    assert all(share >= 0.0 for share in verdict.belief.values())
+    assert 0.0 <= verdict.p_mine <= 1.0
+    assert math.isnan(verdict.conflict) == (len(seen) == 1)
+    assert len(seen) == 1 or 0.0 <= verdict.conflict <= 1.0
+    assert all(0.0 <= direction < 180.0 for direction in verdict.next_look_deg)
+
+
+@settings(max_examples=50)
+@given(views)
+def test_the_class_is_a_mine_where_p_mine_says_so(seen: list[Detection]) -> None:
+    """Of what p_mine leaves, the one believed in most."""
+    verdict = fuse(seen, PRIOR)
+    assert verdict.p_mine < 0.5 or verdict.classification != "clutter"
+    left = {name: share for name, share in verdict.belief.items() if verdict.p_mine < 0.5 or name != "clutter"}
+    assert verdict.belief[verdict.classification] == max(left.values())
+
+
+# ---------------------------------------------------------------- evidence adds up, or repeats itself
+
+
+def test_evidence_from_all_sides_adds_up() -> None:
+    """As Bayes' rule has it for independent looks, but for the little that no view is relied on."""
+    for ratios in ([2.0, 1.0], [2.0, -1.0], [1.0, 1.0, 1.0], [-2.0, -1.0, 0.5]):
+        seen = [looked_at(ratio, 80.0 * number, float(number)) for number, ratio in enumerate(ratios)]
+        assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + sum(ratios), abs=0.03)
+
+
+@given(st.lists(aspects, min_size=2, max_size=5), st.floats(-6.0, 2.0))
+@settings(max_examples=30)
+def test_views_without_evidence_stay_at_the_prior_however_many(directions: list[float], prior: float) -> None:
+    seen = [looked_at(0.0, aspect, float(number), prior) for number, aspect in enumerate(directions)]
+    assert odds(fuse(seen, prior)) == pytest.approx(prior, abs=1e-6)
+
+
+@settings(max_examples=30)
+@given(st.floats(0.5, 5.0), st.floats(20.0, 340.0))
+def test_an_agreeing_view_from_another_side_sharpens_and_the_same_again_hardly(log_ratio: float, apart_deg: float) -> None:
+    for sign in (1.0, -1.0):
+        one = looked_at(sign * log_ratio, 0.0)
+        alone = odds(fuse([one], PRIOR))
+        beside = odds(fuse([one, looked_at(sign * log_ratio, apart_deg, 1.0)], PRIOR))
+        again = odds(fuse([one, looked_at(sign * log_ratio, 0.5, 1.0)], PRIOR))
+        assert sign * (beside - alone) > 0.8 * log_ratio
+        assert abs(again - alone) < 0.1 * log_ratio
+
+
+def test_turning_on_from_the_first_view_the_second_counts_for_ever_more() -> None:
+    turned = [odds(fuse([looked_at(2.0, 350.0), looked_at(2.0, 350.0 + apart, 1.0)], PRIOR)) for apart in (0.0, 2.0, 5.0, 10.0, 20.0, 90.0)]
+    assert turned == sorted(turned)
+    assert turned[0] == pytest.approx(PRIOR + 2.0, abs=0.05)
+    assert turned[-1] == pytest.approx(PRIOR + 4.0, abs=0.05)
+
+
+def test_the_opposite_side_is_new_evidence_of_a_mine() -> None:
+    shape = like("cylinder", "truncated_cone", quality=0.7)
+    opposite = fuse([looked_at(2.0, 10.0, shape=shape), looked_at(2.0, 190.0, 1.0, shape=shape)], PRIOR)
+    assert odds(opposite) == pytest.approx(PRIOR + 4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_different_from_there(symmetric: bool) -> None:
+    """Square views count in full either way, and the odds of a mine are the same: all else is what shapes say of the kind."""
+
+    def belief_in_wedge(apart_deg: float) -> float:
+        aspects = (10.0, 10.0 + apart_deg)
+        seen = [looked_at(4.0, aspect, aspect, shape=like("wedge", quality=0.7), half_turn_symmetric=symmetric) for aspect in aspects]
+        return fuse(seen, PRIOR).belief["wedge"]
+
+    gained = belief_in_wedge(90.0) - belief_in_wedge(180.0)
+    assert gained > 0.1 if symmetric else gained == pytest.approx(0.0, abs=1e-3)
+
+
+def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
+    both = fuse([looked_at(4.0, 0.0, shape=like("cylinder", "sphere")), looked_at(4.0, 90.0, 1.0, shape=like("cylinder", "wedge"))], PRIOR)
+    assert both.classification == "cylinder"
+    assert both.belief["cylinder"] > 0.7
+    assert both.conflict < 0.3
+
+
+# ---------------------------------------------------------------- views that do not fit together
+
+
+def test_views_sure_of_opposite_things_are_not_fused_and_the_most_mine_like_speaks() -> None:
+    mine, stone = looked_at(7.0, 0.0, shape=like("cylinder")), looked_at(-7.0, 90.0, 1.0)
+    verdict = fuse([stone, mine], PRIOR)
+    assert verdict.reasons == (CONTRADICTION,)
+    assert verdict.conflict >= 0.9
+    assert verdict.p_mine == mine.p_mine
+    assert verdict.classification == "cylinder"
+    assert verdict.belief == fuse([mine], PRIOR).belief
+
+
+def test_of_equally_mine_like_views_the_first_speaks() -> None:
+    later, earlier = looked_at(6.5, 0.0, 2.0, shape=like("wedge")), looked_at(6.5, 90.0, 1.0, shape=like("sphere"))
+    for order in permutations([later, earlier, looked_at(-9.0, 45.0, 9.0)]):
+        verdict = fuse(order, PRIOR)
+        assert verdict.reasons == (CONTRADICTION,)
+        assert verdict.classification == "sphere"
+
+
+def test_views_that_waver_are_fused_without_a_word() -> None:
+    verdict = fuse([looked_at(2.0, 0.0), looked_at(-2.0, 90.0, 1.0)], PRIOR)
+    assert verdict.reasons == ()
+    assert 0.0 < verdict.conflict < 0.9
+    assert odds(verdict) == pytest.approx(PRIOR, abs=0.1)
+
+
+def test_a_contradiction_in_between_leaves_the_matter_open() -> None:
+    """Neither apart nor agreeing: what contradicts is unknown, and the odds are those before any look."""
+    verdict = fuse([looked_at(5.0, 0.0), looked_at(-5.0, 90.0, 1.0)], PRIOR)
+    assert 0.6 < verdict.conflict < 0.9
+    assert verdict.reasons == ()
+    assert odds(verdict) == pytest.approx(PRIOR, abs=0.1)
+    assert verdict.next_look_deg != ()
+
+
+# ---------------------------------------------------------------- no close look
+
+
+@settings(max_examples=30)
+@given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), aspects)
+def test_a_view_without_a_close_look_counts_by_its_p_mine(first: float, second: float, aspect: float) -> None:
+    """As one with the same evidence and nothing to say about the kind."""
+    close = [looked_at(first, 0.0), looked_at(second, aspect, 1.0)]
+    far = [detection(p_mine=view.p_mine, aspect_deg=view.aspect_deg, time_s=view.time_s) for view in close]
+    for seen in (far, [close[0], far[1]], [far[0], close[1]]):
+        verdict, expected = fuse(seen, PRIOR), fuse(close, PRIOR)
+        assert verdict.p_mine == pytest.approx(expected.p_mine, abs=1e-9)
+        assert verdict.belief == pytest.approx(expected.belief, abs=1e-9)
+
+
+def test_views_sure_beyond_their_digits_break_nothing() -> None:
+    seen = [detection(p_mine=p_mine, aspect_deg=aspect, time_s=aspect) for p_mine, aspect in ((1.0, 0.0), (1.0, 90.0))]
+    assert fuse(seen, PRIOR).p_mine > 0.999
+    seen.append(detection(p_mine=0.0, aspect_deg=45.0, time_s=99.0))
+    assert fuse(seen, PRIOR).reasons == (CONTRADICTION,)
+
+
+# ---------------------------------------------------------------- where to look next
+
+
+def widest_gap_middle_deg(directions: list[float]) -> float:
+    """By trying every tenth of a degree: the direction farthest from all had, opposite ones alike."""
+    tried = np.arange(0.0, 180.0, 0.1)
+    apart = np.abs(tried[:, np.newaxis] - np.array(directions))
+    apart = np.abs(apart - 180.0 * np.round(apart / 180.0))
+    return float(tried[apart.min(axis=1).argmax()])
+
+
+@settings(max_examples=50)
+@given(st.lists(aspects, min_size=1, max_size=5))
+def test_the_next_look_points_into_the_widest_gap_of_aspects(directions: list[float]) -> None:
+    seen = [detection(p_mine=0.5, aspect_deg=aspect, time_s=float(number)) for number, aspect in enumerate(directions)]
+    verdict = fuse(seen, 0.0)
+    expected = widest_gap_middle_deg(directions)
+
+    def room_deg(direction: float) -> float:
+        return min(abs(math.remainder(direction - had, 180.0)) for had in directions)
+
+    assert 1 <= len(verdict.next_look_deg) <= 2
+    assert room_deg(verdict.next_look_deg[0]) == pytest.approx(room_deg(expected), abs=0.2)
+
+
+def test_one_view_is_looked_at_again_square_to_it() -> None:
+    assert fuse([detection(p_mine=0.5, aspect_deg=190.0)], PRIOR).next_look_deg == pytest.approx((100.0,))
+
+
+def test_what_is_decided_is_not_looked_at_again() -> None:
+    for p_mine in (0.04, 0.96):
+        assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg == ()
+    for p_mine in (0.06, 0.5, 0.94):
+        assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg != ()
+    sure = [looked_at(4.0, aspect, aspect) for aspect in (0.0, 60.0, 120.0)]
+    assert fuse(sure[:1], PRIOR).next_look_deg != ()
+    assert fuse(sure, PRIOR).next_look_deg == ()
+
+
+def test_a_view_from_nowhere_known_asks_for_no_direction() -> None:
+    verdict = fuse([detection(p_mine=0.5, aspect_deg=NAN)], PRIOR)
+    assert verdict.next_look_deg == ()
+    assert verdict.p_mine == 0.5
+
+
+# ---------------------------------------------------------------- the class told
+
+
+def test_the_class_told_follows_shape_once_it_is_a_mine() -> None:
+    assert fuse([looked_at(5.0, 0.0, shape=like("wedge"))], PRIOR).classification == "wedge"
+    assert fuse([looked_at(-5.0, 0.0, shape=like("wedge"))], PRIOR).classification == "clutter"
+    assert fuse([looked_at(5.0, 0.0, shape=vacuous())], PRIOR).classification == "unknown"
+    assert fuse([looked_at(5.0, 0.0, shape=like("sphere", "truncated_cone"))], PRIOR).classification == "unknown"
+
+
+def test_the_prior_is_in_the_belief_once() -> None:
+    """A view whose evidence just makes up for how rare mines are leaves mine and clutter even, be it one view or two."""
+    for seen in ([looked_at(-PRIOR, 0.0)], [looked_at(-0.5 * PRIOR, 0.0), looked_at(-0.5 * PRIOR, 90.0, 1.0)]):
+        verdict = fuse(seen, PRIOR)
+        assert verdict.p_mine == pytest.approx(0.5, abs=1e-2)
+        assert verdict.belief["clutter"] == pytest.approx(0.5, abs=1e-2)

@@ -1,0 +1,248 @@
+"""Evidence in nats, its odds and its masses: against sums and Dempster's rule written out, and files that are no weights."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from drawn_looks import detection, no_contours, no_fits
+from hypothesis import given
+from hypothesis import strategies as st
+
+from auv_mcm.classify import odds as odds_module
+from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, dempster, subset, vacuous
+from auv_mcm.classify.features import contour_features, detector_features, shape_features
+from auv_mcm.classify.odds import MineOdds, Weights, mass_of_ratio, parse_odds, ratio_of_mass, shipped_odds, with_ratio
+from auv_mcm.errors import BadInputError
+
+CLUTTER = subset("clutter")
+NOTHING = Weights(offset=0.0, weights={})
+SHIPPED = Path(odds_module.__file__).with_name("mine_odds.json")
+
+ratios = st.floats(-12.0, 12.0)
+numbers = st.floats(-50.0, 50.0)
+
+
+def weighing(weights: dict[str, float], offset: float = 0.0, prior: float = 0.0) -> MineOdds:
+    return MineOdds(fitted_on="nothing", prior=prior, detector=Weights(offset=offset, weights=weights), contours=NOTHING, shape=NOTHING)
+
+
+# ---------------------------------------------------------------- features to nats
+
+
+@given(st.dictionaries(st.text(max_size=3), st.tuples(numbers, numbers), max_size=5), numbers, st.floats(-20.0, 20.0))
+def test_evidence_is_the_weighted_sum_without_the_prior_and_bounded(
+    pairs: dict[str, tuple[float, float]], offset: float, prior: float
+) -> None:
+    odds = weighing({name: weight for name, (weight, _) in pairs.items()}, offset, prior)
+    found = odds.log_ratio("detector", {name: value for name, (_, value) in pairs.items()})
+    expected = offset - prior
+    for weight, value in pairs.values():
+        expected += weight * value
+    assert found == pytest.approx(max(-12.0, min(12.0, expected)), abs=1e-9)
+
+
+def test_every_step_has_weights_of_its_own() -> None:
+    odds = MineOdds(
+        fitted_on="nothing",
+        prior=-1.0,
+        detector=Weights(offset=0.5, weights={"a": 2.0}),
+        contours=Weights(offset=0.25, weights={"a": 1.0, "b": -1.0}),
+        shape=Weights(offset=0.0, weights={}),
+    )
+    assert odds.log_ratio("detector", {"a": 1.0}) == 3.5
+    assert odds.log_ratio("contours", {"b": 2.0, "a": 1.0}) == 0.25
+    assert odds.log_ratio("shape", {}) == 1.0
+
+
+@pytest.mark.parametrize("features", [{}, {"a": 1.0}, {"a": 1.0, "b": 1.0, "c": 1.0}, {"a": 1.0, "B": 1.0}])
+def test_features_it_was_not_fitted_with_are_refused(features: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=re.escape("detector: fitted with ['a', 'b'], asked with")):
+        weighing({"a": 1.0, "b": 1.0}).log_ratio("detector", features)
+
+
+@given(ratios, st.floats(-20.0, 20.0))
+def test_p_mine_has_the_prior_in_it_again(log_ratio: float, prior: float) -> None:
+    """By Bayes' rule on odds."""
+    posterior = math.exp(log_ratio) * math.exp(prior)
+    assert weighing({}, prior=prior).p_mine(log_ratio) == pytest.approx(posterior / (1.0 + posterior), rel=1e-9)
+
+
+def test_a_view_that_tells_nothing_stays_at_the_rate_of_mines() -> None:
+    odds = weighing({"a": 0.0}, offset=math.log(3.0 / 97.0), prior=math.log(3.0 / 97.0))
+    assert odds.p_mine(odds.log_ratio("detector", {"a": 7.0})) == pytest.approx(0.03)
+
+
+# ---------------------------------------------------------------- nats to masses and back
+
+
+@given(ratios)
+def test_mass_lies_on_mines_clutter_and_a_little_on_everything(log_ratio: float) -> None:
+    mass = mass_of_ratio(log_ratio)
+    assert set(np.flatnonzero(mass)) == {MINES, CLUTTER, EVERYTHING}
+    assert mass.sum() == pytest.approx(1.0, abs=1e-12)
+    assert mass[EVERYTHING] == pytest.approx(0.001)
+    assert math.log(mass[MINES] / mass[CLUTTER]) == pytest.approx(0.5 * log_ratio, abs=1e-9)
+
+
+@given(ratios)
+def test_ratio_of_mass_undoes_mass_of_ratio_but_for_its_reliability(log_ratio: float) -> None:
+    back = ratio_of_mass(mass_of_ratio(log_ratio))
+    # Of n nats a share of 1e-3 doubts the side that is spoken against, which weighs exp(n / 2) as much there.
+    doubt = 0.001 * math.exp(0.5 * abs(log_ratio))
+    assert abs(log_ratio) - 2.0 * math.log1p(2.0 * doubt) - 1e-9 <= abs(back) <= abs(log_ratio) + 1e-9
+    assert back * log_ratio >= 0.0
+
+
+def test_a_few_nats_come_back_as_they_were() -> None:
+    for log_ratio in (-4.0, -1.0, -0.1, 0.0, 0.1, 1.0, 4.0):
+        assert ratio_of_mass(mass_of_ratio(log_ratio)) == pytest.approx(log_ratio, abs=0.02)
+
+
+@given(ratios, ratios)
+def test_more_evidence_never_counts_as_less(first: float, second: float) -> None:
+    low, high = sorted((first, second))
+    assert ratio_of_mass(mass_of_ratio(low)) <= ratio_of_mass(mass_of_ratio(high)) + 1e-12
+    if high - low > 1e-3:
+        assert ratio_of_mass(mass_of_ratio(low)) < ratio_of_mass(mass_of_ratio(high))
+
+
+@given(ratios)
+def test_what_speaks_for_and_against_is_told_alike(log_ratio: float) -> None:
+    assert ratio_of_mass(mass_of_ratio(-log_ratio)) == pytest.approx(-ratio_of_mass(mass_of_ratio(log_ratio)), abs=1e-9)
+
+
+def test_ignorance_is_no_evidence() -> None:
+    assert ratio_of_mass(vacuous()) == 0.0
+    assert ratio_of_mass(mass_of_ratio(0.0)) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("certain", [MINES, CLUTTER, subset("sphere")])
+def test_certainty_counts_as_finite_evidence(certain: int) -> None:
+    mass = np.zeros(32)
+    mass[certain] = 1.0
+    assert ratio_of_mass(mass) == pytest.approx((-1.0 if certain == CLUTTER else 1.0) * 2.0 * math.log(1e6))
+
+
+@given(st.lists(st.floats(-5.0, 5.0), min_size=2, max_size=4))
+def test_evidence_of_independent_views_adds_up_by_dempsters_rule(views: list[float]) -> None:
+    masses = [mass_of_ratio(view) for view in views]
+    together = ratio_of_mass(dempster(np.stack(masses)).mass)
+    assert together == pytest.approx(sum(ratio_of_mass(mass) for mass in masses), abs=1e-6)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=32, max_size=32).filter(lambda shares: sum(shares[1:]) > 0.1), ratios)
+def test_a_mass_with_evidence_is_dempsters_rule_pair_by_pair(shares: list[float], log_ratio: float) -> None:
+    mass = np.array([0.0, *shares[1:]]) / sum(shares[1:])
+    evidence = mass_of_ratio(log_ratio)
+    expected = np.zeros(32)
+    for a in range(32):
+        for b in (MINES, CLUTTER, EVERYTHING):
+            if a & b:
+                expected[a & b] += mass[a] * evidence[b]
+    np.testing.assert_allclose(with_ratio(mass, log_ratio), expected / expected.sum(), atol=1e-12)
+
+
+def test_evidence_for_a_mine_names_no_kind_and_leaves_what_the_shape_says() -> None:
+    np.testing.assert_allclose(with_ratio(vacuous(), 3.0), mass_of_ratio(3.0), atol=1e-15)
+    shape = conjunctive(vacuous(), vacuous())[0]
+    shape[EVERYTHING], shape[subset("wedge", "clutter")] = 0.2, 0.8
+    told = with_ratio(shape, 8.0)
+    assert told[subset("wedge")] == pytest.approx(0.8 * 0.98, abs=0.01)
+    assert told[0] == 0.0
+
+
+# ---------------------------------------------------------------- files
+
+
+def written(**changes: Any) -> dict[str, Any]:
+    step = {"offset": 0.5, "weights": {"a": 1.0}}
+    return {"fitted_on": "a test", "prior": -2.0, "detector": step, "contours": step, "shape": step, **changes}
+
+
+def data_of(**changes: Any) -> bytes:
+    return json.dumps(written(**changes)).encode()
+
+
+def test_weights_written_are_read_back() -> None:
+    odds = parse_odds(data_of(), "here.json")
+    assert odds.prior == -2.0
+    assert odds.log_ratio("shape", {"a": 1.0}) == 3.5
+    assert parse_odds(msgspec.json.encode(odds), "again.json") == odds
+
+
+STEP = {"offset": 0.0, "weights": {}}
+BAD = {
+    "empty": b"",
+    "not JSON": b"weights: 1",
+    "not text": b"\xff\xfe\x00",
+    "text that is not UTF-8": data_of().replace(b"a test", b"\xff\xfe"),
+    "a list": b"[]",
+    "no object": b"null",
+    "more after the end": data_of() + b"{}",
+    "NaN": data_of().replace(b"-2.0", b"NaN"),
+    "infinite": data_of().replace(b"-2.0", b"1e999"),
+    "a prior beyond belief": data_of(prior=-1e6),
+    "a weight beyond sense": data_of(shape={"offset": 0.0, "weights": {"a": 1e300}}),
+    "an offset beyond sense": data_of(shape={"offset": -1e300, "weights": {}}),
+    "text for a number": data_of(prior="0"),
+    "nothing for a number": data_of(prior=None),
+    "a step missing": json.dumps({key: value for key, value in written().items() if key != "shape"}).encode(),
+    "an unknown step": data_of(echo=STEP),
+    "an unknown key in a step": data_of(shape={**STEP, "slope": 1.0}),
+    "weights that are a list": data_of(shape={"offset": 0.0, "weights": [1.0]}),
+}
+
+
+@pytest.mark.parametrize("data", BAD.values(), ids=BAD.keys())
+def test_files_that_are_no_weights_are_refused_by_name(data: bytes) -> None:
+    with pytest.raises(BadInputError, match=r"^/data/mine_odds\.json: .*sim_replay\.calibrate"):
+        parse_odds(data, "/data/mine_odds.json")
+
+
+def test_what_is_wrong_inside_a_file_is_told_with_its_place() -> None:
+    with pytest.raises(BadInputError, match=r"Expected `float`, got `str` - at `\$\.shape\.offset`"):
+        parse_odds(data_of(shape={"offset": "1", "weights": {}}), "f.json")
+    with pytest.raises(BadInputError, match=r"unknown field `slope` - at `\$\.shape`"):
+        parse_odds(data_of(shape={**STEP, "slope": 1.0}), "f.json")
+
+
+@given(st.integers(0, 10_000))
+def test_a_file_cut_off_anywhere_is_refused(length: int) -> None:
+    data = SHIPPED.read_bytes().rstrip()
+    with pytest.raises(BadInputError, match=r"^f\.json: "):
+        parse_odds(data[: length % len(data)], "f.json")
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_are_weights_or_refused(data: bytes) -> None:
+    with pytest.raises(BadInputError, match=r"^f\.json: "):
+        parse_odds(data, "f.json")
+
+
+def test_the_shipped_weights_are_for_the_features_there_are() -> None:
+    odds = shipped_odds()
+    detector = detector_features(detection())
+    contours = contour_features(no_contours())
+    shape = shape_features(no_fits(), np.zeros((2, 2), dtype=np.uint8))
+    assert len(detector) + len(contours) + len(shape) == len(detector | contours | shape), "names are unique"
+    assert odds.detector.weights.keys() == detector.keys()
+    assert odds.contours.weights.keys() == (detector | contours).keys()
+    assert odds.shape.weights.keys() == (detector | contours | shape).keys()
+    assert odds.prior < math.log(0.5), "most detections are no mines"
+
+
+@given(st.integers(0, 1000))
+def test_the_shipped_weights_give_probabilities_for_any_features(seed: int) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    odds = shipped_odds()
+    for step in (odds.detector, odds.contours, odds.shape):
+        assert all(map(math.isfinite, (step.offset, *step.weights.values())))
+    features = {name: float(random.normal(0.0, 10.0)) for name in odds.shape.weights}
+    assert 0.0 < odds.p_mine(odds.log_ratio("shape", features)) < 1.0
