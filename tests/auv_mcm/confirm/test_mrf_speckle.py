@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
+from auv_mcm.confirm.speckle import Correlation, block_means, grain_area, looks_of_blocks, measure_correlation, nyquist_factors
 from sim_replay.benches.drawn_regions import Drawing, draw_region
 
 
@@ -38,6 +38,56 @@ def test_pixels_left_out_do_not_count() -> None:
     spoilt = np.where(background, plane, 1e5)
     assert measure_correlation(spoilt, background) == measure_correlation(np.where(background, plane, 0.0), background)
     assert measure_correlation(plane, np.zeros_like(background)) == Correlation(1.0, 1.0)
+
+
+GRAINS = pytest.mark.parametrize(("spread_rows", "spread_columns"), [(0.0, 0.0), (0.8, 0.8), (1.4, 1.1), (0.0, 1.2)])
+
+
+def area_in(plane: NDArray[np.float64]) -> float:
+    return grain_area(plane, np.ones(plane.shape, dtype=np.bool_))
+
+
+@GRAINS
+def test_the_area_of_a_grain_is_that_of_the_point_spread(spread_rows: float, spread_columns: float) -> None:
+    expected = math.prod(max(1.0, math.sqrt(2.0 * math.pi) * spread) for spread in (spread_rows, spread_columns))
+    for seed in range(4):
+        assert area_in(sea_floor(seed, spread_rows, spread_columns)) == pytest.approx(expected, rel=0.25)
+
+
+@GRAINS
+@pytest.mark.parametrize("object_rows", [10, 60])
+def test_an_object_with_its_shadow_hardly_changes_the_area_of_a_grain(spread_rows: float, spread_columns: float, object_rows: int) -> None:
+    drawing = Drawing(object_rows=object_rows, spread_rows=spread_rows, spread_columns=spread_columns, seed=5, n_rows=160, n_columns=200)
+    with_object = draw_region(drawing)[0].intensity
+    assert area_in(with_object) == pytest.approx(area_in(sea_floor(5, spread_rows, spread_columns)), rel=0.15)
+
+
+@GRAINS
+@pytest.mark.parametrize("along_rows", [True, False])
+def test_a_ripple_crest_hardly_changes_the_area_of_a_grain(spread_rows: float, spread_columns: float, along_rows: bool) -> None:
+    """Bright and dark stripes over two fifths of the region, which by themselves are correlated over several pixels."""
+    plain = sea_floor(6, spread_rows, spread_columns)
+    plane = plain.copy()
+    stripes = plane.T if along_rows else plane
+    n = 2 * len(stripes) // 5
+    stripes[:n] *= 1.0 + 0.9 * np.sin(2.0 * math.pi * np.arange(n) / 14.0)[:, np.newaxis]
+    assert area_in(plane) == pytest.approx(area_in(plain), rel=0.15)
+
+
+def test_pixels_not_measured_do_not_count_for_the_area_of_a_grain() -> None:
+    plane = sea_floor(7, 0.8, 0.8)
+    usable = np.ones(plane.shape, dtype=np.bool_)
+    usable[:100] = False
+    spoilt = np.where(usable, plane, 1e5)
+    assert grain_area(spoilt, usable) == grain_area(np.where(usable, plane, math.nan), usable)
+    assert grain_area(spoilt, usable) == pytest.approx(area_in(plane), rel=0.2)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (2, 50), (50, 2), (20, 20)])
+def test_where_nothing_can_be_measured_grains_are_taken_for_pixels(shape: tuple[int, int]) -> None:
+    assert area_in(sea_floor(8, 0.8, 0.8)[: shape[0], : shape[1]]) == 1.0
+    assert grain_area(sea_floor(8, 0.8, 0.8), np.zeros((160, 200), dtype=np.bool_)) == 1.0
+    assert area_in(np.ones((100, 100))) == 1.0
 
 
 @pytest.mark.parametrize("factors", [(1, 1), (2, 3), (3, 2), (4, 4)])
