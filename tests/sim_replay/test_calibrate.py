@@ -1,0 +1,404 @@
+"""Weights fitted on made-up detections: against Newton's method written out, and what the command refuses."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import Detection, Surroundings
+from sim_replay import calibrate
+from sim_replay.benches.scenes import SCENES
+from sim_replay.calibrate import Example, examples_of, fit, main
+
+WEIGHTS = {"a": 1.5, "b": -0.7, "c": 0.0}
+OFFSET = -1.0
+
+
+def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat") -> Example:
+    """All steps measured the same; the detector's own odds among them, which the report asks for."""
+    known = {"detector_odds": 0.0, **features}
+    return Example(scene, is_target, weight, known, known, known)
+
+
+def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]:
+    """n examples of the logistic model above, features standing apart in level and scale."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    values = random.normal(0.0, 1.0, (n, len(WEIGHTS))) * [1.0, 2.0, 0.5] + [0.0, 1.0, -3.0]
+    p = 1.0 / (1.0 + np.exp(-(OFFSET + values @ list(WEIGHTS.values()))))
+    is_target = random.random(n) < p
+    chosen = random.choice(list(weights), n)
+    return [
+        example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight), SCENES[number % len(SCENES)])
+        for number, (row, target, weight) in enumerate(zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True))
+    ]
+
+
+def newton(examples: Sequence[Example], ridge: float = 2.0) -> tuple[float, dict[str, float]]:
+    """Offset and weights of ridge regression on standardised features, every example repeated as often as it counts."""
+    rows = [item for item in examples for _ in range(int(item.weight))]
+    names = list(WEIGHTS)
+    values = np.array([[item.shape[name] for name in names] for item in rows])
+    target = np.array([float(item.is_target) for item in rows])
+    mean, scale = values.mean(axis=0), values.std(axis=0)
+    columns = np.column_stack([(values - mean) / scale, np.ones(len(rows))])
+    penalty = np.diag([*([ridge] * len(names)), 0.0])
+    found = np.zeros(len(names) + 1)
+    for _ in range(30):
+        p = 1.0 / (1.0 + np.exp(-(columns @ found)))
+        gradient = columns.T @ (p - target) + penalty @ found
+        found -= np.linalg.solve((columns.T * (p * (1.0 - p))) @ columns + penalty, gradient)
+    slopes = found[:-1] / scale
+    return float(found[-1] - slopes @ mean), dict(zip(names, slopes.tolist(), strict=True))
+
+
+# ---------------------------------------------------------------- the fit
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("weights", [(1.0,), (1.0, 4.0)])
+def test_weights_are_those_of_newtons_method_on_every_repetition(seed: int, weights: tuple[float, ...]) -> None:
+    examples = drawn(400, seed, weights)
+    offset, slopes = newton(examples)
+    odds = fit(examples, "drawn")
+    for step in (odds.detector, odds.contours, odds.shape):
+        assert step.offset == pytest.approx(offset, abs=1e-4)
+        assert {name: step.weights[name] for name in WEIGHTS} == pytest.approx(slopes, abs=1e-4)
+
+
+def test_a_known_logistic_model_is_recovered() -> None:
+    """To four standard deviations of the estimate, from the curvature of the likelihood."""
+    examples = drawn(5000, 7)
+    values = np.array([[item.shape[name] for name in WEIGHTS] for item in examples])
+    columns = np.column_stack([values, np.ones(len(values))])
+    p = 1.0 / (1.0 + np.exp(-(OFFSET + values @ list(WEIGHTS.values()))))
+    sigma = np.sqrt(np.diag(np.linalg.inv((columns.T * (p * (1.0 - p))) @ columns)))
+    found = fit(examples, "drawn").shape
+    for name, truth, error in zip((*WEIGHTS, "offset"), (*WEIGHTS.values(), OFFSET), sigma.tolist(), strict=True):
+        value = found.offset if name == "offset" else found.weights[name]
+        assert abs(value - truth) < 4.0 * error, name
+
+
+def test_examples_count_as_often_as_they_stand_for() -> None:
+    examples = drawn(300, 3, (1.0, 2.0, 4.0))
+    repeated = [item._replace(weight=1.0) for item in examples for _ in range(int(item.weight))]
+    weighted, plain = fit(examples, "once"), fit(repeated, "once")
+    assert weighted.prior == plain.prior
+    assert weighted.shape.offset == pytest.approx(plain.shape.offset, abs=1e-4)
+    assert weighted.shape.weights == pytest.approx(plain.shape.weights, abs=1e-4)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 1e-9, -1234.567])
+def test_a_feature_that_never_varies_weighs_nothing(value: float) -> None:
+    examples = drawn(300, 4, (1.0, 4.0))
+    with_constant = [item._replace(shape={**item.shape, "constant": value}) for item in examples]
+    found, plain = fit(with_constant, "drawn").shape, fit(examples, "drawn").shape
+    assert found.weights["constant"] == 0.0
+    assert found.offset == pytest.approx(plain.offset, abs=1e-4)
+    assert {name: found.weights[name] for name in plain.weights} == pytest.approx(plain.weights, abs=1e-4)
+
+
+def test_units_of_a_feature_change_its_weight_and_nothing_else() -> None:
+    examples = drawn(300, 5)
+    in_cm = [item._replace(shape={**item.shape, "b": 100.0 * item.shape["b"] + 7.0}) for item in examples]
+    found, plain = fit(in_cm, "drawn").shape, fit(examples, "drawn").shape
+    assert 100.0 * found.weights["b"] == pytest.approx(plain.weights["b"], abs=1e-3)
+    assert found.weights["a"] == pytest.approx(plain.weights["a"], abs=1e-4)
+
+
+def test_features_that_say_the_same_share_their_weight() -> None:
+    examples = drawn(300, 6)
+    twice = [item._replace(shape={**item.shape, "again": item.shape["a"]}) for item in examples]
+    found = fit(twice, "drawn").shape.weights
+    assert found["again"] == pytest.approx(found["a"], abs=1e-4)
+    assert found["a"] + found["again"] == pytest.approx(fit(examples, "drawn").shape.weights["a"], rel=0.1)
+
+
+def test_the_prior_is_the_log_odds_of_targets_among_what_the_examples_stand_for() -> None:
+    examples = [example({"a": 0.0, "b": 0.0, "c": 0.0}, True)] * 3 + [example({"a": 1.0, "b": 0.0, "c": 0.0}, False, 4.0)] * 15
+    assert fit(examples, "counted").prior == pytest.approx(math.log(3.0 / 60.0), abs=1e-5)
+
+
+def test_p_mine_summed_over_the_examples_is_the_number_of_targets() -> None:
+    examples = drawn(400, 8, (1.0, 4.0))
+    odds = fit(examples, "drawn")
+    expected = sum(item.weight * odds.p_mine(odds.log_ratio("shape", item.shape)) for item in examples)
+    assert expected == pytest.approx(sum(item.weight for item in examples if item.is_target), rel=1e-3)
+
+
+def test_separable_examples_give_finite_weights() -> None:
+    examples = [example({"a": float(number), "b": 0.0, "c": 0.0}, number >= 10) for number in range(20)]
+    weight = fit(examples, "separable").shape.weights["a"]
+    assert 0.0 < weight < 5.0
+
+
+def test_equal_examples_give_equal_weights() -> None:
+    assert fit(drawn(200, 9), "drawn") == fit(drawn(200, 9), "drawn")
+
+
+@pytest.mark.parametrize("targets", [[], [False] * 4, [True] * 4])
+def test_without_targets_or_without_others_nothing_is_fitted(targets: list[bool]) -> None:
+    examples = [example({"a": 1.0}, is_target) for is_target in targets]
+    with pytest.raises(
+        UsageError, match=rf"seeds 1 to 2: {sum(targets)} targets in {len(targets)} detections\. Fly more missions, with --seeds"
+    ):
+        fit(examples, "seeds 1 to 2")
+
+
+# ---------------------------------------------------------------- which detection is what
+
+HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
+AROUND = Surroundings(codes=np.full((4, 4), 100, dtype=np.uint8), row=2.0, column=2.0, first_ground_range_m=10.0, first_return_m=5.0)
+
+
+class Thing(NamedTuple):
+    east_m: float
+    is_target: bool
+
+
+def seen_at(east_m: float, p_mine: float = 0.5, **values: Any) -> Detection:
+    latitude, longitude, _ = HOME.to_geodetic(np.array([east_m, 0.0, 0.0]))
+    known: dict[str, Any] = {
+        "side": "starboard",
+        "row": 100.0,
+        "column": 200.0,
+        "time_s": 1000.0,
+        "ping_number": 1,
+        "latitude_deg": float(latitude),
+        "longitude_deg": float(longitude),
+        "covariance_m2": 0.01 * np.eye(2),
+        "heading_rad": 0.0,
+        "aspect_deg": 90.0,
+        "ground_range_m": 12.0,
+        "slant_range_m": 13.0,
+        "altitude_m": 5.0,
+        "score": 6.0,
+        "highlight_db": east_m,
+        "shadow_db": -8.0,
+        "length_m": 1.0,
+        "width_m": 0.5,
+        "height_m": 0.4,
+        "shadow_length_m": 1.0,
+        "reasons": (),
+        "snippet": np.zeros((1, 1), dtype=np.uint8),
+        "snippet_row": 0.5,
+        "snippet_column": 0.5,
+        "row_spacing_m": 0.12,
+        "column_spacing_m": 0.06,
+        "surroundings": AROUND,
+    }
+    return Detection(**{**known, "p_mine": p_mine, **values})
+
+
+Fly = Callable[[Iterable[Detection], Iterable[Thing]], list[Example]]
+
+
+@pytest.fixture
+def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
+    """Examples of a mission over the things given, in which the detections given become final; every look measures the same."""
+
+    def flown(detections: Iterable[Detection], things: Iterable[Thing]) -> list[Example]:
+        objects = []
+        for thing in things:
+            latitude, longitude, _ = HOME.to_geodetic(np.array([thing.east_m, 0.0, 0.0]))
+            sizes = {"length_m": 1.0, "width_m": 0.5}
+            objects.append({"lat": float(latitude), "lon": float(longitude), "is_target": thing.is_target, **sizes})
+
+        class FakeMission:
+            def __init__(self, scene: object) -> None:
+                pass
+
+            def events(self) -> list[str]:
+                return ["all of it"]
+
+            def truth(self) -> dict[str, Any]:
+                return {"objects": objects}
+
+        class FakePipeline:
+            def __init__(self, config: object, look: Callable[[Detection], Detection]) -> None:
+                self.look = look
+
+            def feed(self, event: str) -> None:
+                for detection in detections:
+                    assert self.look(detection) is detection
+
+            def finish(self) -> None:
+                pass
+
+        class Looked(NamedTuple):
+            features: dict[str, float]
+
+        measured = Looked(dict.fromkeys(shipped_odds().shape.weights, 0.5))
+        monkeypatch.setattr(calibrate, "Mission", FakeMission)
+        monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
+        monkeypatch.setattr(calibrate, "take", lambda *_: measured)
+        return examples_of("flat", 500)
+
+    return flown
+
+
+def labels(examples: list[Example]) -> list[tuple[float, bool]]:
+    """Where each example lies, which its highlight tells, and whether it is a target."""
+    return [(round(item.detector["highlight_db"], 3), item.is_target) for item in examples]
+
+
+def test_a_detection_at_a_target_is_one_and_all_else_is_not(fly: Fly) -> None:
+    detections = [seen_at(0.3), seen_at(1.9), seen_at(20.0), seen_at(31.0)]
+    things = [Thing(0.0, True), Thing(21.0, False)]
+    assert labels(fly(detections[:1] + detections[2:], things)) == [(0.3, True), (20.0, False), (31.0, False)]
+    assert labels(fly(detections[1:], things)) == [(1.9, True), (20.0, False), (31.0, False)]
+
+
+def test_of_several_detections_of_a_target_the_most_mine_like_stands_for_it(fly: Fly) -> None:
+    detections = [seen_at(0.1, 0.4), seen_at(0.5, 0.9), seen_at(-0.5, 0.6), seen_at(2.6, 0.95)]
+    assert labels(fly(detections, [Thing(0.0, True)])) == [(0.5, True)]
+
+
+def test_each_side_and_each_passage_has_its_own(fly: Fly) -> None:
+    detections = [seen_at(0.1), seen_at(0.2, side="port"), seen_at(0.3, time_s=2000.0), seen_at(0.4, 0.1, time_s=2001.0)]
+    assert labels(fly(detections, [Thing(0.0, True)])) == [(0.1, True), (0.2, True), (0.3, True)]
+
+
+def test_other_objects_are_clutter_and_count_once_too(fly: Fly) -> None:
+    assert labels(fly([seen_at(0.1, 0.4), seen_at(0.5, 0.3)], [Thing(0.0, False)])) == [(0.1, False)]
+
+
+def test_a_detection_known_to_a_metre_only_may_lie_farther_off(fly: Fly) -> None:
+    assert labels(fly([seen_at(3.0, covariance_m2=np.eye(2))], [Thing(0.0, True)])) == [(3.0, True)]
+    assert labels(fly([seen_at(3.0)], [Thing(0.0, True)])) == [], "neither at it nor clear of it"
+
+
+def test_faint_detections_are_thinned_and_those_kept_stand_for_the_others(fly: Fly) -> None:
+    faint = [seen_at(100.0 + 10.0 * number, 0.01, ping_number=number) for number in range(8)]
+    found = fly([*faint, seen_at(0.0, 0.5)], [])
+    assert [(item.weight, item.detector["highlight_db"]) for item in found] == [(4.0, 100.0), (4.0, 140.0), (1.0, 0.0)]
+
+
+def test_a_target_that_only_passed_over_detections_stand_for_is_left_out(fly: Fly) -> None:
+    detections = [seen_at(0.1, 0.4), seen_at(0.3, 0.6, surroundings=None), seen_at(50.0)]
+    assert labels(fly(detections, [Thing(0.0, True)])) == [(50.0, False)]
+
+
+def test_every_step_has_its_features(fly: Fly) -> None:
+    (found,) = fly([seen_at(0.0)], [])
+    odds = shipped_odds()
+    assert found.scene == "flat"
+    assert (found.detector.keys(), found.contours.keys(), found.shape.keys()) == (
+        odds.detector.weights.keys(),
+        odds.contours.weights.keys(),
+        odds.shape.weights.keys(),
+    )
+
+
+def test_a_mission_that_finds_nothing_has_no_examples(fly: Fly) -> None:
+    assert fly([], [Thing(0.0, True)]) == []
+
+
+# ---------------------------------------------------------------- the command
+
+
+class Flown:
+    """Stands in for flying: examples of the logistic model, other ones for every mission."""
+
+    def __init__(self) -> None:
+        self.missions: list[tuple[str, int]] = []
+
+    def __call__(self, name: str, seed: int) -> list[Example]:
+        self.missions.append((name, seed))
+        return [item._replace(scene=name) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
+
+
+@pytest.fixture
+def flown(monkeypatch: pytest.MonkeyPatch) -> Flown:
+    stand_in = Flown()
+    monkeypatch.setattr(calibrate, "examples_of", stand_in)
+    monkeypatch.setattr(calibrate, "ProcessPoolExecutor", lambda n_workers, mp_context: ThreadPoolExecutor(1))
+    return stand_in
+
+
+def written(path: Path) -> MineOdds:
+    return parse_odds(path.read_bytes(), path.name)
+
+
+def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "odds.json"
+    assert main(["--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    assert flown.missions == [(name, seed) for seed in (7, 8) for name in SCENES]
+    odds = written(out)
+    assert odds.fitted_on == f"1200 detections of simulated missions: {', '.join(SCENES)}; seeds 7 to 8"
+    assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
+    told = capsys.readouterr()
+    assert "20 of 20 missions flown" in told.err
+    rows = [line.split("  ")[0] for line in told.out.splitlines()[-4:]]
+    assert rows == ["detector as it is", "detector", "contours", "shape"]
+    assert "nan" not in told.out
+
+
+@pytest.mark.usefixtures("flown")
+def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
+    for name, workers in (("one", "1"), ("two", "2")):
+        main(["--seeds", "1", "--workers", workers, "--out", str(tmp_path / name)])
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "--out"),
+        (["--out"], "--out"),
+        (["--out", "x", "--seeds", "0"], "'0' is no whole number of 1 or more"),
+        (["--out", "x", "--seeds", "many"], "--seeds"),
+        (["--out", "x", "--workers", "-1"], "--workers"),
+        (["--out", "x", "--first-seed", "1.5"], "'1.5' is no whole number"),
+        (["--out", "x", "--scenes", "flat"], "--scenes"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused(
+    flown: Flown, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main(arguments)
+    assert refused.value.code == 2
+    assert told in capsys.readouterr().err
+    assert flown.missions == []
+
+
+def test_weights_that_could_not_be_written_are_refused_before_flying(flown: Flown, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"there is no folder .*missing\. Make it first"):
+        main(["--out", str(tmp_path / "missing" / "odds.json")])
+    assert flown.missions == []
+
+
+@pytest.mark.usefixtures("flown")
+def test_a_folder_in_the_place_of_the_file_is_told_by_name(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=re.escape(f"--out {tmp_path} cannot be written")):
+        main(["--seeds", "1", "--out", str(tmp_path)])
+
+
+def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None:
+    place = tmp_path / "missing" / "odds.json"
+    ended = subprocess.run([sys.executable, "-m", "sim_replay.calibrate", "--out", str(place)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(f"calibrate: --out {place}: there is no folder")
+    assert "Traceback" not in ended.stderr
+
+
+def test_too_few_targets_end_the_command_with_advice(monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path) -> None:
+    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed: [example({"a": 1.0}, False, scene=name)])
+    with pytest.raises(UsageError, match="0 targets in 10 detections"):
+        main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
+    assert not (tmp_path / "odds.json").exists()
+    assert flown.missions == []
