@@ -22,6 +22,7 @@ from sim_replay import calibrate
 from sim_replay.benches.scenes import SCENES
 from sim_replay.calibrate import Example, examples_of, fit, main
 
+ROOT = Path(__file__).resolve().parents[2]
 WEIGHTS = {"a": 1.5, "b": -0.7, "c": 0.0}
 OFFSET = -1.0
 
@@ -390,7 +391,8 @@ def test_a_folder_in_the_place_of_the_file_is_told_by_name(tmp_path: Path) -> No
 
 def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None:
     place = tmp_path / "missing" / "odds.json"
-    ended = subprocess.run([sys.executable, "-m", "sim_replay.calibrate", "--out", str(place)], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "sim_replay.calibrate", "--out", str(place)]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 2
     assert ended.stderr.startswith(f"calibrate: --out {place}: there is no folder")
     assert "Traceback" not in ended.stderr
