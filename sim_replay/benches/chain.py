@@ -6,6 +6,7 @@ auv-mcm bench simulate          cost of the simulator
 auv-mcm bench scenes            what the chain finds in the named scenes
 auv-mcm bench segmentation, snakes, shapes   parts of confirmation and classification: error beside time
 auv-mcm bench beliefs           what one and two views make one believe, beside what the source paper prints
+auv-mcm bench images            outlines and false confirmations on real pictures
 
 Costs of the chain are medians over fresh processes, those of the detector over repetitions in one. Times on a shared machine move by
 half; compare figures of one run only.
@@ -47,6 +48,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "snakes": ("sim_replay.benches.snakes", "contours: error beside time"),
     "shapes": ("sim_replay.benches.shapes", "classification by shape: error beside time"),
     "beliefs": ("sim_replay.benches.beliefs", "beliefs in the classes of single objects, beside the source paper's"),
+    "images": ("sim_replay.benches.real_images", "outlines and false confirmations on real pictures"),
 }
 
 

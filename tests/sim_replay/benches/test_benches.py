@@ -14,7 +14,7 @@ from auv_mcm.cli import main
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize("bench", ["waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes", "beliefs"])
+@pytest.mark.parametrize("bench", ["waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes", "beliefs", "images"])
 def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["bench", bench, "--help"])
