@@ -90,8 +90,8 @@ def _called(one: Called) -> Canvas:
     for detection in one.looked_at:
         if is_call(detection, low):
             mark(detection.row, detection.column, 14, _RED if is_call(detection, high) else _ORANGE, 3)
-    words = ", ".join(f"p {p:g}: {one.n_detector(p)} > {one.n_confirmed(p)}" for p in CALLED)
-    return _captioned(canvas, f"{one.picture.name.removesuffix('_orig')}  {words}")
+    words = f"alone {one.n_detector(high)} ({one.n_detector(low)})  looked at {one.n_confirmed(high)} ({one.n_confirmed(low)})"
+    return _captioned(canvas, f"{one.picture.name.removesuffix('_orig')}: {words}")
 
 
 def _enlarged(amplitude: NDArray[np.float64], zoom: float) -> Canvas:
