@@ -199,15 +199,11 @@ def cautious(masses: Array) -> Array:
     return np.asarray(np.maximum(mass, 0.0))
 
 
-EvidenceKind: TypeAlias = Literal["shadow", "highlight", "presence"]
-
-
 class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """What one view, or one sub-aperture of a view, says about a contact.
 
     mass: (32,) float64, 0 on the empty set. aspect_rad: compass direction from sonar to object. pass_id: views with the same one share
-    pings, navigation and bottom, and with it their errors. kind: what the evidence was taken from; `presence` of a mine at all, whatever
-    its kind, from everything there is.
+    pings, navigation and bottom, and with it their errors. kind: what the evidence was taken from.
     half_turn_symmetric: the shape that fits best looks the same from the opposite side (cylinder, sphere, cone; not a wedge).
 
     Raises ValueError if the mass is not a mass function or the aspect is not finite.
@@ -216,7 +212,7 @@ class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mass: Array
     aspect_rad: float
     pass_id: str
-    kind: EvidenceKind = "shadow"
+    kind: Literal["shadow", "highlight"] = "shadow"
     half_turn_symmetric: bool = True
 
     def __post_init__(self) -> None:
@@ -372,11 +368,11 @@ def _likeness(views: list[ViewMass], groups: list[list[ViewMass]]) -> Array:
     """(n, n) rho of sources; `views` are those of all `groups` in order. Of several views per source the most alike count."""
     aspect = np.array([view.aspect_rad for view in views])
     symmetric = np.array([view.half_turn_symmetric for view in views])
-    kind = np.array([view.kind for view in views])
+    is_shadow = np.array([view.kind == "shadow" for view in views])
     turn = np.where(symmetric[:, np.newaxis] & symmetric, np.pi, 2.0 * np.pi)
     apart = aspect[:, np.newaxis] - aspect
     apart -= turn * np.round(apart / turn)
-    spread = np.where(kind == "shadow", SHADOW_SPREAD_RAD, HIGHLIGHT_SPREAD_RAD)
-    rho = np.where(kind[:, np.newaxis] == kind, np.exp(-0.5 * (apart / spread) ** 2), 0.0)
+    spread = np.where(is_shadow, SHADOW_SPREAD_RAD, HIGHLIGHT_SPREAD_RAD)
+    rho = np.where(is_shadow[:, np.newaxis] == is_shadow, np.exp(-0.5 * (apart / spread) ** 2), 0.0)
     starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
     return np.asarray(np.maximum.reduceat(np.maximum.reduceat(rho, starts, axis=0), starts, axis=1))

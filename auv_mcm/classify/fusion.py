@@ -1,7 +1,8 @@
 """What all views of one contact say together: is it a mine, of which kind, and would another look change that.
 
-Each view is two sources. Which kind of mine its shadow may be repeats itself from similar and from opposite aspects; that it is a mine at
-all, against clutter, is new evidence from the other side. How rare mines are counts once per contact.
+Whether it is a mine and of which kind are weighed apart. That views tell different kinds, as the end and the side of a cylinder do, must
+not undo that both tell a mine. Which kind a shadow may be repeats itself from the opposite side; that it is a mine at all does not. How
+rare mines are counts once per contact.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from auv_mcm.classify.beliefs import Array, ViewMass, combine, next_look_value, singleton_belief, vacuous
-from auv_mcm.classify.odds import mass_of_ratio, ratio_of_mass, with_ratio
+from auv_mcm.classify.beliefs import APART_FROM, Array, ViewMass, combine, next_look_value, singleton_belief, vacuous
+from auv_mcm.classify.odds import mass_of_ratio, share_of_ratio, with_ratio
 from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
 
 CONTRADICTION: Final = "views_contradict"
+_SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
 _MINE: Final = 0.5
 _ONE_LOOK: Final = 3.0  # nats that another view may well bring
 _LOOKS: Final = 2  # directions proposed
@@ -48,10 +50,31 @@ def fuse(views: Sequence[Detection], prior: float) -> Verdict:
     strongest = max(views, key=lambda view: (view.p_mine, -view.time_s))
     if len(views) == 1:
         return _verdict(_view_mass(strongest, prior), strongest.p_mine, NAN, views, prior, ())
-    fusion = combine([source for number, view in enumerate(views) for source in _sources(view, number, prior)])
-    if fusion.rule == "apart":
-        return _verdict(_view_mass(strongest, prior), strongest.p_mine, fusion.conflict, views, prior, (CONTRADICTION,))
-    return _verdict(fusion.mass, probability(ratio_of_mass(fusion.mass) + prior), fusion.conflict, views, prior, ())
+    ratios = [_log_ratio(view, prior) for view in views]
+    conflict = share_of_ratio(max(ratios)) * share_of_ratio(-min(ratios))
+    if conflict >= APART_FROM:
+        return _verdict(_view_mass(strongest, prior), strongest.p_mine, conflict, views, prior, (CONTRADICTION,))
+    kinds = combine([_shape_source(view, number) for number, view in enumerate(views)])
+    ratio = fused_ratio(ratios, [view.aspect_deg for view in views])
+    mass = with_ratio(kinds.mass, ratio)
+    return _verdict(mass, probability(ratio + prior), max(conflict, kinds.conflict), views, prior, ())
+
+
+def fused_ratio(log_ratios: Sequence[float], aspects_deg: Sequence[float]) -> float:
+    """Evidence in nats of several views together: their sum, less what views from like directions repeat.
+
+    Views that tell most count in full; each other one counts by the product of 1 - rho over those that tell more, with
+    rho = exp(-angle^2 / (2 * 15^2 degrees)). A direction that is not known may be any: such a view is new only if it is the only one.
+    """
+    order = sorted(range(len(log_ratios)), key=lambda index: (-abs(log_ratios[index]), -log_ratios[index], index))
+    total = 0.0
+    for place, index in enumerate(order):
+        share = 1.0
+        for before in order[:place]:
+            apart_deg = math.remainder(aspects_deg[index] - aspects_deg[before], 360.0)
+            share *= 1.0 - math.exp(-0.5 * (apart_deg / _SPREAD_DEG) ** 2) if math.isfinite(apart_deg) else 0.0
+        total += share * log_ratios[index]
+    return total
 
 
 def _log_ratio(view: Detection, prior: float) -> float:
@@ -62,25 +85,14 @@ def _view_mass(view: Detection, prior: float) -> Array:
     return mass_of_ratio(_log_ratio(view, prior)) if view.confirmation is None else view.confirmation.mass
 
 
-def _sources(view: Detection, number: int, prior: float) -> tuple[ViewMass, ViewMass]:
+def _shape_source(view: Detection, number: int) -> ViewMass:
     found = view.confirmation
-    shape = vacuous() if found is None else found.shape_mass
-    aspect_rad, name = math.radians(view.aspect_deg), str(number)
-    return (
-        ViewMass(
-            mass=shape,
-            aspect_rad=aspect_rad,
-            pass_id=name,
-            kind="shadow",
-            half_turn_symmetric=found is None or found.half_turn_symmetric,
-        ),
-        ViewMass(
-            mass=mass_of_ratio(_log_ratio(view, prior)),
-            aspect_rad=aspect_rad,
-            pass_id=name,
-            kind="presence",
-            half_turn_symmetric=False,
-        ),
+    known = found is not None and math.isfinite(view.aspect_deg)
+    return ViewMass(
+        mass=found.shape_mass if found is not None and known else vacuous(),
+        aspect_rad=math.radians(view.aspect_deg) if known else 0.0,
+        pass_id=str(number),
+        half_turn_symmetric=found is None or found.half_turn_symmetric,
     )
 
 

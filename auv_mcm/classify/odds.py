@@ -16,11 +16,11 @@ from typing import Annotated, Final, TypeAlias
 import msgspec
 import numpy as np
 
-from auv_mcm.classify.beliefs import MINES, Array, conjunctive, plausibility, subset, vacuous
+from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import LookStep
 
-TEMPER: Final = 0.5  # views sure by 6 nats that contradict each other are a conflict of 0.9, at which they are kept apart
+_TEMPER: Final = 0.5  # views sure by 6 nats that contradict each other are a conflict of 0.9, at which they are kept apart
 _RELIABILITY: Final = 0.999
 _BOUND: Final = 12.0  # nats
 _CLUTTER: Final = subset("clutter")
@@ -75,10 +75,15 @@ def parse_odds(data: bytes, place: str) -> MineOdds:
         raise BadInputError(f"{place}: {error}. Make the file anew with 'python -m sim_replay.calibrate'") from error
 
 
+def share_of_ratio(log_ratio: float) -> float:
+    """Share of belief on a mine, 0..1, for evidence in nats; tempered, so that few nats are not taken for certainty."""
+    return 1.0 / (1.0 + math.exp(-_TEMPER * log_ratio))
+
+
 def mass_of_ratio(log_ratio: float) -> Array:
     """(32,) mass on "a mine" and on "clutter" for evidence in nats; 0 nats say as much for either."""
     mass = (1.0 - _RELIABILITY) * vacuous()
-    share = 1.0 / (1.0 + math.exp(-TEMPER * log_ratio))
+    share = share_of_ratio(log_ratio)
     mass[MINES] += _RELIABILITY * share
     mass[_CLUTTER] += _RELIABILITY * (1.0 - share)
     return mass
@@ -89,14 +94,3 @@ def with_ratio(mass: Array, log_ratio: float) -> Array:
     both = conjunctive(mass, mass_of_ratio(log_ratio))[0]
     both[0] = 0.0
     return np.asarray(both / both.sum())
-
-
-def ratio_of_mass(mass: Array) -> float:
-    """Nats for a mine against clutter that a mass (32,) stands for: the inverse of `mass_of_ratio` but for its reliability.
-
-    From plausibilities, which multiply under Dempster's rule as likelihoods do (B. R. Cobb and P. P. Shenoy, Int. J. Approximate
-    Reasoning 41, 2006); ignorance gives 0.
-    """
-    likely = plausibility(mass)
-    least = 1.0 - _RELIABILITY
-    return math.log(max(float(likely[MINES]), least**2) / max(float(likely[_CLUTTER]), least**2)) / TEMPER

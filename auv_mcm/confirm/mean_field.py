@@ -19,13 +19,14 @@ Plane = NDArray[np.float64]
 
 SHADOW_START: Final = 0.15  # times the background
 HIGHLIGHT_START: Final = 5.0
-_ROUNDS: Final = 4
+_ROUNDS: Final = 3
 _SWEEPS: Final = 2
 _SHADOW_RANGE: Final = (1e-3, 0.5)  # times the background; a lighter shadow is sea floor
 _HIGHLIGHT_RANGE: Final = (2.0, 1e3)
 _GLINT: Final = 3.0  # times the highlight's mean
 SPIKE: Final = 10.0  # times a mean: speckle is hardly ever brighter, and one pixel that is must not make a class's mean
 _ABSENT_BELOW: Final = 8.0  # independent samples
+_OWN_SHARE: Final = 0.2
 _OWN_WEIGHT: Final = 12.0  # independent samples that the start counts for
 
 
@@ -77,7 +78,7 @@ def fit_means(
     weight: Plane,
     prior: Callable[[NDArray[np.uint8]], Plane],
 ) -> tuple[ClassMeans, Plane]:
-    """Means after four rounds from `start`, and the probability of each label, (3, n_rows, n_columns).
+    """Means after three rounds from `start`, and the probability of each label, (3, n_rows, n_columns).
 
     intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64. weight: (4,), the smoothness of the edges
     right, down-left, down, down-right. prior: cost (3, n_rows, n_columns) of each label given
@@ -85,11 +86,14 @@ def fit_means(
     """
     means = start
     probability = _softmin(data_costs(intensity, information, means, law))
-    for _ in range(_ROUNDS):
+    for number_of_round in range(_ROUNDS):
         cost = data_costs(intensity, information, means, law) + prior(probability.argmax(axis=0).astype(np.uint8))
         for _ in range(_SWEEPS):
             probability = _softmin(cost - _heard(probability, weight))
         share = probability * samples
+        if number_of_round < _ROUNDS - 1:
+            # A few hundredths of every cell of sea floor would outweigh a small shadow and draw its mean to theirs, round by round.
+            share[probability < _OWN_SHARE] = 0.0
         number = share.sum(axis=(1, 2))
         brightest = SPIKE * np.array([means.background, means.shadow, means.highlight])
         total = (share * np.minimum(intensity, brightest[:, None, None])).sum(axis=(1, 2))

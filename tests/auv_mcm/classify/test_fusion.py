@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from drawn_looks import confirmation, detection, like
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, vacuous
-from auv_mcm.classify.fusion import CONTRADICTION, Verdict, fuse
+from auv_mcm.classify.fusion import CONTRADICTION, Verdict, fuse, fused_ratio
 from auv_mcm.records import NAN, Detection
 
 PRIOR = math.log(0.1 / 0.9)
@@ -120,7 +120,7 @@ def test_the_class_is_a_mine_where_p_mine_says_so(seen: list[Detection]) -> None
 
 
 def test_evidence_from_all_sides_adds_up() -> None:
-    """As Bayes' rule has it for independent looks, but for the little that no view is relied on."""
+    """As Bayes' rule has it for independent looks."""
     for ratios in ([2.0, 1.0], [2.0, -1.0], [1.0, 1.0, 1.0], [-2.0, -1.0, 0.5]):
         seen = [looked_at(ratio, 80.0 * number, float(number)) for number, ratio in enumerate(ratios)]
         assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + sum(ratios), abs=0.03)
@@ -134,7 +134,7 @@ def test_views_without_evidence_stay_at_the_prior_however_many(directions: list[
 
 
 @settings(max_examples=30)
-@given(st.floats(0.5, 5.0), st.floats(20.0, 340.0))
+@given(st.floats(0.5, 5.0), st.floats(35.0, 325.0))
 def test_an_agreeing_view_from_another_side_sharpens_and_the_same_again_hardly(log_ratio: float, apart_deg: float) -> None:
     for sign in (1.0, -1.0):
         one = looked_at(sign * log_ratio, 0.0)
@@ -178,6 +178,37 @@ def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
     assert both.conflict < 0.3
 
 
+def test_views_of_a_mine_that_tell_different_kinds_still_tell_a_mine() -> None:
+    for quality in (0.6, 0.8, 0.95):
+        seen = [
+            looked_at(4.0, 0.0, shape=like("cylinder", quality=quality)),
+            looked_at(4.0, 90.0, 1.0, shape=like("sphere", quality=quality)),
+        ]
+        assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 8.0, abs=1e-6)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.tuples(st.floats(-8.0, 8.0), aspects), min_size=1, max_size=6))
+def test_fused_evidence_is_the_sum_less_what_is_repeated(seen: list[tuple[float, float]]) -> None:
+    """Written out view by view, the most telling first."""
+    total, counted = 0.0, []
+    for ratio, aspect in sorted(seen, key=lambda view: (-abs(view[0]), -view[0])):
+        share = 1.0
+        for other in counted:
+            angle = abs(aspect - other) % 360.0
+            share *= 1.0 - math.exp(-(min(angle, 360.0 - angle) ** 2) / (2.0 * 15.0**2))
+        total += share * ratio
+        counted.append(aspect)
+    assume(len({(abs(ratio), -ratio) for ratio, _ in seen}) == len(seen))
+    assert fused_ratio(*zip(*seen, strict=True)) == pytest.approx(total, abs=1e-9)
+
+
+def test_a_second_view_from_nowhere_known_adds_nothing() -> None:
+    assert fused_ratio([2.0, 1.0], [NAN, 90.0]) == 2.0
+    seen = [looked_at(2.0, 90.0, shape=like("cylinder")), looked_at(1.0, NAN, 1.0, shape=like("sphere"))]
+    assert odds(fuse(seen, PRIOR)) == pytest.approx(PRIOR + 2.0)
+
+
 # ---------------------------------------------------------------- views that do not fit together
 
 
@@ -207,7 +238,7 @@ def test_views_that_waver_are_fused_without_a_word() -> None:
 
 
 def test_a_contradiction_in_between_leaves_the_matter_open() -> None:
-    """Neither apart nor agreeing: what contradicts is unknown, and the odds are those before any look."""
+    """Neither apart nor agreeing: what contradicts cancels, and the odds are those before any look."""
     verdict = fuse([looked_at(5.0, 0.0), looked_at(-5.0, 90.0, 1.0)], PRIOR)
     assert 0.6 < verdict.conflict < 0.9
     assert verdict.reasons == ()

@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.classify import odds as odds_module
-from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, dempster, subset, vacuous
+from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, subset, vacuous
 from auv_mcm.classify.features import contour_features, detector_features, shape_features
-from auv_mcm.classify.odds import MineOdds, Weights, mass_of_ratio, parse_odds, ratio_of_mass, shipped_odds, with_ratio
+from auv_mcm.classify.odds import MineOdds, Weights, mass_of_ratio, parse_odds, share_of_ratio, shipped_odds, with_ratio
 from auv_mcm.errors import BadInputError
 
 CLUTTER = subset("clutter")
@@ -91,50 +91,15 @@ def test_mass_lies_on_mines_clutter_and_a_little_on_everything(log_ratio: float)
     assert math.log(mass[MINES] / mass[CLUTTER]) == pytest.approx(0.5 * log_ratio, abs=1e-9)
 
 
-@given(ratios)
-def test_ratio_of_mass_undoes_mass_of_ratio_but_for_its_reliability(log_ratio: float) -> None:
-    back = ratio_of_mass(mass_of_ratio(log_ratio))
-    # Of n nats a share of 1e-3 doubts the side that is spoken against, which weighs exp(n / 2) as much there.
-    doubt = 0.001 * math.exp(0.5 * abs(log_ratio))
-    assert abs(log_ratio) - 2.0 * math.log1p(2.0 * doubt) - 1e-9 <= abs(back) <= abs(log_ratio) + 1e-9
-    assert back * log_ratio >= 0.0
-
-
-def test_a_few_nats_come_back_as_they_were() -> None:
-    for log_ratio in (-4.0, -1.0, -0.1, 0.0, 0.1, 1.0, 4.0):
-        assert ratio_of_mass(mass_of_ratio(log_ratio)) == pytest.approx(log_ratio, abs=0.02)
-
-
 @given(ratios, ratios)
-def test_more_evidence_never_counts_as_less(first: float, second: float) -> None:
+def test_more_evidence_is_a_greater_share_and_against_mirrors_for(first: float, second: float) -> None:
     low, high = sorted((first, second))
-    assert ratio_of_mass(mass_of_ratio(low)) <= ratio_of_mass(mass_of_ratio(high)) + 1e-12
-    if high - low > 1e-3:
-        assert ratio_of_mass(mass_of_ratio(low)) < ratio_of_mass(mass_of_ratio(high))
+    assert share_of_ratio(low) <= share_of_ratio(high)
+    assert share_of_ratio(-first) == pytest.approx(1.0 - share_of_ratio(first), abs=1e-12)
 
 
-@given(ratios)
-def test_what_speaks_for_and_against_is_told_alike(log_ratio: float) -> None:
-    assert ratio_of_mass(mass_of_ratio(-log_ratio)) == pytest.approx(-ratio_of_mass(mass_of_ratio(log_ratio)), abs=1e-9)
-
-
-def test_ignorance_is_no_evidence() -> None:
-    assert ratio_of_mass(vacuous()) == 0.0
-    assert ratio_of_mass(mass_of_ratio(0.0)) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("certain", [MINES, CLUTTER, subset("sphere")])
-def test_certainty_counts_as_finite_evidence(certain: int) -> None:
-    mass = np.zeros(32)
-    mass[certain] = 1.0
-    assert ratio_of_mass(mass) == pytest.approx((-1.0 if certain == CLUTTER else 1.0) * 2.0 * math.log(1e6))
-
-
-@given(st.lists(st.floats(-5.0, 5.0), min_size=2, max_size=4))
-def test_evidence_of_independent_views_adds_up_by_dempsters_rule(views: list[float]) -> None:
-    masses = [mass_of_ratio(view) for view in views]
-    together = ratio_of_mass(dempster(np.stack(masses)).mass)
-    assert together == pytest.approx(sum(ratio_of_mass(mass) for mass in masses), abs=1e-6)
+def test_no_evidence_is_an_even_share() -> None:
+    assert share_of_ratio(0.0) == 0.5
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=32, max_size=32).filter(lambda shares: sum(shares[1:]) > 0.1), ratios)
