@@ -128,7 +128,12 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
         float, Meta(ge=0.0, le=1.0, description="p_mine below which a detection is looked at no further, at any step")
     ] = 0.01
     max_per_tile: Annotated[
-        int, Meta(ge=0, le=100_000, description="detections looked at per tile and side at most, best first; the rest is counted")
+        int,
+        Meta(
+            ge=0,
+            le=100_000,
+            description="detections worth a look that are looked at per tile and side at most, best first; the rest is counted",
+        ),
     ] = 128
 
 

@@ -19,7 +19,7 @@ from typing import Final
 import msgspec
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.stage import look_closely, passed_over
+from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
 from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
@@ -234,10 +234,14 @@ class Pipeline:
         config = self._config.confirm
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0
-        best_first = sorted(detections, key=lambda d: (-d.p_mine, d.row, d.column))
+        worthwhile = [is_worth_a_look(detection, self._odds, config) for detection in detections]
+        best_first = sorted(
+            (d for d, worth in zip(detections, worthwhile, strict=True) if worth), key=lambda d: (-d.p_mine, d.row, d.column)
+        )
         chosen, rest = best_first[: config.max_per_tile], best_first[config.max_per_tile :]
         mapped = map if self._threads is None else self._threads.map
         looked_at = list(mapped(self._look_closely, chosen))
+        looked_at += [self._look_closely(d) for d, worth in zip(detections, worthwhile, strict=True) if not worth]
         for detection in looked_at:
             found = detection.confirmation
             self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1

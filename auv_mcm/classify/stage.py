@@ -80,6 +80,11 @@ def look_closely(detection: Detection, beam_width_rad: float, odds: MineOdds, co
     )
 
 
+def is_worth_a_look(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:
+    """Whether what the detector measured leaves odds of a mine that matter."""
+    return odds.p_mine(odds.log_ratio("detector", detector_features(detection))) >= config.min_p_mine
+
+
 def passed_over(detection: Detection, odds: MineOdds, reason: str) -> Detection:
     """The detection with its p_mine from what the detector measured alone, for the reason told."""
     p_detector = odds.p_mine(odds.log_ratio("detector", detector_features(detection)))

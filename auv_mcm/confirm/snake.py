@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm import snake_rules
-from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_twin import Moved, Settings
 
@@ -63,8 +63,8 @@ class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     far side with rising row; (0, 2) where there is none. criterion: J in nats, NaN if nothing could be moved. gain: by how much J is below
     that of the region without an object. n_moves: node moves made. *_mean: mean intensity, NaN where there is no contour. *_area_m2: area.
     length_m: along-track extent. height_m: median over rows of the height that the shadow implies, NaN without a shadow. repetition: best
-    evidence of the same contours elsewhere in the region over that in place. reasons: codes, those of `snake_rules.REJECTING` make
-    `rejected` true.
+    evidence of the same contours elsewhere in the region over that in place. reasons: codes, those of `snake_rules.REJECTING` being of
+    broken rules. rejected: rules are broken, and all that speaks against an object together is grave.
     """
 
     highlight: Nodes
@@ -87,10 +87,15 @@ class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 def start_from_detection(region: Region) -> Start:
     """The brightest box around the detector's highlight, and the darkest of those behind it that a mine could cast.
 
-    Brightest and darkest: by the likelihood ratio of speckle, N (m - 1 - ln m) for N pixels of mean m over the region's.
+    Brightest and darkest: by the likelihood ratio of speckle, N (m - 1 - ln m) for N pixels of mean m over the region's. Raises ValueError
+    if a number of the region's geometry is none that a sonar can have.
     """
+    require_sound(region)
+    return _boxes_at(region, snake.row_sums(region.intensity, region.valid).table)
+
+
+def _boxes_at(region: Region, table: Nodes) -> Start:
     n_rows, n_columns = region.intensity.shape
-    table = snake.row_sums(region.intensity, region.valid).table
     row_px, column_px = region.row_spacing_m, region.column_spacing_m
     row, column = min(max(region.row, 0.0), float(n_rows)), min(max(region.column, 0.0), float(n_columns))
     ground_m = max(region.first_ground_range_m + column * column_px, 0.0)
@@ -154,24 +159,24 @@ def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coars
     reasons: list[str] = []
     if min(n_rows, n_columns) < 2 * _LEAST_SIDE_PX:
         return _nothing(("region_too_small",))
-    positive = region.row_spacing_m, region.column_spacing_m, region.altitude_m
-    if (
-        not all(0.0 < value < math.inf for value in positive)
-        or not np.isfinite([region.first_ground_range_m, region.row, region.column, region.beam_width_rad]).all()
-    ):
+    try:
+        require_sound(region)
+    except ValueError:
         return _nothing(("geometry_unknown",))
     sums = snake.row_sums(region.intensity, region.valid)
     if sums.mean == 0.0:
         return _nothing(("no_echo",))
     settings = settings_of(region, sums.table, correlation_px)
-    parts, replaced = _usable_start(region, sums.table, settings, start)
+    boxes = _boxes_at(region, sums.table)
+    parts, replaced = _usable_start(region, sums.table, settings, start, boxes)
     if replaced:
         reasons.append("start_replaced")
     highlight, shadow = (nodes if snake_rules.is_measured(sums.table, nodes) else _NONE for nodes in parts)
     if len(highlight) + len(shadow) == 0:
         return _nothing((*reasons, "not_measured"))
     moved, n_moves = _descend(region, sums.table, settings, Start(highlight, shadow), coarse, fine)
-    return _judged(region, sums, settings, moved, n_moves, tuple(reasons))
+    findings = snake_rules.find(region, sums.table, settings, moved, snake_rules.look_at(sums.table, *boxes))
+    return _judged(region, sums, findings, moved, n_moves, tuple(reasons))
 
 
 def _descend(
@@ -201,12 +206,15 @@ def _descend(
     return best, n_moves
 
 
-def _judged(region: Region, sums: snake.RowSums, settings: Settings, moved: Moved, n_moves: int, notes: tuple[str, ...]) -> Contours:
-    findings = snake_rules.find(region, sums.table, settings, moved)
+def _judged(
+    region: Region, sums: snake.RowSums, findings: snake_rules.Findings, moved: Moved, n_moves: int, notes: tuple[str, ...]
+) -> Contours:
     if len(moved.highlight) == 0:
         notes = (*notes, "no_highlight")
     if len(moved.shadow) == 0:
         notes = (*notes, "no_shadow")
+    if not any(snake_rules.is_measured(sums.table, nodes) for nodes in (moved.highlight, moved.shadow)):
+        notes = (*notes, "not_measured")
     reasons = (*notes, *snake_rules.broken(findings))
     pixel_m2 = region.row_spacing_m * region.column_spacing_m
     return Contours(
@@ -224,7 +232,7 @@ def _judged(region: Region, sums: snake.RowSums, settings: Settings, moved: Move
         height_m=findings.height_m,
         repetition=findings.repetition,
         reasons=reasons,
-        rejected=not snake_rules.REJECTING.isdisjoint(reasons),
+        rejected=snake_rules.is_rejected(reasons, findings),
     )
 
 
@@ -276,18 +284,18 @@ def settings_of(region: Region, table: NDArray[np.float64], correlation_px: floa
     )
 
 
-def _usable_start(region: Region, table: NDArray[np.float64], settings: Settings, start: Start) -> tuple[list[Nodes], bool]:
-    """The start as sound polygons that run down their far sides, and whether a box had to replace any."""
+def _usable_start(region: Region, table: NDArray[np.float64], settings: Settings, start: Start, boxes: Start) -> tuple[list[Nodes], bool]:
+    """The start as sound polygons that run down their far sides, and whether one of the boxes at the detection had to replace any."""
     given = [np.asarray(nodes, dtype=np.float64) for nodes in start]
     if all(len(nodes) == 0 for nodes in given):
-        return list(start_from_detection(region)), True
+        return list(boxes), True
     usable = []
     replaced = False
     for which, nodes in enumerate(given):
         if len(nodes) == 0 or (polygon := _ordered(region, table, settings, nodes)) is None:
             polygon = nodes if len(nodes) == 0 else _box_around(region, nodes)
             if polygon is None:
-                polygon = start_from_detection(region)[which]
+                polygon = boxes[which]
             replaced = replaced or len(nodes) > 0
         usable.append(polygon)
     return usable, replaced

@@ -1,13 +1,18 @@
-"""What contours must be like for an object to be behind them. Each rule has a code; a broken one rejects.
+"""What contours must be like for an object to be behind them. Each rule has a code; broken ones reject where doubt is grave.
 
 On sea floor without an object the shadow's contour expands until it is larger than any mine's shadow, or shrinks to nothing (Reed,
 Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003). Ripples and grass do hold dark patches behind bright ones, but the same
 contours find the like of them a ripple farther on.
+
+Beside another kind of floor the contours of a clear object expand as well, so a broken rule alone does not reject. What speaks against
+an object is added up instead, in nats: how far rules are broken, and whether the brightest and darkest box at the detection itself,
+which cannot expand, are anything special there.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,6 +26,8 @@ Nodes = NDArray[np.float64]
 
 _ROW_STEP, _COLUMN_STEP = 2, 4  # pixels between the places where contours are tried again
 BORDER_PX: Final = 2.0
+_LEAST_ROWS: Final = 3
+_DARKEST: Final = 0.01  # times the mean of the window
 
 # What objects keep to, on simulated missions over rippled sand, seagrass and bare floor with seeds kept apart for it.
 _MOST_BORDER: Final = 0.25
@@ -32,6 +39,8 @@ _BRIGHTEST_SHADOW: Final = 0.45
 _DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
 _LEAST_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
 _MOST_REPETITION, _MOST_COMMON = 0.55, 0.3
+_DOUBTFUL_GAIN, _GAIN_SCALE, _HOPELESS_GAIN = -6.0, 10.0, -14.0
+_GRAVE: Final = 6.2  # nats of doubt
 
 REJECTING: Final = frozenset(
     {
@@ -56,13 +65,26 @@ REJECTING: Final = frozenset(
 """Codes that speak against an object."""
 
 
+class Spot(NamedTuple):
+    """What is special about the brightest and the darkest box at a detection, as `look_at` finds it.
+
+    common: evidence that one place in twenty of the region holds for the same box over that in place, of the box for which it is less.
+    shadow_repetition: the best such evidence for the dark box. shadow_contrast: mean of the dark box over that of the darker of the two
+    boxes beside it along track.
+    """
+
+    common: float
+    shadow_repetition: float
+    shadow_contrast: float
+
+
 class Findings(NamedTuple):
     """Facts about converged contours. Means are over that of the region; NaN where there is no contour.
 
     gain: nats against no object. border: fraction of a contour within BORDER_PX of the region's edge, of the worse one. length_m:
     along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track extent.
     shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and greatest of the heights that
-    the rows of the shadow imply. flank: mean beside the shadow along track. repetition, common: see `elsewhere`.
+    the rows of the shadow imply. flank: mean beside the shadow along track. repetition, common: see `elsewhere`. spot: of the detection.
     """
 
     gain: float
@@ -80,9 +102,10 @@ class Findings(NamedTuple):
     flank: float
     repetition: float
     common: float
+    spot: Spot
 
 
-def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: Moved) -> Findings:
+def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: Moved, spot: Spot) -> Findings:
     """Measure converged contours."""
     highlight, shadow = moved.highlight_sums, moved.shadow_sums
     count = settings.window_count - highlight.measured - shadow.measured
@@ -90,7 +113,7 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
     present = [nodes for nodes in (moved.highlight, moved.shadow) if len(nodes)]
     pixel_m2 = region.row_spacing_m * region.column_spacing_m
     heights_m = row_heights_m(region, moved.shadow) if len(moved.shadow) else np.array([math.nan])
-    repetition, common = elsewhere(table, moved)
+    repetition, common = elsewhere(table, ((HIGHLIGHT, moved.highlight), (SHADOW, moved.shadow)))
     return Findings(
         gain=snake_twin.no_object(settings) - moved.criterion,
         highlight_mean=highlight.total / highlight.measured if len(moved.highlight) else math.nan,
@@ -107,6 +130,7 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
         flank=_flank(table, moved.shadow) if len(moved.shadow) else math.nan,
         repetition=repetition,
         common=common,
+        spot=spot,
     )
 
 
@@ -127,6 +151,48 @@ def broken(findings: Findings) -> tuple[str, ...]:
         ("repeats", findings.repetition > _MOST_REPETITION or findings.common > _MOST_COMMON),
     )
     return tuple(code for code, is_broken in rules if is_broken)
+
+
+def is_rejected(reasons: Collection[str], findings: Findings) -> bool:
+    """Whether contours are none of an object's: nothing holds them, or some rule is broken and all doubts together are grave."""
+    if "not_measured" in reasons or not findings.gain > _HOPELESS_GAIN:
+        return True
+    return not REJECTING.isdisjoint(reasons) and doubt(findings) > _GRAVE
+
+
+def doubt(findings: Findings) -> float:
+    """What speaks against an object, nats; 0 where nothing does.
+
+    Weights are those of clutter against targets in a logistic regression on missions with seeds kept apart for it.
+    """
+    spot = findings.spot
+    long, short = _fraction(findings.length_m, 2.5, 6.0), _fraction(findings.length_m, 0.6, 0.3)
+    common = _fraction(spot.common, 0.03, 0.4)
+    # Missing contours have no mean, and count by themselves.
+    dim, shallow = _fraction(findings.highlight_mean, 20.0, 3.0), _fraction(spot.shadow_contrast, 0.22, 0.74)
+    little = min(max((_DOUBTFUL_GAIN - findings.gain) / _GAIN_SCALE, 0.0), 1.0)
+    return (
+        0.5 * long
+        + 3.3 * long * common
+        + 2.5 * _fraction(findings.highlight_m2, 0.7, 2.5)
+        + 2.7 * _fraction(findings.height_m, 0.25, 0.06)
+        + 1.4 * _fraction(findings.flank, 0.6, 0.3)
+        + 1.9 * _fraction(findings.repetition, 0.1, 0.8)
+        + 0.9 * common
+        + 1.7 * _fraction(spot.shadow_repetition, 0.3, 2.0)
+        + 3.4 * dim * shallow
+        + 1.1 * math.isnan(findings.highlight_mean)
+        + 3.4 * math.isnan(findings.shadow_mean) * short
+        + 2.1 * little
+    )
+
+
+def _fraction(value: float, harmless: float, grave: float) -> float:
+    """How far a value has come, by its logarithm, from a harmless one to a grave one; 0 for NaN."""
+    if math.isnan(value):
+        return 0.0
+    way = math.log(max(value, 1e-3) / harmless) / math.log(grave / harmless)
+    return min(max(way, 0.0), 1.0)
 
 
 def _largest_shadow_m2(region: Region) -> float:
@@ -173,9 +239,9 @@ def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int6
 
 
 def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
-    """Whether any pixel inside a polygon was measured."""
+    """Whether pixels inside a polygon were measured in more rows than nothing can be told from."""
     rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))
-    return bool((table[rows, far, 1] - table[rows, near, 1]).sum() >= 1.0)
+    return int((table[rows, far, 1] - table[rows, near, 1] >= 1.0).sum()) >= _LEAST_ROWS
 
 
 def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:
@@ -199,20 +265,36 @@ def _flank(table: NDArray[np.float64], shadow: Nodes) -> float:
     return total / count if count >= 1.0 else 1.0
 
 
-def elsewhere(table: NDArray[np.float64], moved: Moved) -> tuple[float, float]:
-    """Evidence that the same contours, shifted clear of themselves, find in the window, over that in place: the best, and what one
-    shift in twenty exceeds. 0 where there is no room to shift, infinite where there is no evidence in place."""
+def look_at(table: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Spot:
+    """Compare the brightest and the darkest box at a detection with the rest of the region."""
+    _, bright_common = elsewhere(table, ((HIGHLIGHT, highlight),))
+    repetition, dark_common = elsewhere(table, ((SHADOW, shadow),))
+    rows, near, far = row_intervals(shadow, (table.shape[0], table.shape[1] - 1))
+    inside, *beside = (_mean(table, rows + step, near, far) for step in (0, -len(rows), len(rows)))
+    return Spot(min(bright_common, dark_common), repetition, max(inside, _DARKEST) / max(min(beside), _DARKEST))
+
+
+def _mean(table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.int64], far: NDArray[np.int64]) -> float:
+    """Mean over the window's of intervals in rows, those beyond the window left out; 1 where nothing was measured."""
+    inside = (rows >= 0) & (rows < table.shape[0])
+    total, count = (table[rows[inside], far[inside]] - table[rows[inside], near[inside]]).sum(axis=0).tolist()
+    return float(total / count) if count >= 1.0 else 1.0
+
+
+def elsewhere(table: NDArray[np.float64], polygons: Sequence[tuple[int, Nodes]]) -> tuple[float, float]:
+    """Evidence that the same polygons, shifted clear of themselves, find in the window, over that in place: the best, and what one
+    shift in twenty exceeds. 0 where there is no room to shift, infinite where there is no evidence in place.
+
+    polygons: HIGHLIGHT or SHADOW with (n, 2) nodes, (0, 2) for none."""
     n_rows, n_columns = table.shape[0], table.shape[1] - 1
     here = 0.0
-    shifts = _shifts(moved, n_rows, n_columns)
+    shifts = _shifts(np.concatenate([nodes for _, nodes in polygons]), n_rows, n_columns)
     there = np.zeros(len(shifts))
-    for which, nodes, sums in zip(
-        (HIGHLIGHT, SHADOW), (moved.highlight, moved.shadow), (moved.highlight_sums, moved.shadow_sums), strict=True
-    ):
+    for which, nodes in polygons:
         if len(nodes) == 0:
             continue
         rows, near, far = row_intervals(nodes, (n_rows, n_columns))
-        here += evidence(which, sums.total, sums.measured)
+        here += evidence(which, *(table[rows, far] - table[rows, near]).sum(axis=0).tolist())
         there += _evidence(which, *_sums(table, rows, near, far, shifts))
     if here <= 0.0:
         return math.inf, math.inf
@@ -221,9 +303,8 @@ def elsewhere(table: NDArray[np.float64], moved: Moved) -> tuple[float, float]:
     return float(there.max()) / here, float(np.quantile(there, 0.95)) / here
 
 
-def _shifts(moved: Moved, n_rows: int, n_columns: int) -> NDArray[np.int64]:
-    """Shifts (row, column) that keep both polygons in the window and clear of where they are, (n, 2) int64."""
-    nodes = np.concatenate([moved.highlight, moved.shadow])
+def _shifts(nodes: Nodes, n_rows: int, n_columns: int) -> NDArray[np.int64]:
+    """Shifts (row, column) that keep all nodes in the window and clear of where they are, (n, 2) int64."""
     (top, near), (bottom, far) = np.floor(nodes.min(axis=0)), np.ceil(nodes.max(axis=0))
     rows = np.arange(-int(top), n_rows - int(bottom) + 1, _ROW_STEP)
     columns = np.arange(-int(near), n_columns - int(far) + 1, _COLUMN_STEP)

@@ -66,7 +66,8 @@ def test_beyond_the_budget_the_detectors_odds_stand_and_it_is_told() -> None:
     pipeline, events = run(ConfirmConfig(max_per_tile=0))
     assert pipeline.counters["confirm.looked_at"] == 0
     assert [event.code for event in events if isinstance(event, Notice)].count("confirm.over_budget") == 1
-    assert all("over_budget" in contact.reasons and contact.p_mine > 0.0 for contact in pipeline.contacts)
+    assert all({"over_budget", "not_looked_at"} & set(contact.reasons) for contact in pipeline.contacts)
+    assert all("over_budget" in contact.reasons for contact in best(pipeline.contacts))
     assert {contact.id for contact in pipeline.contacts} == {contact.id for contact in run(ConfirmConfig())[0].contacts}
 
 
