@@ -7,7 +7,6 @@ import json
 import math
 import sys
 import time
-from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
+import numpy as np
 
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.classify.odds import shipped_odds
@@ -27,7 +27,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, LookStep, NavSample, Ping
 from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
-from sim_replay.scoring.intervals import Density, Proportion
+from sim_replay.scoring.intervals import Density, Proportion, density
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -42,7 +42,7 @@ SYSTEMS: Final[tuple[System, ...]] = get_args(System)
 STEPS: Final[dict[LookStep, str]] = {
     "detector": "+ odds from the detector's measures",
     "contours": "+ contours",
-    "shape": "+ Markov field and solids",
+    "shape": "+ Markov field and solids: the chain",
 }
 _ORDER: Final = {step: number for number, step in enumerate(STEPS)}
 _KEPT: Final = 0.98  # of the detector's Pd
@@ -66,6 +66,7 @@ _STEP_HEADER: Final = (
     "Pd at p_mine 0.5",
     "FA/km² at p_mine 0.5",
     f"FA/km² at {_KEPT:.0%} of the detector's Pd",
+    "of them not on objects",
     "looks",
     "s per hour of survey",
 )
@@ -74,8 +75,8 @@ _STEP_HEADER: Final = (
 class Flown(NamedTuple):
     """One mission as all systems reported it. detector: the chain without a close look. steps: the chain as far as that step.
 
-    n_looks: close looks that went as far as each step. costs_s: time on one core for all that was done up to each step, the detector's
-    under `alone`. survey_s: duration of the mission.
+    n_looks: close looks that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
+    that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
     """
 
     chain: Mission
@@ -83,6 +84,7 @@ class Flown(NamedTuple):
     rival: Mission
     steps: dict[LookStep, Mission]
     n_looks: dict[LookStep, int]
+    looks_s: tuple[float, ...]
     costs_s: dict[str, float]
     survey_s: float
 
@@ -130,6 +132,10 @@ def run(arguments: argparse.Namespace) -> int:
     *_, last = pooled
     print()
     print(laid_out(_STEP_HEADER, list(_step_rows(pooled[last]))))
+    looks_s = [look_s for mission in pooled[last] for look_s in mission.looks_s]
+    if looks_s:
+        middle_ms, slow_ms = (1e3 * np.quantile(looks_s, (0.5, 0.99))).tolist()
+        print(f"\na look through all steps: {middle_ms:.0f} ms in the median, {slow_ms:.0f} ms at the 99th percentile of {len(looks_s)}")
     print()
     print(laid_out(_SEABED_HEADER, list(_seabed_rows({system: scores[last, system] for system in SYSTEMS}))))
     if arguments.json is not None:
@@ -147,15 +153,13 @@ def fly(name: str, seed: int) -> Flown:
     mission = simulated.Mission(scene)
     config = config_for(scene)
     odds, beam_width_rad = shipped_odds(), math.radians(config.sonar.beam_width_deg)
-    n_looks: Counter[LookStep] = Counter()
-    looks_s: defaultdict[LookStep, float] = defaultdict(float)
+    looks_s: dict[LookStep, list[float]] = {step: [] for step in STEPS}
 
     def timed_look(detection: Detection) -> Detection:
         start = time.perf_counter()
         looked_at = look_closely(detection, beam_width_rad, odds, config.confirm)
         *_, last = looked_at.p_by_step
-        n_looks[last] += 1
-        looks_s[last] += time.perf_counter() - start
+        looks_s[last].append(time.perf_counter() - start)
         return looked_at
 
     chain = Pipeline(config, timer=time.perf_counter, look=timed_look)
@@ -179,8 +183,9 @@ def fly(name: str, seed: int) -> Flown:
         detector=told(alone.contacts),
         rival=Mission(tuple(rival_contacts(kept)), truth, place),
         steps={step: told([as_after(contact, step, odds.prior) for contact in chain.contacts]) for step in STEPS},
-        n_looks={"detector": n_looks.total(), "contours": n_looks["contours"] + n_looks["shape"], "shape": n_looks["shape"]},
-        costs_s=_costs_s(chain.costs_s, n_looks, looks_s),
+        n_looks={step: sum(len(looks_s[later]) for later in STEPS if _ORDER[later] >= _ORDER[step]) for step in STEPS},
+        looks_s=tuple(looks_s["shape"]),
+        costs_s=_costs_s(chain.costs_s, looks_s),
         survey_s=pings[-1] - pings[0],
     )
 
@@ -196,13 +201,12 @@ def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
     return msgspec.structs.replace(contact, p_mine=fuse(views, prior).p_mine)
 
 
-def _costs_s(stages_s: Mapping[str, float], n_looks: Mapping[LookStep, int], looks_s: Mapping[LookStep, float]) -> dict[str, float]:
+def _costs_s(stages_s: Mapping[str, float], looks_s: Mapping[LookStep, Sequence[float]]) -> dict[str, float]:
     """Seconds up to and with each step; contours of looks that went on cost what those of looks that ended there did."""
     alone = sum(cost for stage, cost in stages_s.items() if stage != "confirm")
-    per_contour = looks_s["contours"] / max(n_looks["contours"], 1)
-    contours = looks_s["contours"] + min(per_contour * n_looks["shape"], looks_s["shape"])
-    odds = alone + looks_s["detector"]
-    return {"alone": alone, "detector": odds, "contours": odds + contours, "shape": alone + sum(looks_s.values())}
+    odds, ended, whole = (sum(looks_s[step]) for step in STEPS)
+    contours = ended + min(ended / max(len(looks_s["contours"]), 1) * len(looks_s["shape"]), whole)
+    return {"alone": alone, "detector": alone + odds, "contours": alone + odds + contours, "shape": alone + odds + ended + whole}
 
 
 def config_for(scene: Scene) -> Config:
@@ -261,7 +265,6 @@ def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
     for step, words in STEPS.items():
         n_looks = str(sum(mission.n_looks[step] for mission in missions))
         told.append((words, step, n_looks, score_missions([mission.steps[step] for mission in missions])))
-    told.append(("+ kinds of mine in the fusion (the chain)", "shape", "", score_missions([mission.chain for mission in missions])))
     for words, cost, n_looks, score in told:
         headline = next(headline for headline in score.headlines if headline.limit_per_km2 == _LIMIT_PER_KM2)
         enough = next((point for point in score.froc if (point.pd.value or 0.0) >= wanted), None)
@@ -272,6 +275,7 @@ def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
             _share(score.at_threshold.pd),
             _density(score.at_threshold.false_alarms),
             _NOTHING if enough is None else _density(enough.false_alarms),
+            _NOTHING if enough is None else _density(density(enough.false_alarms.count - enough.on_known_clutter, score.area_km2)),
             n_looks,
             f"{seconds:.0f}",
         ]
