@@ -7,11 +7,16 @@ import math
 from pathlib import Path
 
 import pytest
+from drawn_looks import confirmation, detection
 
-from auv_mcm.config import Config
+from auv_mcm.config import Config, ContactsConfig
+from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.errors import UsageError
-from sim_replay.benches.scenes import add_arguments, config_for, run
+from auv_mcm.records import Contact, LookStep
+from sim_replay.benches.scenes import add_arguments, as_after, config_for, run
 from sim_replay.simulator.scene_file import read_scene
+
+PRIOR = math.log(0.02 / 0.98)
 
 
 def run_with(*arguments: str) -> None:
@@ -52,3 +57,30 @@ def test_a_synthetic_aperture_has_the_beam_of_its_resolution_at_half_range() -> 
     assert scene.sonar.synthetic_aperture is not None
     width_m = math.radians(config_for(scene).sonar.beam_width_deg) * 0.5 * scene.sonar.range_m
     assert width_m == pytest.approx(scene.sonar.synthetic_aperture.along_track_resolution_m)
+
+
+def looked_at(p_by_step: dict[LookStep, float]) -> Contact:
+    """A contact of one view that went through these steps."""
+    *_, last = p_by_step
+    ledger = Ledger(ContactsConfig(), PRIOR)
+    found = detection(p_mine=p_by_step[last], p_by_step=p_by_step, confirmation=confirmation(math.log(9.0)))
+    (contact,) = ledger.add([found])
+    return contact
+
+
+@pytest.mark.parametrize(
+    ("p_by_step", "after"),
+    [
+        ({"detector": 0.2, "contours": 0.4, "shape": 0.9}, {"detector": 0.2, "contours": 0.4, "shape": 0.9}),
+        ({"detector": 0.2, "contours": 0.1}, {"detector": 0.2, "contours": 0.1, "shape": 0.1}),
+        ({"detector": 0.01}, {"detector": 0.01, "contours": 0.01, "shape": 0.01}),
+    ],
+)
+def test_a_contact_after_a_step_has_the_p_mine_of_the_last_step_taken_by_then(
+    p_by_step: dict[LookStep, float], after: dict[LookStep, float]
+) -> None:
+    contact = looked_at(p_by_step)
+    for step, p_mine in after.items():
+        there = as_after(contact, step, PRIOR)
+        assert there.p_mine == pytest.approx(p_mine)
+        assert (there.id, there.latitude_deg, there.longitude_deg) == (contact.id, contact.latitude_deg, contact.longitude_deg)
