@@ -40,7 +40,8 @@ _DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
 _LEAST_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
 _MOST_REPETITION, _MOST_COMMON = 0.55, 0.3
 _DOUBTFUL_GAIN, _GAIN_SCALE, _HOPELESS_GAIN = -6.0, 10.0, -14.0
-_GRAVE: Final = 6.2  # nats of doubt
+_GRAVE: Final = 6.6  # nats of doubt
+_MOST_COMMON_SPOT: Final = 0.35
 
 REJECTING: Final = frozenset(
     {
@@ -154,10 +155,12 @@ def broken(findings: Findings) -> tuple[str, ...]:
 
 
 def is_rejected(reasons: Collection[str], findings: Findings) -> bool:
-    """Whether contours are none of an object's: nothing holds them, or some rule is broken and all doubts together are grave."""
+    """Whether contours are none of an object's: nothing holds them, or rules are broken and either the contours and what they started from
+    both repeat, or all doubts together are grave."""
     if "not_measured" in reasons or not findings.gain > _HOPELESS_GAIN:
         return True
-    return not REJECTING.isdisjoint(reasons) and doubt(findings) > _GRAVE
+    everywhere = findings.repetition > _MOST_REPETITION and findings.spot.common > _MOST_COMMON_SPOT
+    return not REJECTING.isdisjoint(reasons) and (everywhere or doubt(findings) > _GRAVE)
 
 
 def doubt(findings: Findings) -> float:
@@ -239,9 +242,10 @@ def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int6
 
 
 def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
-    """Whether pixels inside a polygon were measured in more rows than nothing can be told from."""
+    """Whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are fewer."""
     rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))
-    return int((table[rows, far, 1] - table[rows, near, 1] >= 1.0).sum()) >= _LEAST_ROWS
+    n_measured = int((table[rows, far, 1] - table[rows, near, 1] >= 1.0).sum())
+    return n_measured >= max(min(_LEAST_ROWS, len(rows)), 1)
 
 
 def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:

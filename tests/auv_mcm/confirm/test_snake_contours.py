@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
-from auv_mcm.confirm.snake_rules import Findings
+from auv_mcm.confirm.snake_rules import Findings, Spot
 from sim_replay.benches.snakes import N_STARTS, drawn_pair, mask_of, overlap, plain_region, random_start
 
 SHAPE = (128, 128)
@@ -159,6 +160,7 @@ GOOD = Findings(
     flank=1.0,
     repetition=0.1,
     common=0.05,
+    spot=Spot(common=0.02, shadow_repetition=0.1, shadow_contrast=0.1),
 )
 
 
@@ -183,12 +185,75 @@ GOOD = Findings(
         ({"common": 0.5}, "repeats"),
     ],
 )
-def test_each_rule_speaks_alone(change: dict[str, float], reason: str) -> None:
+def test_each_rule_speaks_alone(change: dict[str, Any], reason: str) -> None:
     assert snake_rules.broken(GOOD) == ()
     assert snake_rules.broken(GOOD._replace(**change)) == (reason,)
     assert reason in snake_rules.REJECTING
 
 
 def test_object_without_shadow_or_highlight_breaks_no_rule_about_them() -> None:
-    unknown = dict.fromkeys(("shadow_mean", "height_m", "peak_height_m", "flank", "highlight_mean", "highlight_depth_m"), math.nan)
+    unknown: dict[str, Any] = dict.fromkeys(
+        ("shadow_mean", "height_m", "peak_height_m", "flank", "highlight_mean", "highlight_depth_m"), math.nan
+    )
     assert snake_rules.broken(GOOD._replace(**unknown)) == ()
+
+
+def test_broken_rule_alone_rejects_nothing_and_grave_doubt_needs_one() -> None:
+    long = GOOD._replace(length_m=6.0)
+    assert snake_rules.doubt(GOOD) == 0.0
+    assert not snake_rules.is_rejected(snake_rules.broken(long), long)
+    grave = GOOD._replace(highlight_mean=2.0, height_m=0.05, repetition=0.5, spot=Spot(0.2, 2.5, 0.9))
+    assert snake_rules.is_rejected(snake_rules.broken(grave), grave)
+    assert not snake_rules.is_rejected(("no_shadow",), grave)
+
+
+def test_contours_that_repeat_reject_where_what_they_started_from_repeats_too() -> None:
+    repeated = GOOD._replace(repetition=0.9)
+    assert not snake_rules.is_rejected(snake_rules.broken(repeated), repeated)
+    everywhere = repeated._replace(spot=GOOD.spot._replace(common=0.5))
+    assert snake_rules.is_rejected(snake_rules.broken(everywhere), everywhere)
+
+
+@pytest.mark.parametrize("gain", [math.nan, -math.inf, -30.0])
+def test_contours_that_explain_nothing_are_rejected_whatever_else_they_are_like(gain: float) -> None:
+    assert snake_rules.is_rejected(("little_evidence",), GOOD._replace(gain=gain))
+
+
+@pytest.mark.parametrize(
+    "findings",
+    [
+        [GOOD._replace(length_m=length_m) for length_m in (1.5, 3.0, 4.0, 7.0)],
+        [GOOD._replace(highlight_m2=area_m2) for area_m2 in (0.5, 1.0, 2.0, 3.0)],
+        [GOOD._replace(height_m=height_m) for height_m in (0.5, 0.2, 0.1, 0.01)],
+        [GOOD._replace(flank=flank) for flank in (1.0, 0.5, 0.4, 0.0)],
+        [GOOD._replace(repetition=repetition) for repetition in (0.0, 0.2, 0.5, math.inf)],
+        [GOOD._replace(gain=gain) for gain in (50.0, -7.0, -10.0, -40.0)],
+        [GOOD._replace(spot=Spot(*spot, 0.1)) for spot in ((0.0, 0.0), (0.05, 0.4), (0.2, 1.0), (math.inf, math.inf))],
+    ],
+    ids=["long", "large echo", "low", "goes on", "repeats", "little evidence", "common"],
+)
+def test_doubt_grows_with_what_speaks_against_an_object(findings: list[Findings]) -> None:
+    doubts = [snake_rules.doubt(found) for found in findings]
+    assert doubts == sorted(set(doubts))
+    assert all(math.isfinite(doubt) for doubt in doubts)
+
+
+def test_floor_measured_in_one_row_only_holds_no_object() -> None:
+    drawn = drawn_pair(2)
+    valid = np.zeros(SHAPE, dtype=np.bool_)
+    valid[int(drawn.region.row)] = True
+    region = msgspec.structs.replace(drawn.region, valid=valid)
+    contours = converge(region, start_from_detection(region))
+    assert contours.rejected
+    assert "not_measured" in contours.reasons
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"row": math.nan}, {"column": math.nan}, {"altitude_m": math.nan}, {"row_spacing_m": 0.0}, {"first_ground_range_m": math.inf}],
+)
+def test_start_needs_known_geometry(change: dict[str, float]) -> None:
+    region = msgspec.structs.replace(drawn_pair(0).region, **change)
+    with pytest.raises(ValueError, match=next(iter(change))):
+        start_from_detection(region)
+    assert converge(region, random_start(drawn_pair(0), 0)).reasons == ("geometry_unknown",)
