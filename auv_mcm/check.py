@@ -60,6 +60,7 @@ def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
         yield _package(package, module, "warning", "no replay, no report; python -m pip install 'auv-mcm[bench]'")
     yield _kernels()
     yield _simulator()
+    yield _odds()
     config = Config()
     try:
         config = read_config()
@@ -108,6 +109,15 @@ def _simulator() -> Finding:
     energy, keys, taps = np.linspace(0.0, 2.0, 4 * 300).reshape(4, 300), row_keys(0, [0], 0, 4), gaussian_taps(1.5)
     same = np.array_equal(speckle_rows(energy, keys, taps), speckle_rows_numpy(energy, keys, taps))
     return Finding(name, "ok" if same else "FAILED", f"{loaded.reason}, {'equal to' if same else 'NOT EQUAL to'} numpy")
+
+
+def _odds() -> Finding:
+    from auv_mcm.classify.odds import shipped_odds
+
+    try:
+        return Finding("odds of the close look", "ok", f"from {shipped_odds().fitted_on}")
+    except (AuvMcmError, OSError) as error:
+        return Finding("odds of the close look", "FAILED", str(error))
 
 
 def _output(folder: Path) -> Finding:

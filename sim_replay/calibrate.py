@@ -104,7 +104,7 @@ def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m sim_replay.calibrate", description=__doc__)
-    parser.add_argument("--seeds", type=count, default=4, help="missions per scene (default 4)")
+    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the weights go, JSON")
