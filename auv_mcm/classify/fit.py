@@ -85,7 +85,7 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
     sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the resolution, and an
-    altitude that is wrong by 6 %. Empty unless refined. ends: (n_rows, 3) float64, columns in each slice at which the solid's highlight
+    altitude that is wrong by 6 %. Empty unless refined. ends: columns in each slice (n_rows) at which the solid's highlight
     starts and ends and its shadow ends, 0 where it has none.
     plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     contrast: mean of highlight and of shadow over the floor's, echoes cut off at three times the floor.
@@ -97,7 +97,7 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
     best: Optimum
     second: Optimum | None
     sigma: dict[str, float]
-    ends: Array
+    ends: tuple[tuple[float, float, float], ...]
     plausibility: float
     contrast: tuple[float, float]
     highlight: Highlight
@@ -276,7 +276,7 @@ def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: boo
         best=best,
         second=second,
         sigma=sigma,
-        ends=ends,
+        ends=tuple(map(tuple, ends.tolist())),
         plausibility=plausibility(entry.solid, points[0, 2:]),
         contrast=(float(mean[0] / mean[2]), float(mean[1] / mean[2])),
         highlight=highlight,

@@ -201,13 +201,14 @@ def _confirmation(detection: Detection, surroundings: Surroundings, look: Look, 
 
 def _model(fit: ShapeFit, corner: NDArray[np.float64]) -> ShapeModel:
     shape = fit.best.shape
+    starts, tops, stops = np.array(fit.ends).reshape(-1, 3).T
     sizes = {name: float(getattr(shape, name)) for name in shape.__struct_fields__}
     return ShapeModel(
         classification=fit.solid,
         sizes=sizes,
         sigma={name: value for name, value in fit.sigma.items() if name in sizes},
-        highlight=_outline(fit.ends[:, 0], fit.ends[:, 1], corner),
-        shadow=_outline(fit.ends[:, 1], fit.ends[:, 2], corner),
+        highlight=_outline(starts, tops, corner),
+        shadow=_outline(tops, stops, corner),
     )
 
 
