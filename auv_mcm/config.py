@@ -150,7 +150,7 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
     """Limits of the proposed re-inspection legs."""
 
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="contacts looked at again at most")] = 12
-    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="least p_mine worth a second look")] = 0.5
+    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="least p_mine worth a second look")] = 0.2
     turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
     stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
     leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0

@@ -20,7 +20,7 @@ from auv_mcm.records import NAN, ContactClass, Detection
 
 CONTRADICTION: Final = "views_contradict"
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
-_MINE: Final = 0.5
+MINE_LIKE_P: Final = 0.2  # from this p_mine on contacts are called mines: to miss one costs more than four false alarms
 _ONE_LOOK: Final = 3.0  # nats that another view may well bring
 _LOOKS: Final = 2  # directions proposed
 
@@ -99,10 +99,10 @@ def _shape_source(view: Detection, number: int) -> ViewMass:
 def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detection], prior: float, reasons: tuple[str, ...]) -> Verdict:
     belief = singleton_belief(with_ratio(mass, prior))
     # Whether it is a mine goes by p_mine, of which kind by belief.
-    told = max((name for name in belief if p_mine < _MINE or name != "clutter"), key=lambda name: belief[name])
+    told = max((name for name in belief if p_mine < MINE_LIKE_P or name != "clutter"), key=lambda name: belief[name])
     next_look_deg: tuple[float, ...] = ()
     aspects_rad = np.radians([view.aspect_deg for view in views])
-    if abs(odds_of(p_mine)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
-        directions = next_look_value(mass, aspects_rad, _MINE).aspects_rad[:_LOOKS]
+    if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
+        directions = next_look_value(mass, aspects_rad, MINE_LIKE_P).aspects_rad[:_LOOKS]
         next_look_deg = tuple(np.degrees(directions).tolist())
     return Verdict(p_mine, cast(ContactClass, told), belief, conflict, next_look_deg, reasons)

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import singleton_belief
+from auv_mcm.classify.fusion import MINE_LIKE_P
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.geodesy import LocalFrame, wrap_longitude_deg
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
 
 Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | int | None"
 
-MINE_LIKE_P: Final = 0.5  # files and pages for people put contacts from this p_mine up among the mine-like ones
 ELLIPSE_SIGMAS: Final = 2.0  # drawn error ellipses: 86 % of the probability of two normal axes lies inside
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _DEGREE_DIGITS: Final = 9

@@ -158,7 +158,7 @@ def test_only_likely_mines_that_another_look_may_decide_are_visited_the_most_und
     ]
     assert [c.id for c in contacts if needs_second_look(c, 0.5)] == ["surer", "open", "as_open"]
     for n_visited, visited in enumerate([{"as_open"}, {"as_open", "open"}, {"as_open", "open", "surer"}], start=1):
-        plan = plan_reinspection(contacts, 55.0, 12.0, 0.0, PlanConfig(max_contacts=n_visited))
+        plan = plan_reinspection(contacts, 55.0, 12.0, 0.0, PlanConfig(max_contacts=n_visited, min_p_mine=0.5))
         assert {point.contact_id for point in plan} == visited
 
 

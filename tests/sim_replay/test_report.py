@@ -26,7 +26,7 @@ from sim_replay.report.words import area, degrees_minutes, distance, duration, e
 
 
 def full_page(**changes: Any) -> str:
-    contacts = [contact(), contact("C0002", 0.3, classification="clutter"), contact("C0003", 0.6, views=())]
+    contacts = [contact(), contact("C0002", 0.1, classification="clutter"), contact("C0003", 0.6, views=())]
     notices = [Notice(code="reader.zero_navigation", text="no <navigation> at first", place="line7.xtf, byte 1024")] * 9
     given: dict[str, Any] = {
         "mission": mission(),

@@ -99,10 +99,10 @@ def test_panels_of_things_not_found_are_left_out() -> None:
 
 
 def test_other_contacts_have_one_picture_with_what_was_found() -> None:
-    text = page(confirmed(0.2))
+    text = page(confirmed(0.1))
     assert titles(text) == ["Contours and best model"]
     assert {"o-echo", "o-shadow", "o-model"} <= set(re.findall(r'class="([\w-]+)"', text))
-    assert titles(page(contact("C0001", 0.2))) == ["As seen"]
+    assert titles(page(contact("C0001", 0.1))) == ["As seen"]
 
 
 def stroke(text: str, style: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -199,8 +199,8 @@ def test_a_card_says_why_it_is_not_called_a_mine() -> None:
         (0.9, (seen(),), "unknown", "Mine-like: echo and shadow are those of an object, but its shape is open."),
         (0.9, (seen(), seen()), "cylinder", "Mine-like: all 2 views look most like a cylinder."),
         (0.9, (seen(model=None),), "sphere", "Mine-like: all taken together, the views speak most for a sphere."),
-        (0.3, (seen(),), "clutter", "Not mine-like: something other than a mine explains what was seen at least as well."),
-        (0.3, (), "clutter", "Not mine-like: judged by the strength of echo and shadow alone; no view was looked at closely."),
+        (0.1, (seen(),), "clutter", "Not mine-like: something other than a mine explains what was seen at least as well."),
+        (0.1, (), "clutter", "Not mine-like: judged by the strength of echo and shadow alone; no view was looked at closely."),
     ],
 )
 def test_the_verdict_gives_its_reason(p_mine: float, views: tuple[Detection, ...], classification: ContactClass, because: str) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, vacuous
-from auv_mcm.classify.fusion import CONTRADICTION, Verdict, fuse, fused_ratio
+from auv_mcm.classify.fusion import CONTRADICTION, MINE_LIKE_P, Verdict, fuse, fused_ratio
 from auv_mcm.records import NAN, Detection
 
 PRIOR = math.log(0.1 / 0.9)
@@ -111,8 +111,8 @@ def test_belief_sums_to_one_and_everything_is_a_number_in_its_range(seen: list[D
 def test_the_class_is_a_mine_where_p_mine_says_so(seen: list[Detection]) -> None:
     """Of what p_mine leaves, the one believed in most."""
     verdict = fuse(seen, PRIOR)
-    assert verdict.p_mine < 0.5 or verdict.classification != "clutter"
-    left = {name: share for name, share in verdict.belief.items() if verdict.p_mine < 0.5 or name != "clutter"}
+    assert verdict.p_mine < MINE_LIKE_P or verdict.classification != "clutter"
+    left = {name: share for name, share in verdict.belief.items() if verdict.p_mine < MINE_LIKE_P or name != "clutter"}
     assert verdict.belief[verdict.classification] == max(left.values())
 
 
@@ -298,11 +298,11 @@ def test_one_view_is_looked_at_again_square_to_it() -> None:
 
 
 def test_what_is_decided_is_not_looked_at_again() -> None:
-    for p_mine in (0.04, 0.96):
+    for p_mine in (0.012, 0.84):
         assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg == ()
-    for p_mine in (0.06, 0.5, 0.94):
+    for p_mine in (0.0125, 0.2, 0.83):
         assert fuse([detection(p_mine=p_mine)], PRIOR).next_look_deg != ()
-    sure = [looked_at(4.0, aspect, aspect) for aspect in (0.0, 60.0, 120.0)]
+    sure = [looked_at(3.0, aspect, aspect) for aspect in (0.0, 60.0, 120.0)]
     assert fuse(sure[:1], PRIOR).next_look_deg != ()
     assert fuse(sure, PRIOR).next_look_deg == ()
 
