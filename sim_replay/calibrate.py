@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.evidence import calibration_error
 from auv_mcm.classify.features import Features, detector_features
-from auv_mcm.classify.odds import MineOdds, Weights, shipped_odds
+from auv_mcm.classify.odds import MineOdds, Weights
 from auv_mcm.classify.stage import region_of, take
 from auv_mcm.config import Config
 from auv_mcm.errors import AuvMcmError, UsageError
@@ -69,7 +69,7 @@ def examples_of(name: str, seed: int) -> list[Example]:
     """All detections of one mission through a named scene."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     config = _looking_at_everything(config_for(scene))
-    odds, beam_width_rad = shipped_odds(), math.radians(config.sonar.beam_width_deg)
+    beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
     passed_over: list[Detection] = []
 
@@ -78,9 +78,8 @@ def examples_of(name: str, seed: int) -> list[Example]:
         if detection.surroundings is None or (faint and detection.ping_number % _FAINT_KEPT):
             passed_over.append(detection)
             return detection
-        found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, 0.0)
-        contours = {name: found.features[name] for name in odds.contours.weights}
-        seen.append(_Seen(detection, float(_FAINT_KEPT) if faint else 1.0, contours, found.features))
+        found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
+        seen.append(_Seen(detection, float(_FAINT_KEPT) if faint else 1.0, found.contour_features, found.features))
         return detection
 
     mission = Mission(scene)

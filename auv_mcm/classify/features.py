@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.fit import ShapeFits
+from auv_mcm.classify.fit import Highlight, ShapeFits
 from auv_mcm.confirm import snake_rules
-from auv_mcm.confirm.region import HIGHLIGHT
+from auv_mcm.confirm.region import HIGHLIGHT, Region
 from auv_mcm.confirm.snake import Contours
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.records import Detection
@@ -27,15 +27,30 @@ _NO_ALTITUDE: Final = 0.2  # relative, of an altitude that no solid bears out
 _LEAST_PLAUSIBILITY: Final = 1e-3
 _TEMPER: Final = 4.0
 _MOST_ODDS: Final = 6.0
+_RANGE: Final = (-1.5, 3.5)
+_LEAST_ROWS: Final = 4  # of an edge that can be said to bend
+_LEAST_AREA_M2: Final = 0.01
+_MOST_M: Final = 3.0
 
 
 def detector_features(detection: Detection) -> Features:
-    """Of a detection by itself. Levels that were not measured count as 0 and are told by a feature of their own."""
+    """Of a detection by itself. Levels that were not measured count as 0 and are told by a feature of their own.
+
+    `range`: ln(ground range / altitude). What a level or odds are worth changes with it: near ones have faint highlights and short shadows.
+    """
+    ratio = detection.ground_range_m / detection.altitude_m if detection.altitude_m > 0.0 else math.nan
+    odds = min(max(odds_of(detection.p_mine), -_MOST_ODDS), _MOST_ODDS)
+    highlight_db = _known(detection.highlight_db, 0.0)
+    log_range = min(max(math.log(ratio), _RANGE[0]), _RANGE[1]) if 0.0 < ratio < math.inf else 0.0
     return {
-        "detector_odds": min(max(odds_of(detection.p_mine), -_MOST_ODDS), _MOST_ODDS),
-        "highlight_db": _known(detection.highlight_db, 0.0),
+        "detector_odds": odds,
+        "highlight_db": highlight_db,
         "shadow_db": _known(detection.shadow_db, 0.0),
         **_told(detection.reasons, ("no_highlight", "no_shadow", "too_large", "crowded")),
+        "range": log_range,
+        "range_squared": log_range**2,
+        "detector_odds_by_range": odds * log_range,
+        "highlight_db_by_range": highlight_db * log_range,
     }
 
 
@@ -54,6 +69,60 @@ def contour_features(contours: Contours) -> Features:
     }
 
 
+def outline_features(contours: Contours, region: Region) -> Features:
+    """Of how contours run: extents along the track, bends and roughness of their edges, level and area of the highlight.
+
+    Mines have plain edges; those of rocks bend and jump from row to row.
+    """
+    highlight, shadow = (_Edges.of(nodes, region) for nodes in (contours.highlight, contours.shadow))
+    level = contours.highlight_mean / contours.background_mean if contours.background_mean > 0.0 else math.nan
+    return {
+        "highlight_level": math.log(level) if 0.0 < level < math.inf else 0.0,
+        "highlight_area": math.log(contours.highlight_area_m2 + _LEAST_AREA_M2),
+        "highlight_length_m": highlight.length_m,
+        "shadow_length_m": shadow.length_m,
+        "highlight_front_bend_m": _bend_m(highlight.near_m),
+        "shadow_end_bend_m": _bend_m(shadow.far_m),
+        "shadow_front_roughness_m": _roughness_m(shadow.near_m),
+    }
+
+
+class _Edges(NamedTuple):
+    """Near and far edge of a contour in each of its rows (n_rows,), and its extent along the track."""
+
+    near_m: NDArray[np.float64]
+    far_m: NDArray[np.float64]
+    length_m: float
+
+    @classmethod
+    def of(cls, nodes: NDArray[np.float64], region: Region) -> _Edges:
+        if not len(nodes):
+            return cls(np.empty(0), np.empty(0), 0.0)
+        rows, near, far = snake_rules.row_intervals(nodes, region.intensity.shape)
+        near_m, far_m = (side.astype(np.float64) * region.column_spacing_m for side in (near, far))
+        return cls(near_m, far_m, float(np.ptp(rows) + 1) * region.row_spacing_m if len(rows) else 0.0)
+
+
+def _bend_m(edge_m: NDArray[np.float64]) -> float:
+    """How far an edge (n_rows,) strays from a straight one by its curvature, from end to end."""
+    n_rows = len(edge_m)
+    if n_rows < _LEAST_ROWS:
+        return 0.0
+    along = np.arange(n_rows) - 0.5 * (n_rows - 1)
+    square = along**2 - (along**2).mean()
+    return min(abs(float(square @ edge_m) / float(square @ square)) * n_rows**2, _MOST_M)
+
+
+def _roughness_m(edge_m: NDArray[np.float64]) -> float:
+    """Standard deviation of an edge (n_rows,) from a straight one."""
+    n_rows = len(edge_m)
+    if n_rows < _LEAST_ROWS:
+        return 0.0
+    along = np.arange(n_rows) - 0.5 * (n_rows - 1)
+    slope = float(along @ edge_m) / float(along @ along)
+    return min(float((edge_m - slope * along).std()), _MOST_M)
+
+
 def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
     """Of the solids fitted and of the labels (n_rows, n_columns) of the Markov field."""
     best = fits.fits[0] if fits.fits else None
@@ -69,7 +138,19 @@ def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
         "shape_altitude_off": _NO_ALTITUDE if best is None else _known(abs(best.best.altitude_ratio - 1.0), _NO_ALTITUDE),
         **_told(() if best is None else best.flags, ("at_bound", "cut_off")),
         "labelled_highlight": float((labels == HIGHLIGHT).mean()) if labels.size else 0.0,
+        "highlight_deeper_m": 0.0 if best is None else _deeper_m(best.highlight),
+        "burial_m": 0.0 if best is None else float(getattr(best.best.shape, "burial_m", 0.0)),
     }
+
+
+def with_shape(before: Features, shape: Features) -> Features:
+    """All features, and evidence of shape by range."""
+    return before | shape | {"shape_evidence_by_range": shape["shape_evidence"] * before["range"]}
+
+
+def _deeper_m(highlight: Highlight) -> float:
+    """By how much a highlight reaches further across the track than its solid's."""
+    return min(max(_known(highlight.observed_across_m - highlight.model_across_m, 0.0), -_MOST_M), _MOST_M)
 
 
 def compressed(nats: float) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
-from auv_mcm.classify.features import Features, contour_features, detector_features, shape_features
+from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
 from auv_mcm.classify.fit import ShapeFit, ShapeFits, fit_shapes
 from auv_mcm.classify.likelihood import labels_cost
 from auv_mcm.classify.odds import MineOdds, with_ratio
@@ -40,12 +40,16 @@ _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
 
 class Look(NamedTuple):
-    """Everything one close look found. None for steps that were not taken."""
+    """Everything one close look found. None for steps that were not taken.
+
+    contour_features: of the first contours; features: of the last step taken. p_contours: p_mine after the first contours.
+    """
 
     region: Region
     contours: Contours
     segmentation: Segmentation | None
     fits: ShapeFits | None
+    contour_features: Features
     features: Features
     p_contours: float
 
@@ -108,15 +112,15 @@ def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: 
     )
 
 
-def take(detection: Detection, region: Region, odds: MineOdds, min_p_mine: float) -> Look:
-    """Go through the steps as far as the odds allow; with min_p_mine 0 through all of them."""
+def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Look:
+    """Go through the steps as far as the odds allow; without odds through all of them."""
     area = grain_area(region.intensity, region.valid)
     contours = converge(region, start_from_detection(region), correlation_px=area)
     before = detector_features(detection)
-    features = before | contour_features(contours)
-    p_contours = odds.p_mine(odds.log_ratio("contours", features))
+    first = before | contour_features(contours) | outline_features(contours, region)
+    p_contours = math.nan if odds is None else odds.p_mine(odds.log_ratio("contours", first))
     if p_contours < min_p_mine:
-        return Look(region, contours, None, None, features, p_contours)
+        return Look(region, contours, None, None, first, first, p_contours)
     segmentation = segment(region)
     own = labels_near(segmentation.labels, region)
     if own is not None:
@@ -125,8 +129,9 @@ def take(detection: Detection, region: Region, odds: MineOdds, min_p_mine: float
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
     fits = fit_shapes(region, contour_cost(region, contours, area), area)
-    features = before | contour_features(contours) | shape_features(fits, segmentation.labels)
-    return Look(region, contours, segmentation, fits, features, p_contours)
+    found = before | contour_features(contours) | outline_features(contours, region)
+    features = with_shape(found, shape_features(fits, segmentation.labels))
+    return Look(region, contours, segmentation, fits, first, features, p_contours)
 
 
 def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:

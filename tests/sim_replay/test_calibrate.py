@@ -238,9 +238,10 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
                 pass
 
         class Looked(NamedTuple):
+            contour_features: dict[str, float]
             features: dict[str, float]
 
-        measured = Looked(dict.fromkeys(shipped_odds().shape.weights, 0.5))
+        measured = Looked(dict.fromkeys(shipped_odds().contours.weights, 0.5), dict.fromkeys(shipped_odds().shape.weights, 0.5))
         monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "take", lambda *_: measured)

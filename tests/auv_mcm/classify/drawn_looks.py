@@ -12,6 +12,7 @@ from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.classify.fit import ShapeFits
 from auv_mcm.classify.odds import with_ratio
+from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours
 from auv_mcm.records import NAN, Confirmation, ContactClass, Detection
 
@@ -99,3 +100,17 @@ def no_contours(**values: Any) -> Contours:
 def no_fits(**values: Any) -> ShapeFits:
     known: dict[str, Any] = {"fits": (), "contour_cost": None, "n_hypotheses": 0, "flags": ()}
     return ShapeFits(**{**known, **values})
+
+
+def bare_floor(n_rows: int = 40, n_columns: int = 60) -> Region:
+    return Region(
+        intensity=np.ones((n_rows, n_columns)),
+        valid=np.ones((n_rows, n_columns), dtype=np.bool_),
+        row_spacing_m=0.1,
+        column_spacing_m=0.05,
+        first_ground_range_m=10.0,
+        altitude_m=5.0,
+        row=20.0,
+        column=20.0,
+        beam_width_rad=0.01,
+    )

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
-from drawn_looks import detection, no_contours, no_fits
+from drawn_looks import bare_floor, detection, no_contours, no_fits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.classify.features import Features, compressed, contour_features, detector_features, shape_features
+from auv_mcm.classify.features import (
+    Features,
+    compressed,
+    contour_features,
+    detector_features,
+    outline_features,
+    shape_features,
+    with_shape,
+)
 from auv_mcm.classify.fit import Highlight, Optimum, ShapeFit
 from auv_mcm.classify.shapes import Sphere
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
@@ -30,7 +39,7 @@ def fit_of(cost: float, plausibility: float = 1.0, altitude_ratio: float = 1.0, 
         best=Optimum(shape=Sphere(radius_m=0.4), row=5.0, ground_range_m=12.0, altitude_ratio=altitude_ratio, cost=cost),
         second=None,
         sigma={},
-        ends=np.zeros((1, 3)),
+        ends=((0.0, 0.0, 0.0),),
         plausibility=plausibility,
         contrast=(4.0, 0.2),
         highlight=Highlight(model_along_m=0.8, model_across_m=0.2, observed_along_m=0.8, observed_across_m=0.2, n_samples=20.0),
@@ -83,7 +92,16 @@ def test_a_detection_is_told_by_its_odds_its_levels_and_what_was_missing() -> No
         "no_shadow": 1.0,
         "too_large": 0.0,
         "crowded": 0.0,
+        "range": pytest.approx(math.log(12.0 / 5.0)),
+        "range_squared": pytest.approx(math.log(12.0 / 5.0) ** 2),
+        "detector_odds_by_range": pytest.approx(math.log(4.0) * math.log(12.0 / 5.0)),
+        "highlight_db_by_range": pytest.approx(9.0 * math.log(12.0 / 5.0)),
     }
+
+
+@given(anything, anything)
+def test_any_place_of_a_detection_is_told_by_finite_numbers(ground_range_m: float, altitude_m: float) -> None:
+    assert_moderate(detector_features(detection(ground_range_m=ground_range_m, altitude_m=altitude_m)))
 
 
 # ---------------------------------------------------------------- contours
@@ -132,6 +150,62 @@ def test_contours_are_told_by_gain_repetition_darkness_and_rules() -> None:
     assert contour_features(no_contours(reasons=tuple(broken)))["contour_rules_broken"] == 3.0
 
 
+# ---------------------------------------------------------------- outlines
+
+
+def outline(near: Sequence[float], far: Sequence[float], top: int = 5) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """A contour with these columns as edges of each row: up the near side, down the far one."""
+    rows = np.repeat(np.arange(top, top + len(near)), 2) + np.tile([0.0, 1.0], len(near))
+    down = np.column_stack([rows, np.repeat(far, 2)])
+    return np.concatenate([down, np.column_stack([rows, np.repeat(near, 2)])[::-1]])
+
+
+def test_no_outlines_have_no_extent_and_do_not_bend() -> None:
+    told = outline_features(no_contours(), bare_floor())
+    assert_moderate(told)
+    assert all(told[name] == 0.0 for name in told if name.endswith("_m"))
+
+
+def test_outlines_are_told_by_extents_level_and_area() -> None:
+    contours = no_contours(
+        highlight=outline([10] * 8, [14] * 8),
+        shadow=outline([14] * 6, [30] * 6),
+        highlight_mean=4.0,
+        background_mean=0.8,
+        highlight_area_m2=0.16,
+    )
+    told = outline_features(contours, bare_floor())
+    assert told["highlight_length_m"] == pytest.approx(0.8)
+    assert told["shadow_length_m"] == pytest.approx(0.6)
+    assert told["highlight_level"] == pytest.approx(math.log(5.0))
+    assert told["highlight_area"] == pytest.approx(math.log(0.17))
+
+
+@given(st.integers(4, 20), st.integers(-2, 2))
+def test_straight_edges_neither_bend_nor_jump_however_they_slant(n_rows: int, slant: int) -> None:
+    near = [(45 if slant < 0 else 5) + slant * row for row in range(n_rows)]
+    contours = no_contours(shadow=outline(near, [column + 8 for column in near]), highlight=outline(near, [60] * n_rows))
+    told = outline_features(contours, bare_floor())
+    for name in ("highlight_front_bend_m", "shadow_end_bend_m", "shadow_front_roughness_m"):
+        assert told[name] == pytest.approx(0.0, abs=1e-9), name
+
+
+def test_bends_and_jumps_are_those_of_a_polynomial_fit() -> None:
+    near = [10, 12, 13, 13, 14, 13, 13, 12, 10, 11]
+    far = [20, 25, 28, 30, 31, 30, 29, 26, 24, 20]
+    told = outline_features(no_contours(shadow=outline(near, far), highlight=outline(near, far)), bare_floor())
+    rows = np.arange(10.0)
+    near_m, far_m = 0.05 * np.array(near), 0.05 * np.array(far)
+    assert told["highlight_front_bend_m"] == pytest.approx(abs(np.polyfit(rows, near_m, 2)[0]) * 100.0)
+    assert told["shadow_end_bend_m"] == pytest.approx(abs(np.polyfit(rows, far_m, 2)[0]) * 100.0)
+    assert told["shadow_front_roughness_m"] == pytest.approx((near_m - np.polyval(np.polyfit(rows, near_m, 1), rows)).std())
+
+
+def test_two_or_three_rows_cannot_bend() -> None:
+    told = outline_features(no_contours(shadow=outline([10, 20, 10], [30, 40, 30])), bare_floor())
+    assert told["shadow_end_bend_m"] == told["shadow_front_roughness_m"] == 0.0
+
+
 # ---------------------------------------------------------------- solids
 
 
@@ -168,7 +242,16 @@ def test_the_best_solid_and_the_best_of_usual_size_are_told_apart() -> None:
         "at_bound": 1.0,
         "cut_off": 0.0,
         "labelled_highlight": 0.25,
+        "highlight_deeper_m": 0.0,
+        "burial_m": 0.0,
     }
+
+
+def test_evidence_of_shape_is_told_by_range_as_well() -> None:
+    before, shape = detector_features(detection()), shape_features(no_fits(fits=(fit_of(-40.0),)), NO_LABELS)
+    told = with_shape(before, shape)
+    assert told.keys() == {*before, *shape, "shape_evidence_by_range"}
+    assert told["shape_evidence_by_range"] == pytest.approx(math.log(9.0) * math.log(12.0 / 5.0))
 
 
 @given(st.floats(-200.0, 50.0), st.floats(0.1, 50.0))

@@ -191,7 +191,8 @@ def test_views_of_a_mine_that_tell_different_kinds_still_tell_a_mine() -> None:
 @given(st.lists(st.tuples(st.floats(-8.0, 8.0), aspects), min_size=1, max_size=6))
 def test_fused_evidence_is_the_sum_less_what_is_repeated(seen: list[tuple[float, float]]) -> None:
     """Written out view by view, the most telling first."""
-    total, counted = 0.0, []
+    total = 0.0
+    counted: list[float] = []
     for ratio, aspect in sorted(seen, key=lambda view: (-abs(view[0]), -view[0])):
         share = 1.0
         for other in counted:

@@ -11,13 +11,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from drawn_looks import detection, no_contours, no_fits
+from drawn_looks import bare_floor, detection, no_contours, no_fits
 from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.classify import odds as odds_module
 from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, subset, vacuous
-from auv_mcm.classify.features import contour_features, detector_features, shape_features
+from auv_mcm.classify.features import contour_features, detector_features, outline_features, shape_features, with_shape
 from auv_mcm.classify.odds import MineOdds, Weights, mass_of_ratio, parse_odds, share_of_ratio, shipped_odds, with_ratio
 from auv_mcm.errors import BadInputError
 
@@ -194,12 +194,13 @@ def test_any_bytes_are_weights_or_refused(data: bytes) -> None:
 def test_the_shipped_weights_are_for_the_features_there_are() -> None:
     odds = shipped_odds()
     detector = detector_features(detection())
-    contours = contour_features(no_contours())
+    contours, outlines = contour_features(no_contours()), outline_features(no_contours(), bare_floor())
     shape = shape_features(no_fits(), np.zeros((2, 2), dtype=np.uint8))
-    assert len(detector) + len(contours) + len(shape) == len(detector | contours | shape), "names are unique"
+    parts = (detector, contours, outlines, shape)
+    assert sum(map(len, parts)) == len({name for part in parts for name in part}), "names are unique"
     assert odds.detector.weights.keys() == detector.keys()
-    assert odds.contours.weights.keys() == (detector | contours).keys()
-    assert odds.shape.weights.keys() == (detector | contours | shape).keys()
+    assert odds.contours.weights.keys() == (detector | contours | outlines).keys()
+    assert odds.shape.weights.keys() == with_shape(detector | contours | outlines, shape).keys()
     assert odds.prior < math.log(0.5), "most detections are no mines"
 
 
