@@ -29,6 +29,7 @@ FRAME: Final[tuple[ContactClass, ...]] = ("cylinder", "sphere", "truncated_cone"
 N_CLASSES: Final = len(FRAME)
 N_SUBSETS: Final = 1 << N_CLASSES
 EVERYTHING: Final = N_SUBSETS - 1
+MINE_LIKE_P: Final = 0.2  # from this p_mine on contacts are called mines: to miss one costs more than four false alarms
 
 
 def subset(*names: ContactClass) -> int:

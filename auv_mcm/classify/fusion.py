@@ -13,14 +13,13 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from auv_mcm.classify.beliefs import APART_FROM, Array, ViewMass, combine, next_look_value, singleton_belief, vacuous
+from auv_mcm.classify.beliefs import APART_FROM, MINE_LIKE_P, Array, ViewMass, combine, next_look_value, singleton_belief, vacuous
 from auv_mcm.classify.odds import mass_of_ratio, share_of_ratio, with_ratio
 from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
 
 CONTRADICTION: Final = "views_contradict"
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
-MINE_LIKE_P: Final = 0.2  # from this p_mine on contacts are called mines: to miss one costs more than four false alarms
 _ONE_LOOK: Final = 3.0  # nats that another view may well bring
 _LOOKS: Final = 2  # directions proposed
 

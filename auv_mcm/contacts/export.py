@@ -18,8 +18,7 @@ from typing import Any, Final, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import singleton_belief
-from auv_mcm.classify.fusion import MINE_LIKE_P
+from auv_mcm.classify.beliefs import MINE_LIKE_P, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.geodesy import LocalFrame, wrap_longitude_deg
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint

@@ -13,8 +13,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import FRAME, vacuous
-from auv_mcm.classify.fusion import CONTRADICTION, MINE_LIKE_P, Verdict, fuse, fused_ratio
+from auv_mcm.classify.beliefs import FRAME, MINE_LIKE_P, vacuous
+from auv_mcm.classify.fusion import CONTRADICTION, Verdict, fuse, fused_ratio
 from auv_mcm.records import NAN, Detection
 
 PRIOR = math.log(0.1 / 0.9)
