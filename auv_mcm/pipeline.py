@@ -234,7 +234,8 @@ class Pipeline:
         config = self._config.confirm
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0
-        worthwhile = [is_worth_a_look(detection, self._odds, config) for detection in detections]
+        # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
+        worthwhile = [config.min_p_mine <= 0.0 or is_worth_a_look(detection, self._odds, config) for detection in detections]
         best_first = sorted(
             (d for d, worth in zip(detections, worthwhile, strict=True) if worth), key=lambda d: (-d.p_mine, d.row, d.column)
         )

@@ -132,7 +132,7 @@ _STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 
 
 def _looking_at_everything(config: Config) -> Config:
-    return msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, max_per_tile=100_000))
+    return msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000))
 
 
 def _labelled(scene: str, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]) -> list[Example]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from functools import cache
 
 import msgspec
+import pytest
 from short_missions import flown, one_leg
 
 from auv_mcm.classify.beliefs import FRAME
+from auv_mcm.classify.odds import MineOdds, Weights
 from auv_mcm.config import Config, ConfirmConfig
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Contact, Notice, PipelineEvent, SourceEvent
+from auv_mcm.records import Contact, Detection, Notice, PipelineEvent, SourceEvent
 from sim_replay.simulator.scene import Recorder, SceneObject, Sonar
 
 OBJECTS = (
@@ -80,3 +82,20 @@ def test_without_a_close_look_contacts_carry_what_the_detector_found() -> None:
         assert view.surroundings is None
         assert contact.p_mine == view.p_mine
         assert contact.classification in ("clutter", "unknown")
+
+
+def test_without_a_bound_every_detection_is_looked_at_whatever_features_the_odds_know(monkeypatch: pytest.MonkeyPatch) -> None:
+    of_other_features = Weights(offset=0.0, weights={"of_another_detector": 1.0})
+    odds = MineOdds(fitted_on="nothing", prior=-4.0, detector=of_other_features, contours=of_other_features, shape=of_other_features)
+    monkeypatch.setattr("auv_mcm.pipeline.shipped_odds", lambda: odds)
+    seen: list[Detection] = []
+
+    def look(detection: Detection) -> Detection:
+        seen.append(detection)
+        return detection
+
+    pipeline = Pipeline(msgspec.structs.replace(Config(), confirm=ConfirmConfig(min_p_mine=0.0)), look=look)
+    for event in mission():
+        pipeline.feed(event)
+    pipeline.finish()
+    assert len(seen) == sum(len(contact.views) for contact in pipeline.contacts) > len(OBJECTS)
