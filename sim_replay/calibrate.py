@@ -20,7 +20,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.evidence import calibration_error
 from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Weights
 from auv_mcm.classify.stage import region_of, take
@@ -32,6 +31,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, LookStep
 from sim_replay.benches.arguments import count
 from sim_replay.benches.scenes import SCENES, config_for
+from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene

@@ -1,4 +1,4 @@
-"""From how well shape models match one view to belief masses, and from scores to probabilities that hold.
+"""From how well shape models match one view to belief masses.
 
 Appriou ("Probabilités et incertitude en fusion de données multi-senseurs", 1991) derives two families of masses from likelihoods,
 one statement per class, combined over the classes. Both are here.
@@ -20,54 +20,33 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from auv_mcm.classify.beliefs import EVERYTHING, FRAME, MAX_RELIABILITY, N_CLASSES, N_SUBSETS, Array, dempster, subset
-from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN, ContactClass
 
 TEMPERATURE: Final = 4.0  # pixels are correlated and models not exact: log-likelihoods of a region are worth a fraction of their value
-HIGHLIGHT_RELIABILITY: Final = 0.6  # often only a glint of a highlight is seen: its size alone excludes nothing
 _SIZE_MARGIN: Final = 0.3
-_HIGHLIGHT_SIGMA_M: Final = 0.15
-_LEAST_PROBABILITY: Final = 1e-9
 _CLUTTER: Final = FRAME.index("clutter")
 
 
 class ClassEvidence(msgspec.Struct, frozen=True, kw_only=True):
     """How one class explains one view, with its best parameters.
 
-    nll: negative log-likelihood in nats, +inf if it cannot explain the view at all. plausibility: of the parameters' sizes;
-    highlight_consistency: of the highlight's size with the model's; both in [0, 1], NaN where not known.
+    nll: negative log-likelihood in nats, +inf if it cannot explain the view at all. plausibility: of the parameters' sizes, in [0, 1],
+    NaN where not known.
 
     Raises ValueError for numbers outside these ranges.
     """
 
     nll: float
     plausibility: float = NAN
-    highlight_consistency: float = NAN
 
     def __post_init__(self) -> None:
         if not self.nll > -math.inf:
             raise ValueError(f"nll must be a number or +inf, got {self.nll}; leave out classes that were not tried")
-        for field in ("plausibility", "highlight_consistency"):
-            value: float = getattr(self, field)
-            if not (math.isnan(value) or 0.0 <= value <= 1.0):
-                raise ValueError(f"{field} must lie in [0, 1] or be NaN, got {value}")
-
-
-class Calibration(msgspec.Struct, frozen=True, kw_only=True):
-    """Scores in (0, 1) to probabilities: log-odds p = slope * log-odds score + offset. The default changes nothing.
-
-    Raises ValueError unless slope is positive and both are finite: a calibration keeps the order of scores.
-    """
-
-    slope: float = 1.0
-    offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (0.0 < self.slope < math.inf and math.isfinite(self.offset)):
-            raise ValueError(f"calibration needs a positive slope and a finite offset, got {self.slope} and {self.offset}")
+        if not (math.isnan(self.plausibility) or 0.0 <= self.plausibility <= 1.0):
+            raise ValueError(f"plausibility must lie in [0, 1] or be NaN, got {self.plausibility}")
 
 
 def size_plausibility(sizes_m: ArrayLike, least_m: ArrayLike, most_m: ArrayLike) -> Array:
@@ -83,19 +62,13 @@ def size_plausibility(sizes_m: ArrayLike, least_m: ArrayLike, most_m: ArrayLike)
     return np.asarray(np.where(np.isnan(size), 1.0, each).prod(axis=-1))
 
 
-def highlight_consistency(observed_m: ArrayLike, modelled_m: ArrayLike) -> Array:
-    """(...) agreement in [0, 1] of a highlight's extent with the model's; NaN where either is NaN."""
-    deviation = (np.asarray(observed_m, dtype=np.float64) - np.asarray(modelled_m, dtype=np.float64)) / _HIGHLIGHT_SIGMA_M
-    return np.asarray(np.exp(-0.5 * deviation**2))
-
-
 def view_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE) -> Array:
     """(32,) mass of one view from the evidence for the classes tried; a class left out stays possible.
 
-    The match of class i in log units is -nll / temperature + ln plausibility + ln(1 - 0.6 (1 - highlight_consistency)), mu_i its exp
-    over that of the best. Clutter is every object that is no mine: whatever matches a mine's shape of implausible size matches clutter
-    by as much as the size is implausible. Then m(not i) = a (1 - mu_i), a = min(quality, 0.95), combined over the classes, which
-    contradict each other in nothing: m(A) is the product of 1 - a (1 - mu_i) in A and of a (1 - mu_i) out of it.
+    The match of class i in log units is -nll / temperature + ln plausibility, mu_i its exp over that of the best. Clutter is every object
+    that is no mine: whatever matches a mine's shape of implausible size matches clutter by as much as the size is implausible. Then
+    m(not i) = a (1 - mu_i), a = min(quality, 0.95), combined over the classes, which contradict each other in nothing: m(A) is the
+    product of 1 - a (1 - mu_i) in A and of a (1 - mu_i) out of it.
 
     Raises ValueError if quality is not in [0, 1], temperature not positive, or a class not in FRAME.
     """
@@ -110,7 +83,7 @@ def view_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, te
 def appriou_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE) -> Array:
     """(32,) mass of one view by Appriou's first family, for comparison: see above for what it gets wrong. Arguments as `view_mass`.
 
-    R_i = exp(l_i - ln mean exp l), l = -nll / temperature; a_i = quality * plausibility * highlight_consistency, at most 0.95.
+    R_i = exp(l_i - ln mean exp l), l = -nll / temperature; a_i = quality * plausibility, at most 0.95.
     """
     tried = _tried(evidence)
     level = _log_likelihoods(evidence, temperature)[tried]
@@ -119,52 +92,11 @@ def appriou_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float,
     masses = np.zeros((1 + len(tried), N_SUBSETS))
     masses[:, EVERYTHING] = 1.0
     for mass, i, ratio in zip(masses[1:], tried, log_ratio.tolist(), strict=True):
-        item = evidence[FRAME[i]]
-        weight = _checked_quality(quality) * _known(item.plausibility) * _known(item.highlight_consistency)
-        weight = min(weight, MAX_RELIABILITY)
+        weight = min(_checked_quality(quality) * _known(evidence[FRAME[i]].plausibility), MAX_RELIABILITY)
         mass[1 << i] = weight * math.exp(-np.logaddexp(0.0, -ratio))
         mass[EVERYTHING ^ (1 << i)] = weight * math.exp(-np.logaddexp(0.0, ratio))
         mass[EVERYTHING] = 1.0 - weight
     return dempster(masses).mass
-
-
-def calibrated(score: ArrayLike, calibration: Calibration) -> Array:
-    """(...) probability for a score in [0, 1] (...), never quite 0 or 1."""
-    odds = calibration.slope * _log_odds(score) + calibration.offset
-    return np.asarray(np.exp(-np.logaddexp(0.0, -odds)))
-
-
-def fit_calibration(score: ArrayLike, is_mine: ArrayLike) -> Calibration:
-    """Calibration with the least log-loss on scores (n,) in [0, 1] of objects known to be mines or not (n,).
-
-    Platt's logistic regression on log-odds with his smoothed targets, so that separable scores do not make it infinitely steep;
-    Newton's method with halved steps (Lin, Lin and Weng, Machine Learning 68, 2007).
-
-    Raises BadInputError unless there are mines and others, and mines score higher.
-    """
-    x, mine = _pairs(score, is_mine)
-    x = _log_odds(x)
-    n_mines, n_others = int(mine.sum()), int((~mine).sum())
-    if not n_mines or not n_others:
-        raise BadInputError(f"calibration needs scores of mines and of others, got {n_mines} and {n_others}; add the missing ones")
-    target = np.where(mine, (n_mines + 1.0) / (n_mines + 2.0), 1.0 / (n_others + 2.0))
-    middle, scale = float(x.mean()), float(x.std())
-    columns = np.stack(((x - middle) / scale if scale > 0.0 else np.zeros_like(x), np.ones_like(x)), axis=1)
-    slope, offset = _logistic_fit(columns, target).tolist()
-    if not slope > 0.0:
-        raise BadInputError("calibration: mines do not score higher than others; check which scores are which, or the score itself")
-    return Calibration(slope=slope / scale, offset=offset - slope * middle / scale)
-
-
-def calibration_error(probability: ArrayLike, is_mine: ArrayLike, n_bins: int = 10) -> float:
-    """Expected calibration error: |mean probability - share of mines| per bin of [0, 1], weighted by the bin's count.
-
-    probability, is_mine: (n,). Raises BadInputError if there are none, or a probability is not in [0, 1].
-    """
-    p, mine = _pairs(probability, is_mine)
-    bins = np.minimum((p * n_bins).astype(np.intp), n_bins - 1)
-    excess = np.bincount(bins, weights=p - mine, minlength=n_bins)
-    return float(np.abs(excess).sum() / len(p))
 
 
 def _checked_quality(quality: float) -> float:
@@ -195,8 +127,7 @@ def _memberships(evidence: Mapping[ContactClass, ClassEvidence], temperature: fl
     tried = _tried(evidence)
     likelihood = _log_likelihoods(evidence, temperature)
     plausible = np.array([_known(evidence[n].plausibility) if n in evidence else 1.0 for n in FRAME])
-    consistent = np.array([_known(evidence[n].highlight_consistency) if n in evidence else 1.0 for n in FRAME])
-    match = likelihood + _log(plausible) + np.log(1.0 - HIGHLIGHT_RELIABILITY * (1.0 - consistent))
+    match = likelihood + _log(plausible)
     match[_CLUTTER] = max(match[_CLUTTER], (likelihood + _log(1.0 - plausible))[tried].max(initial=-math.inf))
     best = match[tried].max(initial=-math.inf)
     mu = np.ones(N_CLASSES)
@@ -206,39 +137,3 @@ def _memberships(evidence: Mapping[ContactClass, ClassEvidence], temperature: fl
 
 def _log(share: Array) -> Array:
     return np.log(share, out=np.full_like(share, -np.inf), where=share > 0.0)
-
-
-def _log_odds(score: ArrayLike) -> Array:
-    p = np.clip(np.asarray(score, dtype=np.float64), _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
-    return np.asarray(np.log(p) - np.log1p(-p))
-
-
-def _pairs(probability: ArrayLike, is_mine: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-    p, mine = np.asarray(probability, dtype=np.float64), np.asarray(is_mine, dtype=np.bool_)
-    if p.ndim != 1 or p.shape != mine.shape or not p.size:
-        raise BadInputError(f"calibration needs as many scores as truths, one or more of each, got shapes {p.shape} and {mine.shape}")
-    if not ((p >= 0.0) & (p <= 1.0)).all():
-        raise BadInputError(f"calibration: scores must lie in [0, 1], got {p[~((p >= 0.0) & (p <= 1.0))][0]}")
-    return p, mine
-
-
-def _logistic_fit(columns: Array, target: Array) -> Array:
-    """(k,) coefficients of the least log-loss for columns (n, k) and target probabilities (n,)."""
-
-    def loss(at: Array) -> float:
-        odds = columns @ at
-        return float(np.sum(np.logaddexp(0.0, odds) - target * odds))
-
-    coefficients = np.zeros(columns.shape[1])
-    ridge = 1e-12 * np.eye(columns.shape[1])
-    for _ in range(100):
-        p = np.exp(-np.logaddexp(0.0, -(columns @ coefficients)))
-        gradient = columns.T @ (p - target)
-        step = np.linalg.solve((columns.T * (p * (1.0 - p))) @ columns + ridge, gradient)
-        now, decrease = loss(coefficients), float(gradient @ step)
-        while loss(coefficients - step) > now - 1e-4 * decrease and decrease > 1e-14:
-            step, decrease = 0.5 * step, 0.5 * decrease
-        coefficients = coefficients - step
-        if decrease <= 1e-14:
-            break
-    return coefficients

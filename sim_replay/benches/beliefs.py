@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, FRAME, N_CLASSES, Array, ViewMass, belief, combine, pignistic, subset
-from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, appriou_mass, calibration_error, view_mass
+from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, appriou_mass, view_mass
 from auv_mcm.classify.fit import SOLIDS, fit_shapes, hypotheses_of, plausibility
 from auv_mcm.classify.hausdorff import Mask, contour_distance, shadow_mask
 from auv_mcm.classify.likelihood import labels_cost, row_sums
@@ -34,6 +34,7 @@ from auv_mcm.records import ContactClass
 from sim_replay.benches.arguments import count
 from sim_replay.benches.shapes import CORRELATION_AREA, draw_object, rendered_region
 from sim_replay.benches.snakes import mask_of
+from sim_replay.scoring.calibration import calibration_error
 from sim_replay.simulator.scene import SceneObject
 
 # Bel of cylinder, sphere, cone and clutter for one view of each, as printed in the source paper's Table 1. It knows no wedge.

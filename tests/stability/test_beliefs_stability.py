@@ -208,8 +208,7 @@ def test_likelihoods_of_any_size_give_masses(scale: float) -> None:
             continue
         for sure in (0.0, 1.0, 1e-310, 1.0 - 2.0**-53, math.nan):
             evidence: dict[ContactClass, ClassEvidence] = {
-                name: ClassEvidence(nll=sign * scale if sign else 0.0, plausibility=sure, highlight_consistency=sure)
-                for name, sign in zip(FRAME, signs, strict=True)
+                name: ClassEvidence(nll=sign * scale if sign else 0.0, plausibility=sure) for name, sign in zip(FRAME, signs, strict=True)
             }
             for rule in (view_mass, appriou_mass):
                 mass = rule(evidence, 1.0)

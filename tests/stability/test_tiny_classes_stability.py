@@ -11,14 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from region_doors import DOORS, START, cone_region, plain, through
 
-from auv_mcm.classify.evidence import calibrated, fit_calibration
 from auv_mcm.classify.search import Box, curvature_covariance
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, Region
 from auv_mcm.confirm.snake import converge
-from auv_mcm.errors import BadInputError
 
 Plane = NDArray[np.float64]
 SHAPE = cone_region().intensity.shape
@@ -138,20 +136,3 @@ def test_uncertainty_of_what_the_cost_does_not_tell_is_wide_and_finite(rank: int
     if steepness <= 1.0:
         blind = np.linalg.svd(np.vstack((ways, np.zeros((3 - rank, 3)))))[2][-1]
         assert blind @ covariance @ blind > 0.1  # several grains of 0.1
-
-
-@pytest.mark.parametrize("n_mines", [1, 2, 500])
-def test_scores_that_one_threshold_separates_calibrate_finitely_and_in_order(n_mines: int) -> None:
-    score = np.concatenate((np.full(n_mines, 1.0), np.linspace(0.0, 0.4, 300)))
-    calibration = fit_calibration(score, np.arange(score.size) < n_mines)
-    assert 0.0 < calibration.slope < 1e3
-    probability = calibrated(np.array([0.0, 1e-300, 0.4, 0.5, 1.0 - 1e-16, 1.0]), calibration)
-    assert (np.diff(probability) >= 0.0).all()
-    assert 0.0 < probability[0] < probability[-1] < 1.0
-
-
-def test_scores_that_are_all_alike_or_not_numbers_are_refused() -> None:
-    mine = np.arange(10) < 5
-    for score in (np.full(10, 0.3), np.linspace(0.9, 0.1, 10)[::-1], np.where(np.arange(10) == 3, math.nan, 0.5)):
-        with pytest.raises(BadInputError, match="calibration"):
-            fit_calibration(score, mine)
