@@ -1,0 +1,182 @@
+"""Boosted stumps over features in 256 bins: GentleBoost and discrete AdaBoost, asymmetric if misses cost more than false alarms.
+
+Sources: J. Friedman, T. Hastie, R. Tibshirani, "Additive logistic regression", Annals of Statistics 28(2), 2000 (GentleBoost, weight
+trimming); P. Viola, M. Jones, "Fast and robust classification using asymmetric AdaBoost", NIPS 2001 (asymmetry spread over the rounds).
+
+Weights are whole multiples of 2**-40 of their total: sums over bins are exact in any order, so that the same samples give the same
+stumps bit for bit, and equal splits are equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bins = NDArray[np.uint8]
+Weights = NDArray[np.float64]
+
+N_BINS: Final = 256
+SCORE_UNIT: Final = 1024
+"""Leaves are whole numbers, in 1/1024 of half a log-odds unit."""
+
+_TOTAL: Final = 2.0**40
+_LARGEST_LEAF: Final = 4.0
+_LARGEST_GROWTH: Final = 100.0  # of a weight since the first round: one mislabelled sample must not take over
+_TRIMMED_MASS: Final = 0.01
+_RIDGE: Final = 1e-3  # share of the total weight that pulls leaves to 0, so that a handful of samples is no certainty
+_FEATURE_SHARE: Final = 0.25  # of the features, drawn anew every round: a quarter of the time, and stumps more unlike each other
+_FEWEST_FEATURES: Final = 512
+
+
+class BoostedStump(NamedTuple):
+    """Adds `below` where the feature's bin is at most `last_below`, else `above`; leaves in 1/SCORE_UNIT."""
+
+    feature: int
+    last_below: int
+    below: int
+    above: int
+
+    def scores(self, bins: Bins) -> NDArray[np.int32]:
+        """(n_samples,) int32 for bins (n_features, n_samples) uint8."""
+        return np.where(bins[self.feature] <= self.last_below, np.int32(self.below), np.int32(self.above))
+
+
+class Split(NamedTuple):
+    """The best of many splits: how much it gains, where, and the leaves it asks for."""
+
+    gain: float
+    feature: int
+    last_below: int
+    below: float
+    above: float
+
+
+def gentle_stumps(
+    bins: Bins, is_target: NDArray[np.bool_], n_rounds: int, asymmetry: float, rng: np.random.Generator
+) -> Iterator[BoostedStump]:
+    """Up to `n_rounds` stumps of GentleBoost, each leaf the weighted mean of the labels +-1 in it; fewer if no feature splits the samples.
+
+    bins: (n_features, n_samples) uint8. is_target: (n_samples,) bool. asymmetry: what a miss costs, in false alarms.
+    Raises ValueError if either class is empty.
+    """
+    return _stumps(bins, is_target, n_rounds, asymmetry, rng, gentle_split)
+
+
+def ada_stumps(
+    bins: Bins, is_target: NDArray[np.bool_], n_rounds: int, asymmetry: float, rng: np.random.Generator
+) -> Iterator[BoostedStump]:
+    """As `gentle_stumps` for discrete AdaBoost: leaves are +-ln((1 - error) / error) / 2."""
+    return _stumps(bins, is_target, n_rounds, asymmetry, rng, ada_split)
+
+
+def gentle_split(target: Weights, other: Weights) -> Split | None:
+    """Split with the least weighted squared error of the labels, or None if no feature splits the samples.
+
+    target, other: (n_features, 256) weight of either class in each bin. Equal splits: the lowest feature, then the lowest bin, wins.
+    The gain of a side is S**2 / (W + r) with S the sum of weight times label, W the sum of weight, r the ridge; its leaf S / (W + r).
+    """
+    signed, weight = _below(target - other), _below(target + other)
+    total_signed, total = signed[:, -1:], weight[:, -1:]
+    signed, weight = signed[:, :-1], weight[:, :-1]
+    ridge = _RIDGE * float(total.max(initial=1.0))
+    below, above = signed / (weight + ridge), (total_signed - signed) / (total - weight + ridge)
+    gain = signed * below + (total_signed - signed) * above
+    gain[(weight <= 0.0) | (weight >= total)] = -np.inf
+    return _best(gain, below, above)
+
+
+def ada_split(target: Weights, other: Weights) -> Split | None:
+    """Split with the least weighted error whose sides vote against each other, as `gentle_split` otherwise.
+
+    The gain is the distance of the error from one half.
+    """
+    target_below, other_below = _below(target), _below(other)
+    n_target, n_other = target_below[:, -1:], other_below[:, -1:]
+    total = n_target + n_other
+    # Error where "below" votes for a target; its complement where it votes against.
+    error = (other_below + (n_target - target_below))[:, :-1] / total
+    bounded = np.clip(error, np.exp(-4.0 * _LARGEST_LEAF), 1.0 - np.exp(-4.0 * _LARGEST_LEAF))
+    below = 0.5 * np.log((1.0 - bounded) / bounded)
+    gain = np.abs(error - 0.5)
+    weight = (target_below + other_below)[:, :-1]
+    gain[(weight <= 0.0) | (weight >= total)] = -np.inf
+    return _best(gain, below, -below)
+
+
+def histograms(bins: Bins, features: NDArray[np.intp], samples: NDArray[np.intp] | slice, weight: Weights) -> Weights:
+    """(n_chosen, 256) float64: sum of `weight` over the chosen samples in each bin of the chosen features."""
+    return np.stack([np.bincount(bins[feature][samples], weights=weight, minlength=N_BINS) for feature in features])
+
+
+def _stumps(
+    bins: Bins,
+    is_target: NDArray[np.bool_],
+    n_rounds: int,
+    asymmetry: float,
+    rng: np.random.Generator,
+    split: Callable[[Weights, Weights], Split | None],
+) -> Iterator[BoostedStump]:
+    n_features, n_samples = bins.shape
+    n_targets = int(np.count_nonzero(is_target))
+    if not 0 < n_targets < n_samples:
+        raise ValueError(f"{n_targets} targets among {n_samples} samples: there must be some, and something else")
+    label = np.where(is_target, 1.0, -1.0)
+    weight = np.where(is_target, 0.5 / n_targets, 0.5 / (n_samples - n_targets))
+    largest = _LARGEST_GROWTH * weight
+    favour = np.where(is_target, asymmetry ** (1.0 / n_rounds), 1.0)
+    every = np.arange(n_features, dtype=np.intp)
+    for _ in range(n_rounds):
+        weight = _whole(np.minimum(weight * favour, largest))
+        n_drawn = max(round(_FEATURE_SHARE * n_features), min(_FEWEST_FEATURES, n_features))
+        drawn = np.sort(rng.choice(n_features, size=n_drawn, replace=False)) if n_drawn < n_features else every
+        found = _search(bins, is_target, weight, drawn, split) or _search(bins, is_target, weight, every, split)
+        if found is None:
+            return
+        stump = BoostedStump(found.feature, found.last_below, _leaf(found.below), _leaf(found.above))
+        yield stump
+        weight = weight * np.exp(-label * stump.scores(bins) / SCORE_UNIT) / _TOTAL
+
+
+def _search(
+    bins: Bins, is_target: NDArray[np.bool_], weight: Weights, features: NDArray[np.intp], split: Callable[[Weights, Weights], Split | None]
+) -> Split | None:
+    heavy = _heavy(weight)
+    parts = []
+    for of_class in (is_target, ~is_target):
+        chosen = heavy & of_class
+        samples = np.flatnonzero(chosen)
+        parts.append(histograms(bins, features, samples, weight[samples]))
+    found = split(parts[0], parts[1])
+    return None if found is None else found._replace(feature=int(features[found.feature]))
+
+
+def _heavy(weight: Weights) -> NDArray[np.bool_]:
+    """All samples but the lightest that hold 1 % of the weight together; they hardly count, but would cost as much as the others."""
+    order = np.argsort(weight, kind="stable")
+    light = np.searchsorted(np.cumsum(weight[order]), _TRIMMED_MASS * weight.sum())
+    kept = np.ones(weight.size, dtype=np.bool_)
+    kept[order[:light]] = False
+    return kept
+
+
+def _whole(weight: Weights) -> Weights:
+    return np.asarray(np.rint(weight * (_TOTAL / weight.sum())))
+
+
+def _below(weight: Weights) -> Weights:
+    return np.asarray(np.cumsum(weight, axis=1))
+
+
+def _best(gain: Weights, below: Weights, above: Weights) -> Split | None:
+    index = int(np.argmax(gain))
+    if not np.isfinite(gain.flat[index]):
+        return None
+    feature, last_below = divmod(index, gain.shape[1])
+    return Split(float(gain.flat[index]), feature, last_below, float(below.flat[index]), float(above.flat[index]))
+
+
+def _leaf(value: float) -> int:
+    return round(min(max(value, -_LARGEST_LEAF), _LARGEST_LEAF) * SCORE_UNIT)
