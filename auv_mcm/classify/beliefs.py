@@ -3,8 +3,7 @@
 A mass function is a float64 array (..., 32): entry number A is the mass of the subset of FRAME whose classes are the set bits of A.
 Entry 0 is the empty set, the mass of contradiction; entry 31 is the whole frame, the mass of ignorance. Masses sum to 1.
 
-All rules are sums of products of masses, never differences, so nothing cancels: a chain of 60 views is exact to some 1e-15. Only
-the cautious rule works on logarithms and differences of commonalities; it is exact to some 1e-15 of the whole mass.
+All rules are sums of products of masses, never differences, so nothing cancels: a chain of 60 views is exact to some 1e-15.
 
 Shafer, "A Mathematical Theory of Evidence", 1976; Smets and Kennes, "The transferable belief model", Artificial Intelligence 66, 1994.
 """
@@ -12,10 +11,9 @@ Shafer, "A Mathematical Theory of Evidence", 1976; Smets and Kennes, "The transf
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import reduce
-from itertools import groupby
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -48,8 +46,7 @@ LEAST_AGREEMENT: Final = 1e-12  # below, what two sources have in common is roun
 
 DEMPSTER_BELOW: Final = 0.6
 APART_FROM: Final = 0.9
-SHADOW_SPREAD_RAD: Final = math.radians(15.0)
-HIGHLIGHT_SPREAD_RAD: Final = math.radians(5.0)  # highlights change faster with aspect than shadows do
+ASPECT_SPREAD_RAD: Final = math.radians(15.0)  # shadows from aspects closer than this mostly repeat each other
 
 _SUBSETS: Final = np.arange(N_SUBSETS)
 _IS_IN: Final = (_SUBSETS >> np.arange(N_CLASSES)[:, np.newaxis]) & 1  # (5, 32)
@@ -60,16 +57,6 @@ _LOG2_SIZE: Final = np.log2(np.maximum(_SIZE, 1))
 _PAIRS: Final = np.argsort((_SUBSETS[:, np.newaxis] & _SUBSETS).ravel(), kind="stable")
 _FIRST, _SECOND = np.divmod(_PAIRS, N_SUBSETS)
 _STARTS: Final = np.searchsorted(_FIRST & _SECOND, _SUBSETS)
-
-# For sets seen so far of which I is the intersection and U the union, state 32 I + U, and one more set: the next state.
-_SEEN_BOTH, _SEEN_ANY, _NEXT = (
-    grid.ravel() for grid in np.meshgrid(_SUBSETS.astype(np.intp), _SUBSETS.astype(np.intp), _SUBSETS.astype(np.intp), indexing="ij")
-)
-_POSSIBLE = (_SEEN_BOTH & ~_SEEN_ANY) == 0
-_STATE: Final = (_SEEN_BOTH * N_SUBSETS + _SEEN_ANY)[_POSSIBLE]
-_ADDED: Final = _NEXT[_POSSIBLE]
-_NEW_STATE: Final = ((_SEEN_BOTH & _NEXT) * N_SUBSETS + (_SEEN_ANY | _NEXT))[_POSSIBLE]
-del _SEEN_BOTH, _SEEN_ANY, _NEXT, _POSSIBLE
 
 
 def vacuous() -> Array:
@@ -85,23 +72,11 @@ def discount(mass: Array, reliability: ArrayLike) -> Array:
     return share * mass + (1.0 - share) * vacuous()
 
 
-def commonality(mass: Array) -> Array:
-    """(..., 32) q(A), the sum of masses of the supersets of A."""
-    return _over_axes(lambda cube, axis: np.flip(np.flip(cube, axis).cumsum(axis), axis), mass)
-
-
 def belief(mass: Array) -> Array:
     """(..., 32) Bel(A), the mass that implies A: of its subsets but the empty one."""
     consistent = mass.copy()
     consistent[..., 0] = 0.0
     return _subset_sum(consistent)
-
-
-def plausibility(mass: Array) -> Array:
-    """(..., 32) Pl(A), the mass that does not speak against A: of all sets that meet it."""
-    committed = belief(mass)
-    # The complement of A has the index 31 - A.
-    return np.maximum(committed[..., -1:] - committed[..., ::-1], 0.0)
 
 
 def pignistic(mass: Array) -> Array:
@@ -119,11 +94,6 @@ def singleton_belief(mass: Array) -> dict[str, float]:
     told: dict[str, float] = {name: float(mass[1 << i]) for i, name in enumerate(FRAME)}
     told["unknown"] = max(1.0 - sum(told.values()), 0.0)
     return told
-
-
-def p_mine(mass: Array) -> Array:
-    """(...) pignistic probability of all classes but clutter. Ignorance gives 4/5, one share per class: calibrate it before use."""
-    return np.asarray(pignistic(mass)[..., [i for i in range(N_CLASSES) if MINES >> i & 1]].sum(axis=-1))
 
 
 def nonspecificity(mass: Array) -> Array:
@@ -168,83 +138,51 @@ def dempster(masses: Array) -> Combined:
 
 def yager(masses: Array) -> Array:
     """(..., 32) Yager's rule for sources (n, ..., 32): what contradicts all taken together is ignorance (Information Sciences 41, 1987)."""
-    mass = reduce(lambda fused, source: conjunctive(fused, source)[0], masses[1:], masses[0])
-    return _contradiction_unknown(mass)
-
-
-def dubois_prade(masses: Array) -> Array:
-    """(32,) Dubois and Prade's rule for sources (n, 32): sets that contradict each other give their mass to their union.
-
-    All sources at once, in which form the order does not matter; one after the other it would (Computational Intelligence 4, 1988).
-    """
-    states = np.diag(masses[0]).ravel()
-    for source in masses[1:]:
-        states = np.bincount(_NEW_STATE, weights=states[_STATE] * source[_ADDED], minlength=N_SUBSETS * N_SUBSETS)
-    by_both_any = states.reshape(N_SUBSETS, N_SUBSETS)
-    mass = by_both_any.sum(axis=1)
-    mass[0] = 0.0
-    return np.asarray(mass + by_both_any[0])
-
-
-def cautious(masses: Array) -> Array:
-    """(..., 32) cautious rule for sources (n, ..., 32) that may share evidence: what several of them say counts once; not normalised.
-
-    The least weights of the canonical decompositions, ln w(A) = sum of (-1)^(|B| - |A| + 1) ln q(B) over supersets B of A (Denoeux,
-    Artificial Intelligence 172, 2008). Sources with less ignorance than LEAST_IGNORANCE are discounted to it first.
-    """
-    log_weights = -_over_axes(_superset_difference, np.log(commonality(_undogmatic(masses)))).max(axis=0)
-    # 1 - w(A) is support for A; support for the whole frame is no statement.
-    log_weights[..., EVERYTHING] = 0.0
-    supersets = commonality(log_weights)
-    mass = _over_axes(_superset_difference, np.exp(supersets[..., :1] - supersets))
-    return np.asarray(np.maximum(mass, 0.0))
+    mass: Array = reduce(lambda fused, source: conjunctive(fused, source)[0], masses[1:], masses[0]).copy()
+    mass[..., EVERYTHING] += mass[..., 0]
+    mass[..., 0] = 0.0
+    return mass
 
 
 class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What one view, or one sub-aperture of a view, says about a contact.
+    """What one view says about a contact.
 
-    mass: (32,) float64, 0 on the empty set. aspect_rad: compass direction from sonar to object. pass_id: views with the same one share
-    pings, navigation and bottom, and with it their errors. kind: what the evidence was taken from.
-    half_turn_symmetric: the shape that fits best looks the same from the opposite side (cylinder, sphere, cone; not a wedge).
+    mass: (32,) float64, 0 on the empty set. aspect_rad: compass direction from sonar to object. half_turn_symmetric: the shape that fits
+    best looks the same from the opposite side (cylinder, sphere, cone; not a wedge).
 
     Raises ValueError if the mass is not a mass function or the aspect is not finite.
     """
 
     mass: Array
     aspect_rad: float
-    pass_id: str
-    kind: Literal["shadow", "highlight"] = "shadow"
     half_turn_symmetric: bool = True
 
     def __post_init__(self) -> None:
         mass = self.mass
         if mass.shape != (N_SUBSETS,) or not (mass >= 0.0).all() or mass[0] != 0.0 or not abs(mass.sum() - 1.0) <= 1e-9:
-            raise ValueError(f"mass of pass {self.pass_id} must be {N_SUBSETS} numbers >= 0 that sum to 1, the first 0; got {mass}")
+            raise ValueError(f"mass of a view must be {N_SUBSETS} numbers >= 0 that sum to 1, the first 0; got {mass}")
         if not math.isfinite(self.aspect_rad):
-            raise ValueError(f"aspect_rad of pass {self.pass_id} must be finite, got {self.aspect_rad}")
+            raise ValueError(f"aspect_rad of a view must be finite, got {self.aspect_rad}")
 
 
-class Fusion(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+class Fusion(NamedTuple):
     """What all views of a contact say together.
 
-    mass: (32,) float64. rule: how they were combined; `apart`: not at all, the mass is vacuous and the views hardly belong to one object.
-    conflict: the greatest of conflict_by_pass, in which each pass has the K of what it says against what all others say together.
+    mass: (32,) float64, vacuous if they contradict each other too much to belong to one object. conflict: the greatest K of what one view
+    says against what all others say together.
     """
 
     mass: Array
-    rule: Literal["dempster", "yager", "apart"]
     conflict: float
-    conflict_by_pass: dict[str, float]
 
 
 def combine(views: Sequence[ViewMass]) -> Fusion:
     """Fuse the views of one contact; their order does not matter.
 
-    Evidence of one kind from one pass is one source, by the cautious rule: sub-apertures and overlapping looks count once. Sources of
-    the same kind from similar aspects repeat each other: the one that tells most counts in full, the others are discounted by the
-    product of 1 - rho over all that tell more, with rho = exp(-angle^2 / (2 spread^2)).
+    Views from similar aspects repeat each other: the one that tells most counts in full, the others are discounted by the product of
+    1 - rho over all that tell more, with rho = exp(-angle^2 / (2 spread^2)).
 
-    K, how far the sources contradict each other, is the greatest conflict of any with all others together (for two, their conflict; the
+    K, how far the views contradict each other, is the greatest conflict of any with all others together (for two, their conflict; the
     conflict of all at once would near 1 for any long row of views that waver between two classes). Below 0.6 they are combined by
     Dempster's rule, below 0.9 by Yager's, else not. Two opposite views of reliability 0.95 stay just below 0.9, as neither is known to
     be the odd one; a third tells. Discounts do not enter K: contradiction from the same aspect is the surest sign of two objects.
@@ -254,45 +192,23 @@ def combine(views: Sequence[ViewMass]) -> Fusion:
     if not views:
         raise ValueError("combine needs at least one view")
     # An order given by the views themselves makes the result the same to the last bit, whatever order they came in.
-    ordered = sorted(views, key=lambda v: (v.kind, v.pass_id, v.aspect_rad, v.half_turn_symmetric, v.mass.tolist()))
-    groups = [list(group) for _, group in groupby(ordered, key=lambda v: (v.kind, v.pass_id))]
-    sources = _undogmatic(np.stack([_source_mass(group) for group in groups]))
-
-    conflicts = _conflict_with_others(sources)
-    by_pass: dict[str, float] = {}
-    for group, k in zip(groups, conflicts.tolist(), strict=True):
-        by_pass[group[0].pass_id] = max(k, by_pass.get(group[0].pass_id, 0.0))
-    worst = max(by_pass.values())
-
-    most_telling = np.argsort(nonspecificity(sources), kind="stable")
-    likeness = _likeness(ordered, groups)[np.ix_(most_telling, most_telling)]
-    discounted = discount(sources[most_telling], np.prod(1.0 - np.tril(likeness, -1), axis=1))
+    ordered = sorted(views, key=lambda v: (v.aspect_rad, v.half_turn_symmetric, v.mass.tolist()))
+    masses = _undogmatic(np.stack([view.mass for view in ordered]))
+    worst = float(_conflict_with_others(masses).max())
+    most_telling = np.argsort(nonspecificity(masses), kind="stable")
+    likeness = _likeness(ordered)[np.ix_(most_telling, most_telling)]
+    discounted = discount(masses[most_telling], np.prod(1.0 - np.tril(likeness, -1), axis=1))
     if worst < DEMPSTER_BELOW:
-        return Fusion(mass=dempster(discounted).mass, rule="dempster", conflict=worst, conflict_by_pass=by_pass)
-    if worst < APART_FROM or len(by_pass) == 1:
-        return Fusion(mass=yager(discounted), rule="yager", conflict=worst, conflict_by_pass=by_pass)
-    return Fusion(mass=vacuous(), rule="apart", conflict=worst, conflict_by_pass=by_pass)
+        return Fusion(dempster(discounted).mass, worst)
+    return Fusion(yager(discounted) if worst < APART_FROM else vacuous(), worst)
 
 
-class NextLook(NamedTuple):
-    """worthwhile: another look could change the decision. belief, plausibility: of a mine; what is unknown may yet move it between them.
+def next_look_aspects(aspects_rad: ArrayLike) -> Array:
+    """(k,) directions in [0, pi) to look from next, each standing for its opposite as well, the least like those had first.
 
-    aspects_rad: (k,) directions in [0, pi), each standing for its opposite as well, the least like those had first.
+    They are the middles of the gaps between `aspects_rad` (n,), the aspects had, on the half circle; the widest gap comes first, of equal
+    ones that of the lower angle.
     """
-
-    worthwhile: bool
-    belief: float
-    plausibility: float
-    aspects_rad: Array
-
-
-def next_look_value(mass: Array, aspects_rad: ArrayLike, threshold: float) -> NextLook:
-    """Whether the decision "mine if its probability is at least `threshold`" is still open for `mass` (32,), and where to look from.
-
-    Open if the threshold lies between belief and plausibility of a mine. The aspects offered are the middles of the gaps between
-    `aspects_rad` (n,), the aspects had, on the half circle; the widest gap comes first, of equal ones that of the lower angle.
-    """
-    low, high = float(belief(mass)[MINES]), float(plausibility(mass)[MINES])
     # A hair below pi is pi to the remainder; as zero it must not open a gap of its own.
     had = np.unique(np.remainder(np.remainder(np.asarray(aspects_rad, dtype=np.float64), np.pi), np.pi))
     gaps = np.diff(had, append=had[:1] + np.pi)
@@ -300,25 +216,15 @@ def next_look_value(mass: Array, aspects_rad: ArrayLike, threshold: float) -> Ne
     # Rounded, so that gaps meant to be equal are and those between equal aspects are none.
     gaps = np.round(gaps, 9)
     order = np.lexsort((middles, -gaps))
-    return NextLook(low < threshold <= high, low, high, middles[order[gaps[order] > 0.0]])
-
-
-def _over_axes(step: Callable[[Array, int], Array], values: Array) -> Array:
-    """Apply `step` along each class in turn: axis -1 - i of the cube (..., 2, 2, 2, 2, 2) is class i out (0) or in (1)."""
-    cube = values.reshape(*values.shape[:-1], *(2,) * N_CLASSES)
-    for axis in range(-N_CLASSES, 0):
-        cube = step(cube, axis)
-    return cube.reshape(values.shape)
+    return np.asarray(middles[order[gaps[order] > 0.0]])
 
 
 def _subset_sum(values: Array) -> Array:
-    return _over_axes(lambda cube, axis: cube.cumsum(axis), values)
-
-
-def _superset_difference(cube: Array, axis: int) -> Array:
-    """One step of the inverse of `commonality`: with a class out, minus what holds with it in."""
-    without, within = np.split(cube, 2, axis)
-    return np.concatenate((without - within, within), axis)
+    """(..., 32) sums over the subsets of each set, along each class in turn: axis -1 - i of (..., 2, 2, 2, 2, 2) is class i out or in."""
+    cube = values.reshape(*values.shape[:-1], *(2,) * N_CLASSES)
+    for axis in range(-N_CLASSES, 0):
+        cube = cube.cumsum(axis)
+    return cube.reshape(values.shape)
 
 
 def _log(agreement: Array) -> Array:
@@ -334,24 +240,9 @@ def _normalised(mass: Array) -> tuple[Array, Array]:
     return np.where(some, consistent / np.where(some, agreement, 1.0), vacuous()), agreement[..., 0]
 
 
-def _contradiction_unknown(mass: Array) -> Array:
-    mass = mass.copy()
-    mass[..., EVERYTHING] += mass[..., 0]
-    mass[..., 0] = 0.0
-    return mass
-
-
 def _undogmatic(mass: Array) -> Array:
     known = 1.0 - mass[..., EVERYTHING]
     return discount(mass, (1.0 - LEAST_IGNORANCE) / np.maximum(known, 1.0 - LEAST_IGNORANCE))
-
-
-def _source_mass(views: list[ViewMass]) -> Array:
-    if len(views) == 1:
-        return views[0].mass
-    mass = cautious(np.stack([view.mass for view in views]))
-    # Views of one pass do show one object: what they contradict each other in is not known.
-    return _normalised(mass)[0] if mass[0] < DEMPSTER_BELOW else _contradiction_unknown(mass)
 
 
 def _conflict_with_others(sources: Array) -> Array:
@@ -365,15 +256,11 @@ def _conflict_with_others(sources: Array) -> Array:
     return conflict(sources, _normalised(conjunctive(before, after[::-1])[0])[0])
 
 
-def _likeness(views: list[ViewMass], groups: list[list[ViewMass]]) -> Array:
-    """(n, n) rho of sources; `views` are those of all `groups` in order. Of several views per source the most alike count."""
+def _likeness(views: Sequence[ViewMass]) -> Array:
+    """(n, n) rho of views."""
     aspect = np.array([view.aspect_rad for view in views])
     symmetric = np.array([view.half_turn_symmetric for view in views])
-    is_shadow = np.array([view.kind == "shadow" for view in views])
     turn = np.where(symmetric[:, np.newaxis] & symmetric, np.pi, 2.0 * np.pi)
     apart = aspect[:, np.newaxis] - aspect
     apart -= turn * np.round(apart / turn)
-    spread = np.where(is_shadow, SHADOW_SPREAD_RAD, HIGHLIGHT_SPREAD_RAD)
-    rho = np.where(is_shadow[:, np.newaxis] == is_shadow, np.exp(-0.5 * (apart / spread) ** 2), 0.0)
-    starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
-    return np.asarray(np.maximum.reduceat(np.maximum.reduceat(rho, starts, axis=0), starts, axis=1))
+    return np.asarray(np.exp(-0.5 * (apart / ASPECT_SPREAD_RAD) ** 2))

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from auv_mcm.classify.beliefs import APART_FROM, MINE_LIKE_P, Array, ViewMass, combine, next_look_value, singleton_belief, vacuous
+from auv_mcm.classify.beliefs import APART_FROM, MINE_LIKE_P, Array, ViewMass, combine, next_look_aspects, singleton_belief, vacuous
 from auv_mcm.classify.odds import mass_of_ratio, share_of_ratio, with_ratio
 from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
@@ -53,7 +53,7 @@ def fuse(views: Sequence[Detection], prior: float) -> Verdict:
     conflict = share_of_ratio(max(ratios)) * share_of_ratio(-min(ratios))
     if conflict >= APART_FROM:
         return _verdict(_view_mass(strongest, prior), strongest.p_mine, conflict, views, prior, (CONTRADICTION,))
-    kinds = combine([_shape_source(view, number) for number, view in enumerate(views)])
+    kinds = combine([_shape_source(view) for view in views])
     ratio = fused_ratio(ratios, [view.aspect_deg for view in views])
     mass = with_ratio(kinds.mass, ratio)
     return _verdict(mass, probability(ratio + prior), max(conflict, kinds.conflict), views, prior, ())
@@ -84,13 +84,12 @@ def _view_mass(view: Detection, prior: float) -> Array:
     return mass_of_ratio(_log_ratio(view, prior)) if view.confirmation is None else view.confirmation.mass
 
 
-def _shape_source(view: Detection, number: int) -> ViewMass:
+def _shape_source(view: Detection) -> ViewMass:
     found = view.confirmation
     known = found is not None and math.isfinite(view.aspect_deg)
     return ViewMass(
         mass=found.shape_mass if found is not None and known else vacuous(),
         aspect_rad=math.radians(view.aspect_deg) if known else 0.0,
-        pass_id=str(number),
         half_turn_symmetric=found is None or found.half_turn_symmetric,
     )
 
@@ -102,6 +101,5 @@ def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detect
     next_look_deg: tuple[float, ...] = ()
     aspects_rad = np.radians([view.aspect_deg for view in views])
     if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
-        directions = next_look_value(mass, aspects_rad, MINE_LIKE_P).aspects_rad[:_LOOKS]
-        next_look_deg = tuple(np.degrees(directions).tolist())
+        next_look_deg = tuple(np.degrees(next_look_aspects(aspects_rad)[:_LOOKS]).tolist())
     return Verdict(p_mine, cast(ContactClass, told), belief, conflict, next_look_deg, reasons)

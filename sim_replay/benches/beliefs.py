@@ -276,7 +276,6 @@ def mass_of_two(looks: Sequence[Look], temperature: float = TEMPERATURE) -> Arra
         ViewMass(
             mass=mass_of_one(seen, temperature),
             aspect_rad=0.5 * math.pi * number,
-            pass_id=str(number),
             half_turn_symmetric=seen.half_turn_symmetric,
         )
         for number, seen in enumerate(looks)

@@ -30,10 +30,7 @@ FIRST, SECOND = mass_of(0.0, 9.0, 6.0, 12.0, 8.0), mass_of(0.0, 3.0, 9.0, 12.0, 
 def fused(*aspects: float, symmetric: bool) -> Array:
     masses = (FIRST, SECOND, FIRST)
     return combine(
-        [
-            ViewMass(mass=mass, aspect_rad=aspect, pass_id=f"pass {k}", half_turn_symmetric=symmetric)
-            for k, (mass, aspect) in enumerate(zip(masses, aspects, strict=False))
-        ]
+        [ViewMass(mass=mass, aspect_rad=aspect, half_turn_symmetric=symmetric) for mass, aspect in zip(masses, aspects, strict=False)]
     ).mass
 
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.beliefs import (
+    APART_FROM,
+    DEMPSTER_BELOW,
     EVERYTHING,
     FRAME,
     N_CLASSES,
@@ -17,15 +19,11 @@ from auv_mcm.classify.beliefs import (
     Array,
     ViewMass,
     belief,
-    cautious,
     combine,
     conjunctive,
     dempster,
     discount,
-    dubois_prade,
-    p_mine,
     pignistic,
-    plausibility,
     subset,
     vacuous,
     yager,
@@ -81,7 +79,7 @@ def shares(joint: list[int], total: int) -> list[float]:
 
 
 def seen(mass: Array, k: int, n: int) -> ViewMass:
-    return ViewMass(mass=mass, aspect_rad=math.pi * k / n, pass_id=f"pass {k}", half_turn_symmetric=False)
+    return ViewMass(mass=mass, aspect_rad=math.pi * k / n, half_turn_symmetric=False)
 
 
 SURE = {name: np.eye(N_SUBSETS)[subset(name)] for name in FRAME}
@@ -102,31 +100,12 @@ def test_sixty_views_are_exact_against_rational_arithmetic(seed: int) -> None:
     )
 
 
-def test_sixty_views_by_dubois_and_prade_are_exact_against_rational_arithmetic() -> None:
-    masses = whole_masses(9, 60)
-    states = {(index, index): share for index, share in enumerate(masses[0]) if share}
-    for mass in masses[1:]:
-        fused: dict[tuple[int, int], int] = {}
-        for (both, either), share in states.items():
-            for index, other in enumerate(mass):
-                if other:
-                    state = both & index, either | index
-                    fused[state] = fused.get(state, 0) + share * other
-        states = fused
-    expected = [0] * N_SUBSETS
-    for (both, either), share in states.items():
-        expected[both or either] += share
-    np.testing.assert_allclose(dubois_prade(floats(masses)), shares(expected, GRID**60), rtol=1e-12, atol=1e-300)
-
-
 def test_a_thousand_views_neither_underflow_nor_drift() -> None:
     masses = floats(whole_masses(1, 1000))
     fused = dempster(masses)
     assert fused.mass.sum() == pytest.approx(1.0, abs=1e-12)
     assert -math.inf < fused.log_agreement < -100.0
     assert yager(masses).sum() == pytest.approx(1.0, abs=1e-12)
-    assert dubois_prade(masses).sum() == pytest.approx(1.0, abs=1e-12)
-    assert cautious(masses).sum() == pytest.approx(1.0, abs=1e-12)
     halves = dempster(np.stack((dempster(masses[:500]).mass, dempster(masses[500:]).mass)))
     np.testing.assert_allclose(halves.mass, fused.mass, rtol=0, atol=1e-12)
 
@@ -148,12 +127,8 @@ def test_sure_sources_that_contradict_each_other_give_a_flag_and_no_nan() -> Non
     assert fused.log_agreement == -math.inf
     np.testing.assert_array_equal(fused.mass, vacuous())
     np.testing.assert_array_equal(yager(pair), vacuous())
-    np.testing.assert_array_equal(dubois_prade(pair), np.eye(N_SUBSETS)[subset("cylinder", "clutter")])
-    joint = cautious(pair)
-    assert np.isfinite(joint).all()
-    assert joint[0] > 0.99
     fusion = combine([seen(pair[0], 0, 2), seen(pair[1], 1, 2)])
-    assert fusion.rule == "apart"
+    assert fusion.conflict > APART_FROM
     np.testing.assert_array_equal(fusion.mass, vacuous())
 
 
@@ -178,7 +153,7 @@ def test_the_nearer_to_sure_contradictory_sources_are_the_less_is_made_of_what_t
     assert np.isfinite(fused.mass).all()
     if doubt**2 < 1e-12:
         np.testing.assert_array_equal(fused.mass, vacuous())
-    assert combine([seen(mass, k, 2) for k, mass in enumerate(pair)]).rule == "apart"
+    assert combine([seen(mass, k, 2) for k, mass in enumerate(pair)]).conflict > APART_FROM
 
 
 @pytest.mark.parametrize("reliability", [0.5, 0.7, 0.8, 0.95, 1.0])
@@ -190,15 +165,10 @@ def test_zadehs_doctors_never_agree_on_what_both_doubt(reliability: float) -> No
         assert fusion.mass[EVERYTHING] > 0.6
 
 
-def test_sure_sources_are_combined_within_a_pass_and_between() -> None:
-    views = [seen(SURE["cylinder"], k, 7) for k in range(7)]
-    fusion = combine(views)
-    assert fusion.rule == "dempster"
+def test_sure_sources_that_agree_are_combined() -> None:
+    fusion = combine([seen(SURE["cylinder"], k, 7) for k in range(7)])
+    assert fusion.conflict < DEMPSTER_BELOW
     assert belief(fusion.mass)[subset("cylinder")] == pytest.approx(1.0, abs=1e-5)
-    mixed = [ViewMass(mass=SURE[name], aspect_rad=0.1 * k, pass_id="a") for k, name in enumerate(FRAME)]
-    joint = combine(mixed)
-    assert np.isfinite(joint.mass).all()
-    assert joint.mass[EVERYTHING] > 0.99
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-6, 1.0, 1e3, 1e6, 1e12, 1e300, math.inf])
@@ -215,7 +185,7 @@ def test_likelihoods_of_any_size_give_masses(scale: float) -> None:
                 assert (mass >= 0.0).all()
                 assert mass.sum() == pytest.approx(1.0, abs=1e-12)
                 assert np.isfinite(pignistic(mass)).all()
-                assert (belief(mass) <= plausibility(mass) + 1e-12).all()
+                assert (belief(mass) + belief(mass)[::-1] <= 1.0 + 1e-12).all()
 
 
 def test_likelihoods_of_a_million_nats_keep_their_differences() -> None:
@@ -229,31 +199,15 @@ def test_likelihoods_of_a_million_nats_keep_their_differences() -> None:
         np.testing.assert_allclose(far, plain, rtol=0, atol=1e-9)
 
 
-def test_the_cautious_rule_is_stable_for_the_surest_sources_there_are() -> None:
-    random = generator(4)
-    for _ in range(100):
-        sources = []
-        for _ in range(5):
-            nll = random.exponential(100.0, N_CLASSES).tolist()
-            sources.append(view_mass({name: ClassEvidence(nll=x) for name, x in zip(FRAME, nll, strict=True)}, 1.0))
-        joint = cautious(np.stack(sources))
-        assert joint.sum() == pytest.approx(1.0, abs=1e-12)
-        # These sources say something of single classes only: the least plausibility of each, over all sources, is all there is.
-        least = np.min([[plausibility(mass)[1 << i] for i in range(N_CLASSES)] for mass in sources], axis=0)
-        expected = [math.prod(p if index >> i & 1 else 1.0 - p for i, p in enumerate(least.tolist())) for index in range(N_SUBSETS)]
-        np.testing.assert_allclose(joint, expected, rtol=0, atol=1e-12)
-
-
 def test_permutations_of_sixty_views_give_the_same_bits() -> None:
     random = generator(6)
     views = []
-    for k in range(60):
+    for _ in range(60):
         nll = random.exponential(20.0, N_CLASSES).tolist()
         mass = view_mass({name: ClassEvidence(nll=x) for name, x in zip(FRAME, nll, strict=True)}, 0.6)
-        views.append(ViewMass(mass=mass, aspect_rad=float(random.uniform(0.0, 7.0)), pass_id=f"pass {k // 3}"))
+        views.append(ViewMass(mass=mass, aspect_rad=float(random.uniform(0.0, 7.0))))
     fusion = combine(views)
     for _ in range(5):
         again = combine([views[i] for i in random.permutation(60)])
         np.testing.assert_array_equal(again.mass, fusion.mass)
-        assert (again.rule, again.conflict) == (fusion.rule, fusion.conflict)
-    assert 0.0 <= p_mine(fusion.mass) <= 1.0
+        assert again.conflict == fusion.conflict
