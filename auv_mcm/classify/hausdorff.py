@@ -1,12 +1,12 @@
 """Match of shadow contours, kept for comparison with the likelihood: how far an extracted shadow is from a simulated one.
 
 After S. Reed, Y. Petillot, J. Bell, IEE Proc. Radar Sonar Navig. 151, 2004. Their Hausdorff distance is the largest gap between the two
-contours, which one grain of speckle decides; a quantile of the gaps (D. Huttenlocher et al., IEEE PAMI 15, 1993) or their mean is not.
+contours, which one grain of speckle decides; it does not decide a quantile of the gaps (D. Huttenlocher et al., IEEE PAMI 15, 1993).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,36 +16,26 @@ from auv_mcm.kernels.shape import Array, RowSums, Solid, intervals
 Mask = NDArray[np.bool_]
 
 
-class ContourDistance(NamedTuple):
-    """Metres: the quantile asked for, the larger of both ways, and the mean over both contours. Infinite if only one shadow is there."""
+def contour_distance_m(observed: Mask, simulated: Mask, row_spacing_m: float, column_spacing_m: float, *, quantile: float) -> float:
+    """Distance between the contours of two shadows on one grid, (n_rows, n_columns) bool; infinite if only one is there.
 
-    partial_hausdorff_m: float
-    mean_surface_m: float
-
-
-def contour_distance(
-    observed: Mask, simulated: Mask, row_spacing_m: float, column_spacing_m: float, *, quantile: float = 0.95
-) -> ContourDistance:
-    """Distance between the contours of two shadows on one grid, (n_rows, n_columns) bool.
-
-    quantile: of the gaps, from 0 to 1; 1 is the Hausdorff distance itself. Raises ValueError for masks of different shapes, spacings that
-    are not positive, or another quantile.
+    quantile: of the gaps, the larger of both ways, from 0 to 1; 1 is the Hausdorff distance itself. Raises ValueError for masks of
+    different shapes, spacings that are not positive, or another quantile.
     """
     if observed.ndim != 2 or observed.shape != simulated.shape:
         raise ValueError(f"masks must be planes of one shape, not {observed.shape} and {simulated.shape}")
     if not (row_spacing_m > 0.0 and column_spacing_m > 0.0 and 0.0 <= quantile <= 1.0):
         raise ValueError(f"spacings must be positive and quantile from 0 to 1, not {row_spacing_m}, {column_spacing_m} and {quantile}")
     if not observed.any() and not simulated.any():
-        return ContourDistance(0.0, 0.0)
+        return 0.0
     if not (observed.any() and simulated.any()):
-        return ContourDistance(np.inf, np.inf)
+        return math.inf
     from scipy.ndimage import distance_transform_edt
 
     contours = [_contour(mask) for mask in (observed, simulated)]
     away = [distance_transform_edt(~contour, sampling=(row_spacing_m, column_spacing_m)) for contour in contours]
     gaps = away[1][contours[0]], away[0][contours[1]]
-    farthest = max(float(np.quantile(gap, quantile)) for gap in gaps)
-    return ContourDistance(farthest, float(np.concatenate(gaps).mean()))
+    return max(float(np.quantile(gap, quantile)) for gap in gaps)
 
 
 def shadow_mask(solid: Solid, hypothesis: Array, image: RowSums) -> Mask:

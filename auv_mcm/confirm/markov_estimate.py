@@ -27,7 +27,6 @@ class MarkovEstimate(NamedTuple):
 
     smoothness: float
     condition: float
-    n_equations: int
     verdict: Literal["estimated", "clipped", "prior"]
 
 
@@ -35,7 +34,7 @@ def estimate_smoothness(labels: NDArray[np.uint8], prior: float) -> MarkovEstima
     """Smoothness of a field of labels 0, 1, 2, shape (n_rows, n_columns) uint8; `prior` where it cannot be told."""
     equations, values, weights = _equations(labels)
     if len(values) < 3:
-        return MarkovEstimate(prior, math.inf, len(values), "prior")
+        return MarkovEstimate(prior, math.inf, "prior")
     normal = equations.T @ (weights[:, None] * equations)
     # A label that never occurs has no equation and no bearing on smoothness; its zero row must not count as singular.
     known = np.diag(normal) > 0.0
@@ -45,11 +44,11 @@ def estimate_smoothness(labels: NDArray[np.uint8], prior: float) -> MarkovEstima
     scaled = normal * np.outer(scale, scale)
     condition = float(np.linalg.cond(scaled))
     if not condition < _WORST_CONDITION:
-        return MarkovEstimate(prior, condition, len(values), "prior")
+        return MarkovEstimate(prior, condition, "prior")
     solution = scale * np.linalg.solve(scaled + _RIDGE * np.eye(len(scaled)), scale * right)
     smoothness = float(solution[-1])
     clipped = min(max(smoothness, _RANGE[0]), _RANGE[1])
-    return MarkovEstimate(clipped, condition, len(values), "estimated" if clipped == smoothness else "clipped")
+    return MarkovEstimate(clipped, condition, "estimated" if clipped == smoothness else "clipped")
 
 
 def _equations(labels: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

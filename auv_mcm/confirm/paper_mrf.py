@@ -52,7 +52,7 @@ def segment_as_paper(region: Region) -> PaperSegmentation:
     require_sound(region)
     usable = region.valid & np.isfinite(region.intensity) & (region.intensity >= 0.0)
     labels = np.full(usable.shape, BACKGROUND, dtype=np.uint8)
-    markov = MarkovEstimate(_PRIOR_SMOOTHNESS, math.inf, 0, "prior")
+    markov = MarkovEstimate(_PRIOR_SMOOTHNESS, math.inf, "prior")
     brightest = float(region.intensity[usable].max(initial=0.0))
     if brightest == 0.0 or region.intensity[usable].min() == brightest:
         return PaperSegmentation(labels=labels, markov=markov)

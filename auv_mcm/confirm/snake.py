@@ -61,7 +61,7 @@ class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     highlight, shadow: (n, 2) float64 nodes (row, column) in pixels of the region, pixel (r, k) covering [r, r + 1) x [k, k + 1), along the
     far side with rising row; (0, 2) where there is none. criterion: J in nats, NaN if nothing could be moved. gain: by how much J is below
-    that of the region without an object. n_moves: node moves made. *_mean: mean intensity, NaN where there is no contour. *_area_m2: area.
+    that of the region without an object. n_moves: node moves made. *_mean: mean intensity, NaN where there is no contour.
     length_m: along-track extent. height_m: median over rows of the height that the shadow implies, NaN without a shadow. repetition: best
     evidence of the same contours elsewhere in the region over that in place. reasons: codes, those of `snake_rules.REJECTING` being of
     broken rules. rejected: rules are broken, and all that speaks against an object together is grave.
@@ -76,7 +76,6 @@ class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     shadow_mean: float
     background_mean: float
     highlight_area_m2: float
-    shadow_area_m2: float
     length_m: float
     height_m: float
     repetition: float
@@ -227,7 +226,6 @@ def _judged(
         shadow_mean=findings.shadow_mean * sums.mean,
         background_mean=findings.background_mean * sums.mean,
         highlight_area_m2=moved.highlight_sums.area * pixel_m2,
-        shadow_area_m2=moved.shadow_sums.area * pixel_m2,
         length_m=findings.length_m,
         height_m=findings.height_m,
         repetition=findings.repetition,
@@ -248,7 +246,6 @@ def _nothing(reasons: tuple[str, ...]) -> Contours:
         shadow_mean=nan,
         background_mean=nan,
         highlight_area_m2=0.0,
-        shadow_area_m2=0.0,
         length_m=0.0,
         height_m=nan,
         repetition=nan,

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import EVERYTHING, FRAME, N_CLASSES, Array, ViewMass, belief, combine, pignistic, subset
 from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, appriou_mass, view_mass
 from auv_mcm.classify.fit import SOLIDS, fit_shapes, hypotheses_of, plausibility
-from auv_mcm.classify.hausdorff import Mask, contour_distance, shadow_mask
+from auv_mcm.classify.hausdorff import Mask, contour_distance_m, shadow_mask
 from auv_mcm.classify.likelihood import labels_cost, row_sums
 from auv_mcm.classify.search import Box, look_around, walk
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
@@ -237,8 +237,8 @@ def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, 
         found = np.empty(len(points))
         for k, hypothesis in enumerate(hypotheses_of(solid, _whole(solid, points))):
             observed, simulated = _around(shadow, shadow_mask(solid, hypothesis, image))
-            gap = contour_distance(observed, simulated, region.row_spacing_m, region.column_spacing_m, quantile=_QUANTILE)
-            found[k] = min(gap.partial_hausdorff_m, _FAR_M)
+            gap_m = contour_distance_m(observed, simulated, region.row_spacing_m, region.column_spacing_m, quantile=_QUANTILE)
+            found[k] = min(gap_m, _FAR_M)
         return found
 
     best = walk(distances, box, look_around(distances, box, _N_STARTS, _N_WALKS), _N_STEPS, _N_TRIES, first_stride=2.0)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from auv_mcm.classify.fit import Effort, fit_shapes
 from auv_mcm.classify.likelihood import labels_cost
 from auv_mcm.classify.shapes import TruncatedCone
-from auv_mcm.classify.template import template_scores
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
@@ -68,7 +67,6 @@ DOORS: dict[str, Callable[[Region], Any]] = {
     "segment_as_paper": segment_as_paper,
     "converge": lambda region: converge(region, START, correlation_px=1.5),
     "fit_shapes": lambda region: fit_shapes(region, None, 1.5, effort=SMALL),
-    "template_scores": lambda region: template_scores("truncated_cone", HYPOTHESIS, region, 1.5),
     "labels_cost": lambda region: labels_cost(region, labels_of(region), 1.5),
 }
 

@@ -52,7 +52,7 @@ def test_contours_among_very_many_pixels_are_those_among_few() -> None:
         few, many = converge(cone_region(), START), converge(tiled(17, 17), Start(*(nodes.copy() for nodes in START)))
     assert np.isfinite(many.criterion)
     assert many.length_m == pytest.approx(few.length_m, abs=0.3)
-    assert many.shadow_area_m2 == pytest.approx(few.shadow_area_m2, rel=0.3)
+    assert many.height_m == pytest.approx(few.height_m, rel=0.3)
 
 
 def test_what_labels_explain_of_very_many_pixels_adds_up() -> None:

@@ -15,7 +15,6 @@ from region_doors import DOORS, HYPOTHESIS, RANGE_M, SMALL, START, cone_region, 
 from auv_mcm import kernels
 from auv_mcm.classify.fit import fit_shapes
 from auv_mcm.classify.likelihood import beam_of, labels_cost, row_sums
-from auv_mcm.classify.template import template_scores
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import Region
@@ -56,8 +55,6 @@ def test_gain_changes_no_label_no_contour_and_no_solid(exponent: float) -> None:
         assert loud_fit.best.cost == pytest.approx(fit.best.cost, rel=1e-5)
         for field, value in msgspec.structs.asdict(fit.best.shape).items():
             assert getattr(loud_fit.best.shape, field) == pytest.approx(value, rel=1e-5)
-    (score,), (loud_score,) = through("template_scores", region), through("template_scores", louder)
-    assert loud_score == pytest.approx(score, rel=1e-5)
     assert through("labels_cost", louder) == pytest.approx(through("labels_cost", region), rel=1e-5)
 
 
@@ -127,10 +124,6 @@ def test_a_masked_border_changes_hardly_a_label_and_no_cost(rows: int, columns: 
     np.testing.assert_allclose(costs_of(wide, shifted), costs_of(region, HYPOTHESES), rtol=1e-9)
     wide_labels = np.pad(labels_of(region), ((rows, rows), (columns, columns)))
     assert labels_cost(wide, wide_labels, 1.5) == pytest.approx(labels_cost(region, labels_of(region), 1.5), rel=1e-9)
-    scores = (
-        template_scores("truncated_cone", one, view, 1.5)[0] for one, view in ((shifted["truncated_cone"], wide), (HYPOTHESIS, region))
-    )
-    assert next(scores) == pytest.approx(next(scores), rel=1e-9)
     fits, wide_fits = (fit_shapes(one, None, 1.5, effort=SMALL).fits for one in (region, wide))
     assert wide_fits[0].solid == fits[0].solid
     assert wide_fits[0].best.ground_range_m == pytest.approx(fits[0].best.ground_range_m, abs=0.02)
@@ -164,8 +157,6 @@ def test_a_mirror_along_the_track_mirrors_every_answer(seed: int) -> None:
     opposite["cylinder"][:, 5] = -HYPOTHESES["cylinder"][:, 5]
     opposite["wedge"][:, 6] = math.pi - HYPOTHESES["wedge"][:, 6]
     np.testing.assert_allclose(costs_of(turned, opposite), costs_of(region, HYPOTHESES), rtol=1e-9)
-    (score,) = template_scores("truncated_cone", opposite["truncated_cone"], turned, 1.5)
-    assert score == pytest.approx(template_scores("truncated_cone", HYPOTHESIS, region, 1.5)[0], rel=1e-9)
     assert labels_cost(turned, labels_of(region)[::-1], 1.5) == pytest.approx(labels_cost(region, labels_of(region), 1.5), rel=1e-9)
 
 

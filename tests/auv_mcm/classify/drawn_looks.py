@@ -87,7 +87,6 @@ def no_contours(**values: Any) -> Contours:
         "shadow_mean": NAN,
         "background_mean": NAN,
         "highlight_area_m2": 0.0,
-        "shadow_area_m2": 0.0,
         "length_m": 0.0,
         "height_m": NAN,
         "repetition": NAN,
