@@ -15,12 +15,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.detect.cascade.model import SCORE_UNIT
+
 Bins = NDArray[np.uint8]
 Weights = NDArray[np.float64]
 
 N_BINS: Final = 256
-SCORE_UNIT: Final = 1024
-"""Leaves are whole numbers, in 1/1024 of half a log-odds unit."""
 
 _TOTAL: Final = 2.0**40
 _LARGEST_LEAF: Final = 4.0

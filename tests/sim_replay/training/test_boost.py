@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_replay.training.boost import N_BINS, SCORE_UNIT, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
+from auv_mcm.detect.cascade.model import SCORE_UNIT
+from sim_replay.training.boost import N_BINS, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
 
 Booster = Callable[[np.ndarray, np.ndarray, int, float, np.random.Generator], Iterator[BoostedStump]]
 
