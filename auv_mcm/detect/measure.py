@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.prescreen import Peak, ScoreMaps
+from auv_mcm.detect.prescreen import Floor, Peak
 from auv_mcm.records import NAN, SATURATED, TURN, VALID, Tile
 from auv_mcm.snippet import pack_snippet
 
@@ -80,8 +80,8 @@ class _Roi(NamedTuple):
     column: int
 
 
-def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> Measurement:
-    """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content."""
+def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Measurement:
+    """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content. floor: around the peak."""
     n_rows, n_columns = tile.mask.shape
     row_m, column_m = tile.row_spacing_m, tile.column_spacing_m
     reach_rows = round(ROWS_M / row_m)
@@ -91,8 +91,8 @@ def measure(tile: Tile, maps: ScoreMaps, peak: Peak, beam_width_rad: float) -> M
     peak_footprint_m = math.hypot((peak.column + 0.5) * column_m, altitude_m) * beam_width_rad
     low_shadow_m = _LOW_OBJECT_M * (peak.column + 0.5) * column_m / max(altitude_m, _LOW_OBJECT_M)
     blur = (_blur_pixels(0.5 * peak_footprint_m, row_m), _blur_pixels(0.5 * low_shadow_m, column_m))
-    roi = _region(tile, maps, peak, rows, columns, blur)
-    spread = math.sqrt(float(maps.small_box_variance[peak.row, peak.column]))
+    roi = _region(tile, floor.background, peak, rows, columns, blur)
+    spread = math.sqrt(floor.log_variance)
     bright_step = max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
     bright = roi.contrast > bright_step
     dark = _bridged((roi.darkness < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m))
@@ -165,9 +165,9 @@ def _blur_pixels(length_m: float, pixel_m: float) -> int:
     return max(3, 2 * round(0.5 * (min(length_m, _LONGEST_BLUR_M) / pixel_m - 1.0)) + 1)
 
 
-def _region(tile: Tile, maps: ScoreMaps, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
+def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, blur: tuple[int, int]) -> _Roi:
     valid = (tile.mask[rows, columns] & VALID) != 0
-    background = np.float32(maps.background[peak.row, peak.column])
+    background = np.float32(level)
     intensity = np.where(valid, tile.intensity[rows, columns] / background, np.float32(0.0)).astype(np.float32)
     contrast = _log_mean(intensity, valid, 3, 3)
     darkness = _log_mean(np.minimum(intensity, np.float32(_DARK_CLIP)), valid, *blur)

@@ -51,7 +51,7 @@ def detect_tile(tile: Tile, config: Config) -> TileDetections:
     peaks = find_peaks(tile, maps, config.detect.p_false_alarm, STEP_M)
     taken = peaks[: config.detect.max_candidates_per_tile]
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
-    measured = [measure(tile, maps, peak, beam_width_rad) for peak in taken]
+    measured = [measure(tile, maps.floor(peak.row, peak.column), peak, beam_width_rad) for peak in taken]
     detections = _placed(tile, config, taken, measured)
     return TileDetections(detections, len(peaks) - len(taken), len(taken) - len(detections))
 

@@ -212,7 +212,7 @@ def _bench_detect(log: Path, repeat: int) -> None:
         marks.append(time.perf_counter())
         for tile, tile_maps, tile_peaks in zip(tiles, maps, peaks, strict=True):
             for peak in tile_peaks:
-                measure(tile, tile_maps, peak, math.radians(config.sonar.beam_width_deg))
+                measure(tile, tile_maps.floor(peak.row, peak.column), peak, math.radians(config.sonar.beam_width_deg))
         marks.append(time.perf_counter())
         for step, cost_s in zip(("score every pixel", "find peaks", "measure peaks"), np.diff(marks).tolist(), strict=True):
             costs[step].append(cost_s)
