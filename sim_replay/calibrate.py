@@ -26,7 +26,7 @@ from auv_mcm.classify.stage import region_of, take
 from auv_mcm.config import Config
 from auv_mcm.errors import AuvMcmError, UsageError
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.outputs import write_file
+from auv_mcm.outputs import make_directory, write_file
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, LookStep
 from sim_replay.benches.arguments import count
@@ -110,6 +110,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if not chosen.out.parent.is_dir():
         raise UsageError(f"--out {chosen.out}: there is no folder {chosen.out.parent}. Make it first")
+    if chosen.out.is_dir():
+        raise UsageError(f"--out {chosen.out} cannot be written: it is a folder. Name a file")
+    make_directory(chosen.out.parent)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     tasks = [(name, seed) for seed in seeds for name in SCENES]
     examples: list[Example] = []

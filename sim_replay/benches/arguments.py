@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import Final
+
+_MOST: Final = 1_000_000  # beyond it a number is a slip, not a wish: it would run for years
 
 
 def count(text: str) -> int:
-    """A whole number of 1 or more. Raises ArgumentTypeError."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number of 1 or more")
+    """A whole number of 1 or more, a million at most. Raises ArgumentTypeError."""
+    if not text.isdecimal() or len(text) > 9 or not 1 <= int(text) <= _MOST:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number of 1 or more, {_MOST} at most")
     return int(text)
 
 

@@ -364,6 +364,7 @@ def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
         (["--out", "x", "--seeds", "0"], "'0' is no whole number of 1 or more"),
         (["--out", "x", "--seeds", "many"], "--seeds"),
         (["--out", "x", "--workers", "-1"], "--workers"),
+        (["--out", "x", "--first-seed", "9" * 30], "1000000 at most"),
         (["--out", "x", "--first-seed", "1.5"], "'1.5' is no whole number"),
         (["--out", "x", "--scenes", "flat"], "--scenes"),
     ],
@@ -384,10 +385,16 @@ def test_weights_that_could_not_be_written_are_refused_before_flying(flown: Flow
     assert flown.missions == []
 
 
-@pytest.mark.usefixtures("flown")
-def test_a_folder_in_the_place_of_the_file_is_told_by_name(tmp_path: Path) -> None:
+def test_a_folder_in_the_place_of_the_file_is_told_before_flying(flown: Flown, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=re.escape(f"--out {tmp_path} cannot be written")):
         main(["--seeds", "1", "--out", str(tmp_path)])
+    assert flown.missions == []
+
+
+def test_a_folder_that_takes_no_file_is_told_before_flying(flown: Flown) -> None:
+    with pytest.raises(UsageError, match="cannot write to the output directory /proc"):
+        main(["--seeds", "1", "--out", "/proc/odds.json"])
+    assert flown.missions == []
 
 
 def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None:
