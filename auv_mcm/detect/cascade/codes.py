@@ -7,16 +7,15 @@ any number to all of an integral image changes nothing.
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.cascade.bands import margins_px
-from auv_mcm.records import LOW_RESOLUTION, VALID, Tile
+from auv_mcm.kernels.cascade import CODE_OF_MEAN, encode, integral
+from auv_mcm.records import LOW_RESOLUTION, Tile
 
-CODE_OF_MEAN: Final = 1024
-MAX_INTENSITY: Final = 16.0
 MAX_BOX_PX: Final = 131071
 """Pixels of a box whose sum is exact whatever they hold."""
 
@@ -49,26 +48,9 @@ class Plane(NamedTuple):
 
 
 def codes_of(intensity: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Codes (n_rows, n_columns) uint16: 1024 times the intensity, nearest and halves to even, 0 to 16384; CODE_OF_MEAN where not valid.
-
-    NaN is never an echo: whoever calls sees to it that it is not valid.
-    """
-    bounded = np.clip(np.where(valid, intensity, np.float32(1.0)), np.float32(0.0), np.float32(MAX_INTENSITY))
-    return np.asarray(np.rint(bounded * np.float32(CODE_OF_MEAN)), dtype=np.uint16)
-
-
-def integral_of(values: NDArray[Any], margins: tuple[int, int, int], beyond: int) -> NDArray[np.uint32]:
-    """Integral image modulo 2**32 of a plane (n_rows, n_columns) of whole numbers or bool that goes on as `beyond` in the margins.
-
-    margins: rows either way, columns before, columns behind. Returns (n_rows + 2 rows + 1, n_columns + before + behind + 1) uint32.
-    """
-    rows, near, far = margins
-    n_rows, n_columns = values.shape
-    padded = np.full((n_rows + 2 * rows, n_columns + near + far), beyond, dtype=np.uint32)
-    padded[rows : rows + n_rows, near : near + n_columns] = values
-    result = np.zeros((padded.shape[0] + 1, padded.shape[1] + 1), dtype=np.uint32)
-    np.cumsum(np.cumsum(padded, axis=1, dtype=np.uint32), axis=0, dtype=np.uint32, out=result[1:, 1:])
-    return result
+    """Codes (n_rows, n_columns) uint16: 1024 times the intensity, nearest and halves to even, 0 to 16384; CODE_OF_MEAN where not valid
+    or NaN."""
+    return encode(intensity, valid.view(np.uint8))[0]
 
 
 def make_plane(
@@ -82,8 +64,8 @@ def make_plane(
     """A plane from codes, where they are valid, and where windows may be centred, each (n_rows, n_columns); first_return_m: (n_rows,)."""
     margins = margins_px(row_spacing_m, column_spacing_m)
     return Plane(
-        sums=integral_of(codes, margins, CODE_OF_MEAN),
-        counts=integral_of(valid, margins, 0),
+        sums=integral(codes, margins, CODE_OF_MEAN),
+        counts=integral(valid, margins, 0),
         usable=usable,
         first_return_m=first_return_m,
         row_spacing_m=row_spacing_m,
@@ -94,11 +76,10 @@ def make_plane(
 
 
 def plane_of_tile(tile: Tile, rows: slice) -> Plane:
-    """A tile's plane. Windows may be centred on pixels of `rows` that are VALID and not of LOW_RESOLUTION."""
-    valid = ((tile.mask & VALID) != 0) & ~np.isnan(tile.intensity)
+    """A tile's plane. Windows may be centred on pixels of `rows` that are VALID and not of LOW_RESOLUTION; NaN is not valid."""
+    codes, valid = encode(tile.intensity, tile.mask)
     usable = np.zeros_like(valid)
     usable[rows] = valid[rows] & ((tile.mask[rows] & LOW_RESOLUTION) == 0)
-    codes = codes_of(tile.intensity, valid)
     return make_plane(codes, valid, usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 

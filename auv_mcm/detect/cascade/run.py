@@ -1,0 +1,209 @@
+"""Runs a cascade over a tile: group by group on the windows still alive, within a fixed number of evaluations.
+
+One evaluation is one stump on one window. The first groups, up to OPENING_STUMPS stumps, weigh all windows and rank them; from there on
+the best-ranked windows go through all that is left of the cascade before others start. What a window gets therefore never depends on
+worse ones: with a larger budget all windows are finished that were with a smaller one, and more. A budget that does not even cover the
+opening finishes none. Evaluations, not seconds, are counted, so that every computer comes to the same result.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.detect.cascade.bands import WINDOW, areas, band_edges, pixel_boxes
+from auv_mcm.detect.cascade.codes import MAX_BOX_PX, Plane, plane_of_tile
+from auv_mcm.detect.cascade.model import CascadeModel
+from auv_mcm.errors import UsageError
+from auv_mcm.kernels.cascade import STUMP, Tables, Windows, corners, open_windows, run_groups
+from auv_mcm.records import Tile
+
+OPENING_STUMPS: Final = 16
+"""At the end of the last group that has no stump beyond this number windows are ranked; at the end of the first in any case."""
+MARGIN_M: Final = 1.0
+"""How far beyond a tile's core windows are centred, so that a peak in the core is compared with all its neighbours."""
+
+_LEAST_SHARE: Final = (3, 5)  # of a window that must be valid
+_SLICES: Final = 1024  # of the ranked windows, the last of which are not started if they might not be finished
+
+
+class CascadeResult(NamedTuple):
+    """Windows that passed the whole cascade, by row and column: tile-local rows, columns (n,) int32 and final scores (n,) int32.
+
+    n_windows: that there are in the tile. n_evaluations: made, never more than the budget. n_cut: windows dropped because the budget
+    was used up; evaluated_fraction: of the windows, the others. n_alive: after each group.
+    """
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    scores: NDArray[np.int32]
+    n_windows: int
+    n_evaluations: int
+    n_cut: int
+    evaluated_fraction: float
+    n_alive: tuple[int, ...]
+
+
+def run_cascade(tile: Tile, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
+    """Run a model over a tile's core and MARGIN_M around it; max_evaluations: the budget, None for none.
+
+    A window is centred on each pixel that is VALID and not LOW_RESOLUTION and has at least 0.6 of the window around it valid.
+    Raises UsageError if the tile's pixels are too fine for exact sums.
+    """
+    margin = round(MARGIN_M / tile.row_spacing_m) + 1
+    rows = slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0]))
+    return run_plane(plane_of_tile(tile, rows), model, max_evaluations)
+
+
+def run_plane(plane: Plane, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
+    """Run a model over a plane; windows are centred where it is usable. Otherwise as run_cascade."""
+    run = _Run(plane, model, max_evaluations)
+    n_windows, opened, n_cut = run.open()
+    finished, n_late = run.finish(opened)
+    n_cut += n_late
+    order = np.argsort(finished.place)
+    rows, columns = np.divmod(finished.place[order] - run.corner, np.int32(plane.sums.shape[1]))
+    return CascadeResult(
+        rows=rows,
+        columns=columns,
+        scores=finished.score[order],
+        n_windows=n_windows,
+        n_evaluations=run.n_evaluations,
+        n_cut=n_cut,
+        evaluated_fraction=1.0 - n_cut / max(n_windows, 1),
+        n_alive=tuple(run.n_alive.tolist()),
+    )
+
+
+def opening_groups(model: CascadeModel) -> int:
+    """Number of groups before windows are ranked."""
+    stops = np.cumsum([len(group) for group in model.groups])
+    return max(1, int(np.searchsorted(stops, OPENING_STUMPS, side="right")))
+
+
+@functools.lru_cache(maxsize=8)
+def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float, stride: int) -> Tables:
+    """A model's boxes as offsets into integral images with rows of `stride`. Raises UsageError if a box has too many pixels."""
+    stumps = [stump for group in model.groups for stump in group]
+    boxes = [box for stump in stumps for box in (stump.a, stump.b, stump.a if stump.w is None else stump.w)]
+    boxes_px = pixel_boxes([*boxes, WINDOW], row_spacing_m, column_spacing_m)
+    n_px = areas(boxes_px)
+    if n_px.max() > MAX_BOX_PX:
+        raise UsageError(
+            f"pixels of {row_spacing_m} x {column_spacing_m} m: a box of the cascade has {n_px.max()}, but only sums over {MAX_BOX_PX} are "
+            "exact; use coarser pixels"
+        )
+    shape = (len(boxes_px), len(stumps))
+    contrast = np.array([stump.kind == "contrast" for stump in stumps])
+    threshold = np.array([stump.threshold for stump in stumps])
+    per_px = 1.0 / n_px[:, :-1].reshape(*shape, 3)
+    table = np.zeros(shape, dtype=STUMP)
+    table["offset"] = corners(boxes_px[:, :-1], stride).reshape(*shape, 3, 4)
+    factors = np.stack((np.ones_like(threshold), np.where(contrast, 1.0, threshold), np.where(contrast, threshold, 0.0)), axis=-1)
+    table["weight"] = per_px * factors
+    table["leaf"] = [(stump.above, stump.below) for stump in stumps]
+    table["contrast"] = contrast
+    stops = np.cumsum([len(group) for group in model.groups])
+    numerator, denominator = _LEAST_SHARE
+    return Tables(
+        stumps=table,
+        groups=np.array(list(zip(stops, model.reject, strict=True)), dtype=np.int32),
+        window=corners(boxes_px[:, -1], stride),
+        least=(numerator * n_px[:, -1] + denominator - 1) // denominator,
+        restart=model.kind == "stages",
+    )
+
+
+class _Run:
+    """A run over a plane and its accounts: evaluations made so far, windows alive after each group."""
+
+    def __init__(self, plane: Plane, model: CascadeModel, max_evaluations: int | None) -> None:
+        stride = plane.sums.shape[1]
+        self.corner = plane.margin_rows * stride + plane.margin_near
+        self.n_evaluations = 0
+        self.n_alive = np.zeros(len(model.groups), dtype=np.int64)
+        self._plane = plane
+        self._tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
+        self._edges = band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m)
+        self._sizes = np.array([len(group) for group in model.groups], dtype=np.int64)
+        self._n_open = opening_groups(model)
+        self._budget = max_evaluations
+
+    def open(self) -> tuple[int, Windows, int]:
+        """Number of windows, those alive after the opening, and how many are cut since the budget does not reach to its end."""
+        if self._affords(int(np.count_nonzero(self._plane.usable)), 0, self._n_open):
+            n_windows, windows = self._opened(self._n_open)
+            return n_windows, windows, 0
+        n_windows, windows = self._opened(0)
+        if not self._affords(n_windows, 0, 1):
+            return n_windows, windows, n_windows
+        _, windows = self._opened(1)
+        for group in range(1, self._n_open):
+            if not self._affords(len(windows.place), group, group + 1):
+                return n_windows, _some(windows, slice(0, 0)), len(windows.place)
+            windows = self._run(windows, group, group + 1)
+        return n_windows, windows, 0
+
+    def finish(self, windows: Windows) -> tuple[Windows, int]:
+        """What of the opening's survivors passes the rest of the cascade, and how many are cut."""
+        first, last = self._n_open, len(self._sizes)
+        n = len(windows.place)
+        if first == last or self._affords(n, first, last):
+            return self._run(windows, first, last), 0
+        # Best score first, then in the order of windows: by band, row, column. Sorting keys takes a fraction of sorting by keys.
+        ranked = np.sort((-windows.score.astype(np.int64) << 32) + np.arange(n)) & 0xFFFFFFFF
+        most = int(self._sizes[first:].sum())
+        least = max(1, n // _SLICES)
+        done = 0
+        finished: list[Windows] = []
+        while done < n:
+            # A window starts if it and a few behind it could go all the way: then it makes no difference how they are sliced.
+            affordable = self._left() // most
+            if affordable < min(n - done, least):
+                break
+            length = n - done if affordable >= n - done else affordable - least + 1
+            chosen = np.sort(ranked[done : done + length])
+            finished.append(self._run(_some(windows, chosen), first, last))
+            done += length
+        return _together(finished, windows), n - done
+
+    def _affords(self, n_windows: int, first: int, last: int) -> bool:
+        """Whether the budget holds for groups [first, last) on so many windows even if none is dropped."""
+        return self._budget is None or n_windows * int(self._sizes[first:last].sum()) <= self._left()
+
+    def _left(self) -> int:
+        assert self._budget is not None
+        return self._budget - self.n_evaluations
+
+    def _opened(self, n_groups: int) -> tuple[int, Windows]:
+        plane = self._plane
+        opened = open_windows(plane.sums, plane.counts, self.corner, plane.usable, self._edges, self._tables, n_groups)
+        self._account(opened.n_windows, 0, opened.n_alive)
+        return opened.n_windows, opened.windows
+
+    def _run(self, windows: Windows, first: int, last: int) -> Windows:
+        finished, n_alive = run_groups(self._plane.sums, self._tables, windows, first, last)
+        self._account(len(windows.place), first, n_alive)
+        return finished
+
+    def _account(self, n_windows: int, first: int, n_alive: NDArray[np.int64]) -> None:
+        last = first + len(n_alive)
+        entered = np.concatenate(([n_windows], n_alive))[: len(n_alive)]
+        self.n_evaluations += int(entered @ self._sizes[first:last])
+        self.n_alive[first:last] += n_alive
+
+
+def _some(windows: Windows, chosen: NDArray[np.intp] | slice) -> Windows:
+    """Windows by their indices, which rise."""
+    indices = np.arange(len(windows.place))[chosen]
+    return Windows(windows.place[indices], windows.score[indices], np.searchsorted(indices, windows.band_stop).astype(np.int64))
+
+
+def _together(parts: list[Windows], of: Windows) -> Windows:
+    """All windows of some runs on parts of `of`; by run, not by band."""
+    parts = [_some(of, slice(0, 0)), *parts]
+    place, score = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    return Windows(place, score, np.full_like(of.band_stop, len(place)))

@@ -1,0 +1,286 @@
+/* Codes, integral images and boosted stumps of the trained cascade, see cascade.py for their definition.
+ *
+ * Stumps run breadth-first: all windows of a block through one stump before the next, so that the iterations are independent. Where many
+ * windows of a block are alive, neighbours along a row are weighed together, which vectorises; where few are, a list of them is. An
+ * outcome is looked up or blended, never branched upon: on speckle it is a coin's.
+ */
+
+#include <stdint.h>
+#include <string.h>
+
+enum { LOWER_RIGHT, UPPER_RIGHT, LOWER_LEFT, UPPER_LEFT, CORNERS };
+enum { LANES = 8, SEGMENT = 1024, BLOCK = 8192, LIST = 1024, DENSE_SHARE = 6 };
+
+/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if __has_attribute(target_clones)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+#ifndef WIDE
+#define WIDE
+#endif
+
+/* Left to itself, gcc makes vectors of values gathered one by one, which takes twice as long as one window at a time. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define ONE_BY_ONE __attribute__((optimize("no-tree-vectorize")))
+#else
+#define ONE_BY_ONE
+#endif
+
+/* One band's form of a stump, the record STUMP of cascade.py. */
+typedef struct {
+    int32_t offset[3][CORNERS];
+    float weight[3];
+    int32_t leaf[2];
+    int32_t contrast;
+} Stump;
+
+typedef struct {
+    int32_t stop, reject;
+} Group;
+
+/* Neighbouring windows of one row: index of the first in the integral images, number, and number with those up to a multiple of LANES. */
+typedef struct {
+    int64_t at, n, padded;
+} Segment;
+
+WIDE void auv_mcm_cascade_encode(int64_t n, const float *restrict intensity, const uint8_t *restrict mask, uint16_t *restrict codes,
+                            uint8_t *restrict valid)
+{
+    for (int64_t i = 0; i < n; i++) {
+        const float value = intensity[i];
+        const int32_t measured = mask[i] & 1, echo = value == value ? measured : 0;
+        float bounded = value > 0.0f ? value : 0.0f;
+        bounded = bounded < 16.0f ? bounded : 16.0f;
+        /* In numbers of 2^23 and more nothing is left of fractions: nearest, halves to even. */
+        const float shifted = bounded * 1024.0f + 12582912.0f;
+        const int32_t code = (int32_t)(shifted - 12582912.0f);
+        codes[i] = (uint16_t)(echo ? code : 1024);
+        valid[i] = (uint8_t)echo;
+    }
+}
+
+/* Four sums at a time depend on the last one only once. */
+#define INTEGRAL(NAME, TYPE)                                                                                                             \
+    void NAME(int64_t n_rows, int64_t n_columns, int64_t margin_rows, int64_t margin_near, int64_t margin_far, uint32_t beyond,          \
+              const TYPE *restrict values, uint32_t *restrict sums)                                                                      \
+    {                                                                                                                                    \
+        const int64_t stride = margin_near + n_columns + margin_far + 1;                                                                 \
+        memset(sums, 0, (size_t)stride * sizeof *sums);                                                                                  \
+        for (int64_t row = -margin_rows; row < n_rows + margin_rows; row++) {                                                            \
+            const uint32_t *restrict above = sums + (row + margin_rows) * stride;                                                        \
+            uint32_t *restrict here = sums + (row + margin_rows + 1) * stride;                                                           \
+            const TYPE *restrict from = values + row * n_columns;                                                                        \
+            const int64_t columns = row < 0 || row >= n_rows ? 0 : n_columns, first = margin_near + 1;                                   \
+            uint32_t total = beyond * (uint32_t)margin_near;                                                                             \
+            int64_t column = 0;                                                                                                          \
+            for (int64_t before = 0; before < first; before++)                                                                           \
+                here[before] = above[before] + beyond * (uint32_t)before;                                                                \
+            for (; column + 4 <= columns; column += 4) {                                                                                 \
+                const uint32_t one = from[column], two = one + from[column + 1];                                                         \
+                const uint32_t three = two + from[column + 2], four = three + from[column + 3];                                          \
+                here[first + column] = above[first + column] + (total + one);                                                            \
+                here[first + column + 1] = above[first + column + 1] + (total + two);                                                    \
+                here[first + column + 2] = above[first + column + 2] + (total + three);                                                  \
+                here[first + column + 3] = above[first + column + 3] + (total + four);                                                   \
+                total += four;                                                                                                           \
+            }                                                                                                                            \
+            for (; column < columns; column++) {                                                                                         \
+                total += from[column];                                                                                                   \
+                here[first + column] = above[first + column] + total;                                                                    \
+            }                                                                                                                            \
+            for (column += first; column < stride; column++) {                                                                           \
+                total += beyond;                                                                                                         \
+                here[column] = above[column] + total;                                                                                    \
+            }                                                                                                                            \
+        }                                                                                                                                \
+    }
+
+INTEGRAL(auv_mcm_cascade_sums, uint16_t)
+INTEGRAL(auv_mcm_cascade_counts, uint8_t)
+
+static inline int32_t box(const uint32_t *at, const int32_t *offset)
+{
+    return (int32_t)((at[offset[LOWER_RIGHT]] - at[offset[UPPER_RIGHT]]) - (at[offset[LOWER_LEFT]] - at[offset[UPPER_LEFT]]));
+}
+
+ONE_BY_ONE static void weigh_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
+                       int32_t *restrict score)
+{
+    const Stump s = *stump;
+    if (s.contrast)
+        for (int64_t i = 0; i < n; i++) {
+            const uint32_t *here = sums + at[i];
+            const float a = (float)box(here, s.offset[0]) * s.weight[0], b = (float)box(here, s.offset[1]) * s.weight[1];
+            score[i] += s.leaf[a - b < (float)box(here, s.offset[2]) * s.weight[2]];
+        }
+    else
+        for (int64_t i = 0; i < n; i++) {
+            const uint32_t *here = sums + at[i];
+            score[i] += s.leaf[(float)box(here, s.offset[0]) * s.weight[0] < (float)box(here, s.offset[1]) * s.weight[1]];
+        }
+}
+
+/* n: a multiple of LANES. */
+WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict stump, int64_t n, int32_t *restrict score)
+{
+    const int32_t above = stump->leaf[0], below = stump->leaf[1];
+    const float weight_a = stump->weight[0], weight_b = stump->weight[1], weight_w = stump->weight[2];
+    const uint32_t *const a0 = here + stump->offset[0][0], *const a1 = here + stump->offset[0][1];
+    const uint32_t *const a2 = here + stump->offset[0][2], *const a3 = here + stump->offset[0][3];
+    const uint32_t *const b0 = here + stump->offset[1][0], *const b1 = here + stump->offset[1][1];
+    const uint32_t *const b2 = here + stump->offset[1][2], *const b3 = here + stump->offset[1][3];
+    n -= n % LANES;
+    if (stump->contrast) {
+        const uint32_t *const w0 = here + stump->offset[2][0], *const w1 = here + stump->offset[2][1];
+        const uint32_t *const w2 = here + stump->offset[2][2], *const w3 = here + stump->offset[2][3];
+        for (int64_t i = 0; i < n; i++) {
+            const float a = (float)(int32_t)((a0[i] - a1[i]) - (a2[i] - a3[i])) * weight_a;
+            const float b = (float)(int32_t)((b0[i] - b1[i]) - (b2[i] - b3[i])) * weight_b;
+            const float w = (float)(int32_t)((w0[i] - w1[i]) - (w2[i] - w3[i])) * weight_w;
+            score[i] += a - b < w ? below : above;
+        }
+    } else {
+        for (int64_t i = 0; i < n; i++) {
+            const float a = (float)(int32_t)((a0[i] - a1[i]) - (a2[i] - a3[i])) * weight_a;
+            const float b = (float)(int32_t)((b0[i] - b1[i]) - (b2[i] - b3[i])) * weight_b;
+            score[i] += a < b ? below : above;
+        }
+    }
+}
+
+/* Runs groups [first, last) on a list of windows of one band and keeps the survivors at its front. Returns their number. */
+static int64_t run_list(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups, int64_t first,
+                        int64_t last, int64_t restart, int64_t n, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
+{
+    for (int64_t group = first; group < last; group++) {
+        const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop, reject = groups[group].reject;
+        int64_t kept = 0;
+        for (int64_t start = 0; start < n; start += LIST) {
+            const int64_t length = n - start < LIST ? n - start : LIST;
+            if (restart)
+                memset(score + start, 0, (size_t)length * sizeof *score);
+            for (int32_t stump = from; stump < stop; stump++)
+                weigh_list(sums, stumps + stump, length, at + start, score + start);
+            for (int64_t i = start; i < start + length; i++) {
+                const int32_t place = at[i], sum = score[i];
+                at[kept] = place;
+                score[kept] = sum;
+                kept += sum >= reject;
+            }
+        }
+        n = kept;
+        n_alive[group] += n;
+    }
+    return n;
+}
+
+/* Runs groups [0, n_groups) on the windows of a block and appends the survivors to a list. Returns their number. */
+static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups, int64_t n_groups,
+                          int64_t restart, int64_t n_segments, const Segment *restrict segments, int32_t *restrict block_score,
+                          int32_t *restrict alive, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
+{
+    int64_t group = 0, n_dense = 0, n = 0;
+    for (;;) {
+        const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop, reject = groups[group].reject;
+        int64_t total = 0, begin = 0;
+        for (int64_t k = 0; k < n_segments; k++) {
+            int32_t *restrict sum = block_score + begin, *restrict live = alive + begin, left = 0;
+            const int64_t length = segments[k].padded - segments[k].padded % LANES;
+            if (restart || group == 0)
+                memset(sum, 0, (size_t)length * sizeof *sum);
+            for (int32_t stump = from; stump < stop; stump++)
+                weigh_row(sums + segments[k].at, stumps + stump, length, sum);
+            for (int64_t i = 0; i < length; i++) {
+                live[i] &= -(sum[i] >= reject);
+                left -= live[i];
+            }
+            total += left;
+            begin += length;
+        }
+        n_dense = begin;
+        n_alive[group] += total;
+        group++;
+        if (group == n_groups || total * DENSE_SHARE < n_dense)
+            break;
+    }
+    for (int64_t k = 0, begin = 0; k < n_segments; begin += segments[k].padded, k++)
+        for (int64_t i = 0; i < segments[k].n; i++) {
+            at[n] = (int32_t)(segments[k].at + i);
+            score[n] = block_score[begin + i];
+            n -= alive[begin + i];
+        }
+    return run_list(sums, stumps, groups, group, n_groups, restart, n, at, score, n_alive);
+}
+
+/* edges (n_rows, n_bands + 1), usable (n_rows, n_columns), windows (n_bands, CORNERS), least (n_bands), stumps (n_bands, n_stumps).
+ * corner: index of pixel (0, 0) in the integral images, whose rows are `stride` long. at, score (as many as windows may be centred, and
+ * one more): out, the survivors of all groups by band, row, column. band_stop (n_bands): out, where each band's end. n_alive (n_groups):
+ * out. n_windows (1): out. Without groups windows are only counted.
+ */
+void auv_mcm_cascade_open(int64_t n_rows, int64_t n_columns, int64_t stride, int64_t corner, const uint32_t *restrict sums,
+                          const uint32_t *restrict counts, const uint8_t *restrict usable, int64_t n_bands, const int32_t *restrict edges,
+                          const int32_t *restrict windows, const int32_t *restrict least, int64_t n_stumps, const Stump *restrict stumps,
+                          int64_t n_groups, const Group *restrict groups, int64_t restart, int32_t *restrict at, int32_t *restrict score,
+                          int64_t *restrict band_stop, int64_t *restrict n_alive, int64_t *restrict n_windows)
+{
+    int32_t block_score[BLOCK], alive[BLOCK];
+    Segment segments[BLOCK / LANES];
+    int64_t n = 0;
+    memset(n_alive, 0, (size_t)n_groups * sizeof *n_alive);
+    *n_windows = 0;
+    for (int64_t band = 0; band < n_bands; band++) {
+        const int32_t *window = windows + band * CORNERS, enough = least[band];
+        int64_t n_segments = 0, filled = 0;
+        for (int64_t row = 0; row < n_rows; row++) {
+            const int32_t *edge = edges + row * (n_bands + 1) + band;
+            for (int64_t column = edge[0]; column < edge[1]; column += SEGMENT) {
+                Segment segment = {corner + row * stride + column, edge[1] - column < SEGMENT ? edge[1] - column : SEGMENT, 0};
+                segment.padded = (segment.n + LANES - 1) / LANES * LANES;
+                if (filled + segment.padded > BLOCK) {
+                    n += open_block(sums, stumps + band * n_stumps, groups, n_groups, restart, n_segments, segments, block_score, alive,
+                                    at + n, score + n, n_alive);
+                    n_segments = filled = 0;
+                }
+                const uint8_t *restrict use = usable + row * n_columns + column;
+                const uint32_t *restrict c0 = counts + segment.at + window[0], *restrict c1 = counts + segment.at + window[1];
+                const uint32_t *restrict c2 = counts + segment.at + window[2], *restrict c3 = counts + segment.at + window[3];
+                int32_t *restrict live = alive + filled, found = 0;
+                for (int64_t i = 0; i < segment.n; i++) {
+                    const int32_t count = (int32_t)((c0[i] - c1[i]) - (c2[i] - c3[i]));
+                    live[i] = -((count >= enough) & (use[i] != 0));
+                    found -= live[i];
+                }
+                *n_windows += found;
+                if (!found || !n_groups)
+                    continue;
+                memset(live + segment.n, 0, (size_t)(segment.padded - segment.n) * sizeof *live);
+                filled += segment.padded;
+                segments[n_segments++] = segment;
+            }
+        }
+        if (n_segments)
+            n += open_block(sums, stumps + band * n_stumps, groups, n_groups, restart, n_segments, segments, block_score, alive, at + n,
+                            score + n, n_alive);
+        band_stop[band] = n;
+    }
+}
+
+/* Runs groups [first, last) on the windows that auv_mcm_cascade_open left, or some of them; at, score, band_stop: in and out. */
+void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t n_stumps, const Stump *restrict stumps, int64_t first,
+                         int64_t last, const Group *restrict groups, int64_t restart, int32_t *restrict at, int32_t *restrict score,
+                         int64_t *restrict band_stop, int64_t *restrict n_alive)
+{
+    int64_t begin = 0, kept = 0;
+    memset(n_alive, 0, (size_t)last * sizeof *n_alive);
+    for (int64_t band = 0; band < n_bands; band++) {
+        const int64_t stop = band_stop[band];
+        const int64_t n = run_list(sums, stumps + band * n_stumps, groups, first, last, restart, stop - begin, at + begin, score + begin, n_alive);
+        memmove(at + kept, at + begin, (size_t)n * sizeof *at);
+        memmove(score + kept, score + begin, (size_t)n * sizeof *score);
+        kept += n;
+        begin = stop;
+        band_stop[band] = kept;
+    }
+}

@@ -1,0 +1,302 @@
+"""The trained cascade's hot loops: codes, integral images modulo 2**32, and boosted stumps on the windows still alive.
+
+A stump compares sums s of codes over boxes in float32, in this order of operations: f(s_a) w_a < f(s_b) w_b, or for a contrast
+f(s_a) w_a - f(s_b) w_b < f(s_w) w_w, with f rounding to nearest. Scores are whole numbers, so that the order of adding up does not
+matter. Windows are places in an integral image: the index of the pixel's first corner.
+
+C and numpy agree to the bit.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+
+CODE_OF_MEAN: Final = 1024
+MAX_INTENSITY: Final = 16.0
+
+STUMP: Final = np.dtype([("offset", np.int32, (3, 4)), ("weight", np.float32, 3), ("leaf", np.int32, 2), ("contrast", np.int32)])
+"""One stump in one band. offset: of boxes a, b, w to their lower right, upper right, lower left and upper left corners in an integral
+image, from the window's place. leaf: what the score gains where the comparison fails, and where it holds."""
+
+_AT_ONCE: Final = 32768  # windows that numpy weighs together: more no longer fit the cache
+_P, _I, _U = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32
+
+
+class Tables(NamedTuple):
+    """A model made for one pixel size and one length of rows.
+
+    stumps: (n_bands, n_stumps) STUMP. groups: (n_groups, 2) int32, number of stumps up to each group's end, and the score below which
+    windows are dropped there. window: (n_bands, 4) int32 corners, as in STUMP, of the box of which at least `least` pixels (n_bands,)
+    int32 must be valid. restart: whether scores start at 0 in every group.
+    """
+
+    stumps: NDArray[np.void]
+    groups: NDArray[np.int32]
+    window: NDArray[np.int32]
+    least: NDArray[np.int32]
+    restart: bool
+
+
+class Windows(NamedTuple):
+    """Windows alive, by band: band k holds [band_stop[k - 1], band_stop[k]). place, score: (n,) int32; band_stop: (n_bands,) int64."""
+
+    place: NDArray[np.int32]
+    score: NDArray[np.int32]
+    band_stop: NDArray[np.int64]
+
+
+class Opened(NamedTuple):
+    """windows: alive after the first groups, in a band by row and column. n_windows: weighed. n_alive: after each group, (n_groups,)."""
+
+    windows: Windows
+    n_windows: int
+    n_alive: NDArray[np.int64]
+
+
+def encode(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """Codes uint16 of intensities of any shape, and where they are valid, bool.
+
+    A code is 1024 times the intensity, nearest and halves to even, 0 to 16384; 1024 where not valid. mask: same shape; its lowest bit
+    says that an echo was measured. NaN is never valid. Raises ValueError if the shapes differ.
+    """
+    _same_shape(intensity, mask)
+    function = _c_encode()
+    if function is None:
+        return encode_numpy(intensity, mask)
+    intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
+    codes, valid = np.empty(intensity.shape, dtype=np.uint16), np.empty(intensity.shape, dtype=np.bool_)
+    function(intensity.size, *_pointers(intensity, mask, codes, valid))
+    return codes, valid
+
+
+def encode_numpy(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """encode in numpy alone."""
+    valid = ((mask & 1) != 0) & ~np.isnan(intensity)
+    bounded = np.clip(np.where(valid, intensity, np.float32(1.0)), np.float32(0.0), np.float32(MAX_INTENSITY))
+    return np.asarray(np.rint(bounded * np.float32(CODE_OF_MEAN)), dtype=np.uint16), valid
+
+
+def integral(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32] | None = None) -> NDArray[np.uint32]:
+    """Integral image modulo 2**32 of a plane that goes on as `beyond` in its margins.
+
+    values: (n_rows, n_columns) uint16, or bool. margins: rows either way, columns before, columns behind. out: where to put it, as is
+    worth while many times over since fresh memory costs as much as the sums. Returns (n_rows + 2 rows + 1, n_columns + before + behind
+    + 1) uint32; element (i, j) is the sum over the padded plane's rows before i and columns before j.
+    Raises ValueError for other types and for an `out` of another shape, type or order.
+    """
+    shape = integral_shape(values, margins)
+    if out is None:
+        out = np.empty(shape, dtype=np.uint32)
+    if out.shape != shape or out.dtype != np.uint32 or not out.flags.c_contiguous:
+        raise ValueError(f"out must be {shape} uint32, rows one after the other, not {out.shape} {out.dtype}")
+    if values.dtype not in (np.dtype(np.uint16), np.dtype(np.bool_)):
+        raise ValueError(f"values must be uint16 or bool, not {values.dtype}")
+    function = _c_sums() if values.dtype == np.uint16 else _c_counts()
+    if function is None:
+        return integral_numpy(values, margins, beyond, out)
+    values = np.ascontiguousarray(values)
+    function(*values.shape, *margins, beyond, *_pointers(values, out))
+    return out
+
+
+def integral_shape(values: NDArray[Any], margins: tuple[int, int, int]) -> tuple[int, int]:
+    """Of the integral image of a plane with these margins."""
+    n_rows, n_columns = values.shape
+    return n_rows + 2 * margins[0] + 1, n_columns + margins[1] + margins[2] + 1
+
+
+def integral_numpy(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """integral in numpy alone."""
+    rows, near, _ = margins
+    padded = np.full((out.shape[0] - 1, out.shape[1] - 1), beyond, dtype=np.uint32)
+    padded[rows : rows + values.shape[0], near : near + values.shape[1]] = values
+    out[0], out[:, 0] = 0, 0
+    np.cumsum(np.cumsum(padded, axis=1, dtype=np.uint32), axis=0, dtype=np.uint32, out=out[1:, 1:])
+    return out
+
+
+def open_windows(
+    sums: NDArray[np.uint32],
+    counts: NDArray[np.uint32],
+    corner: int,
+    usable: NDArray[np.bool_],
+    edges: NDArray[np.int32],
+    tables: Tables,
+    n_groups: int,
+) -> Opened:
+    """Run the first n_groups groups on all windows; with none the windows are only counted.
+
+    sums, counts: integral images of codes and of valid pixels, of one shape; corner: index of pixel (0, 0) in them, which leaves as
+    much margin as boxes reach and one row more. usable: (n_rows, n_columns) bool, where windows may be centred. edges: (n_rows,
+    n_bands + 1) int32 columns at which bands begin, the last one n_columns.
+    """
+    function = _c_open()
+    if function is None:
+        return open_windows_numpy(sums, counts, corner, usable, edges, tables, n_groups)
+    usable, edges = np.ascontiguousarray(usable), np.ascontiguousarray(edges)
+    n_bands, n_stumps = tables.stumps.shape
+    room = int(np.count_nonzero(usable)) + 1
+    windows = Windows(np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(n_bands, dtype=np.int64))
+    n_alive, n_windows = np.empty(n_groups, dtype=np.int64), np.empty(1, dtype=np.int64)
+    function(
+        *usable.shape,
+        sums.shape[1],
+        corner,
+        *_pointers(sums, counts, usable),
+        n_bands,
+        *_pointers(edges, tables.window, tables.least),
+        n_stumps,
+        *_pointers(tables.stumps),
+        n_groups,
+        *_pointers(tables.groups),
+        tables.restart,
+        *_pointers(*windows, n_alive, n_windows),
+    )
+    return Opened(_first(windows), int(n_windows[0]), n_alive)
+
+
+def open_windows_numpy(
+    sums: NDArray[np.uint32],
+    counts: NDArray[np.uint32],
+    corner: int,
+    usable: NDArray[np.bool_],
+    edges: NDArray[np.int32],
+    tables: Tables,
+    n_groups: int,
+) -> Opened:
+    """open_windows in numpy alone."""
+    n_bands = tables.window.shape[0]
+    widths = np.diff(edges, axis=1)
+    band = np.repeat(np.tile(np.arange(n_bands, dtype=np.uint8), len(edges)), widths.ravel())[usable.ravel()]
+    rows, columns = np.nonzero(usable)
+    place = (corner + rows * sums.shape[1] + columns).astype(np.int32)[np.argsort(band, kind="stable")]
+    stop = np.cumsum(np.bincount(band, minlength=n_bands))
+    whole, band_stop, begin = [], np.empty(n_bands, dtype=np.int64), 0
+    for k in range(n_bands):
+        some = place[begin : stop[k]]
+        whole.append(some[_box(counts.ravel(), some, tables.window[k]) >= tables.least[k]])
+        band_stop[k] = (band_stop[k - 1] if k else 0) + len(whole[-1])
+        begin = int(stop[k])
+    chosen = np.concatenate(whole)
+    if n_groups == 0:
+        return Opened(Windows(chosen[:0], chosen[:0], np.zeros_like(band_stop)), len(chosen), np.zeros(0, dtype=np.int64))
+    windows, n_alive = run_groups_numpy(sums, tables, Windows(chosen, np.zeros_like(chosen), band_stop), 0, n_groups)
+    return Opened(windows, len(chosen), n_alive)
+
+
+def run_groups(sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int) -> tuple[Windows, NDArray[np.int64]]:
+    """Run groups [first, last) on windows. Returns those alive, their order kept, and how many were after each group, (last - first,)."""
+    function = _c_run()
+    if function is None:
+        return run_groups_numpy(sums, tables, windows, first, last)
+    # A copy, which the kernel works in, with room for one more.
+    place, score = (np.append(values, np.int32(0)) for values in windows[:2])
+    windows = Windows(place, score, windows.band_stop.copy())
+    n_alive = np.empty(last, dtype=np.int64)
+    function(
+        *_pointers(sums),
+        *tables.stumps.shape,
+        *_pointers(tables.stumps),
+        first,
+        last,
+        *_pointers(tables.groups),
+        tables.restart,
+        *_pointers(*windows, n_alive),
+    )
+    return _first(windows), n_alive[first:]
+
+
+def run_groups_numpy(
+    sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int
+) -> tuple[Windows, NDArray[np.int64]]:
+    """run_groups in numpy alone."""
+    flat, n_alive = sums.ravel(), np.zeros(last - first, dtype=np.int64)
+    places, scores = [windows.place[:0]], [windows.score[:0]]
+    band_stop, begin = np.zeros_like(windows.band_stop), 0
+    for band, stop in enumerate(windows.band_stop):
+        kept = 0
+        for start in range(begin, int(stop), _AT_ONCE):
+            part = slice(start, min(start + _AT_ONCE, int(stop)))
+            place, score = windows.place[part], windows.score[part].copy()
+            for group in range(first, last):
+                if tables.restart:
+                    score[:] = 0
+                for stump in range(tables.groups[group - 1, 0] if group else 0, tables.groups[group, 0]):
+                    score += _weigh(flat, place, tables.stumps[band, stump])
+                alive = score >= tables.groups[group, 1]
+                place, score = place[alive], score[alive]
+                n_alive[group - first] += len(place)
+            places.append(place)
+            scores.append(score)
+            kept += len(place)
+        band_stop[band] = (band_stop[band - 1] if band else 0) + kept
+        begin = int(stop)
+    return Windows(np.concatenate(places), np.concatenate(scores), band_stop), n_alive
+
+
+def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
+    """Offsets (..., 4) int32 of STUMP for boxes (..., 4): top, bottom, left, right in an integral image with rows of `stride`."""
+    top, bottom, left, right = np.moveaxis(boxes_px, -1, 0)
+    offsets = (bottom * stride + right, top * stride + right, bottom * stride + left, top * stride + left)
+    return np.ascontiguousarray(np.stack(offsets, axis=-1), dtype=np.int32)
+
+
+def _weigh(sums: NDArray[np.uint32], place: NDArray[np.int32], stump: NDArray[np.void]) -> NDArray[np.int32]:
+    a, b, w = (
+        _box(sums, place, stump["offset"][k]).astype(np.float32) * stump["weight"][k] if k < 2 or stump["contrast"] else np.float32(0.0)
+        for k in range(3)
+    )
+    holds = a - b < w if stump["contrast"] else a < b
+    return np.asarray(stump["leaf"][holds.astype(np.intp)], dtype=np.int32)
+
+
+def _box(integral_image: NDArray[np.uint32], place: NDArray[np.int32], offset: NDArray[np.int32]) -> NDArray[np.int32]:
+    lower_right, upper_right, lower_left, upper_left = (integral_image.take(place + corner) for corner in offset)
+    return np.asarray((lower_right - upper_right) - (lower_left - upper_left)).view(np.int32)
+
+
+def _first(windows: Windows) -> Windows:
+    n = windows.band_stop[-1]
+    return Windows(windows.place[:n], windows.score[:n], windows.band_stop)
+
+
+def _same_shape(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> None:
+    if intensity.shape != mask.shape or mask.dtype.itemsize != 1:
+        raise ValueError(f"mask must hold a byte for each of {intensity.shape} intensities, not {mask.shape} {mask.dtype}")
+
+
+def _pointers(*arrays: NDArray[Any]) -> list[int]:
+    return [array.ctypes.data for array in arrays]
+
+
+@functools.cache
+def _c_encode() -> Callable[..., None] | None:
+    return kernels.c_function("cascade_encode", _I, *[_P] * 4)
+
+
+@functools.cache
+def _c_sums() -> Callable[..., None] | None:
+    return kernels.c_function("cascade_sums", *[_I] * 5, _U, _P, _P)
+
+
+@functools.cache
+def _c_counts() -> Callable[..., None] | None:
+    return kernels.c_function("cascade_counts", *[_I] * 5, _U, _P, _P)
+
+
+@functools.cache
+def _c_open() -> Callable[..., None] | None:
+    return kernels.c_function("cascade_open", *[_I] * 4, *[_P] * 3, _I, *[_P] * 3, _I, _P, _I, _P, _I, *[_P] * 5)
+
+
+@functools.cache
+def _c_run() -> Callable[..., None] | None:
+    return kernels.c_function("cascade_run", _P, _I, _I, _P, _I, _I, _P, _I, *[_P] * 4)

@@ -1,0 +1,124 @@
+"""The cascade's kernels: C and numpy to the bit, integral images against plain sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drawn_cascades import COLUMN_M, ROW_M, draw_ground, draw_model
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.detect.cascade.bands import band_edges
+from auv_mcm.detect.cascade.run import tables_of
+from auv_mcm.kernels.cascade import (
+    Opened,
+    Windows,
+    encode,
+    encode_numpy,
+    integral,
+    integral_numpy,
+    integral_shape,
+    open_windows,
+    open_windows_numpy,
+    run_groups,
+    run_groups_numpy,
+)
+
+needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
+seeds = st.integers(0, 2**32 - 1)
+
+
+def assert_same(one: Windows, other: Windows) -> None:
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b, strict=True)
+
+
+def opened_both_ways(seed: int, n_groups: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Opened, Opened]:
+    plane, model = draw_ground(seed, *shape).plane(), draw_model(seed, kind=kind)
+    tables = tables_of(model, ROW_M, COLUMN_M, plane.sums.shape[1])
+    edges = band_edges(plane.first_return_m, plane.n_columns, COLUMN_M)
+    arguments = (
+        plane.sums,
+        plane.counts,
+        plane.margin_rows * plane.sums.shape[1] + plane.margin_near,
+        plane.usable,
+        edges,
+        tables,
+        n_groups,
+    )
+    one, other = open_windows(*arguments), open_windows_numpy(*arguments)
+    for first in range(n_groups, 5):
+        ran = (f(plane.sums, tables, one.windows, first, 5) for f in (run_groups, run_groups_numpy))
+        (left, n_left), (right, n_right) = ran
+        assert_same(left, right)
+        np.testing.assert_array_equal(n_left, n_right, strict=True)
+    return one, other
+
+
+@needs_c
+@given(seed=seeds, n_groups=st.integers(0, 5), kind=st.sampled_from(["soft", "stages"]))
+@settings(deadline=None, max_examples=60)
+def test_c_and_numpy_agree_to_the_bit(seed: int, n_groups: int, kind: str) -> None:
+    one, other = opened_both_ways(seed, n_groups, kind=kind)
+    assert_same(one.windows, other.windows)
+    assert one.n_windows == other.n_windows
+    np.testing.assert_array_equal(one.n_alive, other.n_alive, strict=True)
+
+
+@needs_c
+@pytest.mark.parametrize("shape", [(9, 3000), (400, 60)])
+def test_c_and_numpy_agree_on_tiles_of_many_blocks(shape: tuple[int, int]) -> None:
+    one, other = opened_both_ways(2, 3, shape)
+    assert_same(one.windows, other.windows)
+    assert one.n_windows == other.n_windows > 1000
+
+
+@needs_c
+@given(intensity=hnp.arrays(np.float32, 40, elements=st.floats(width=32) | st.floats(0.0, 17.0, width=32)), seed=seeds)
+@settings(deadline=None)
+def test_codes_of_c_and_numpy_agree(intensity: NDArray[np.float32], seed: int) -> None:
+    mask = np.random.Generator(np.random.PCG64(seed)).integers(0, 16, 40, dtype=np.uint8)
+    for a, b in zip(encode(intensity, mask), encode_numpy(intensity, mask), strict=True):
+        np.testing.assert_array_equal(a, b, strict=True)
+
+
+def test_codes_round_to_the_nearest_halves_to_even_between_nothing_and_sixteen_times_the_mean() -> None:
+    intensity = np.array([0.0, 0.5, 1.5 / 1024, 2.5 / 1024, 1.0, 15.9999, 16.0, 99.0, np.inf, -1.0, np.nan, 3.0], dtype=np.float32)
+    mask = np.array([1] * 11 + [2], dtype=np.uint8)
+    codes, valid = encode(intensity, mask)
+    assert codes.tolist() == [0, 512, 2, 2, 1024, 16384, 16384, 16384, 16384, 0, 1024, 1024]
+    assert valid.tolist() == [True] * 10 + [False] * 2
+
+
+@given(
+    shape=st.tuples(st.integers(0, 9), st.integers(0, 14)),
+    margins=st.tuples(*[st.integers(0, 5)] * 3),
+    beyond=st.sampled_from([0, 1024]),
+    seed=seeds,
+    flags=st.booleans(),
+)
+@settings(deadline=None)
+def test_integral_images_hold_plain_sums(
+    shape: tuple[int, int], margins: tuple[int, int, int], beyond: int, seed: int, flags: bool
+) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    values = random.random(shape) < 0.5 if flags else random.integers(0, 2**16, shape, dtype=np.uint16)
+    padded = np.pad(values.astype(np.int64), ((margins[0],) * 2, margins[1:]), constant_values=beyond)
+    expected = [[int(padded[:i, :j].sum()) % 2**32 for j in range(padded.shape[1] + 1)] for i in range(padded.shape[0] + 1)]
+    np.testing.assert_array_equal(integral(values, margins, beyond), np.array(expected, dtype=np.uint32), strict=True)
+    out = np.empty(integral_shape(values, margins), dtype=np.uint32)
+    np.testing.assert_array_equal(integral_numpy(values, margins, beyond, out), np.array(expected, dtype=np.uint32), strict=True)
+
+
+def test_integral_images_go_where_they_are_told_or_nowhere() -> None:
+    values, out = np.ones((3, 4), dtype=np.uint16), np.empty((4, 5), dtype=np.uint32)
+    assert integral(values, (0, 0, 0), 0, out) is out
+    with pytest.raises(ValueError, match="out must be"):
+        integral(values, (1, 0, 0), 0, out)
+    with pytest.raises(ValueError, match="uint16 or bool"):
+        integral(values.astype(np.float32), (0, 0, 0), 0, out)
+    with pytest.raises(ValueError, match="mask must hold a byte"):
+        encode(np.ones((2, 2), dtype=np.float32), np.ones((2, 3), dtype=np.uint8))
