@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import msgspec
@@ -11,14 +10,13 @@ import numpy as np
 
 from auv_mcm.classify.evidence import size_plausibility
 from auv_mcm.classify.likelihood import beam_of, parameter_cost, row_sums
-from auv_mcm.classify.search import Array, Box, Optima, apart, curvature_covariance, look_around, walk
+from auv_mcm.classify.search import Array, Box, Optima, apart, curvature_covariance, look_around
 from auv_mcm.classify.shapes import Shape
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import (
     FIELDS,
     FIRST_FIELD,
     FORBIDDEN,
-    N_COLUMNS,
     PENCIL,
     Beam,
     RowSums,
@@ -29,6 +27,7 @@ from auv_mcm.kernels.shape import (
     top_m,
     up_to,
 )
+from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes
 
 SOLIDS: Final = tuple(FIELDS)
 
@@ -108,8 +107,8 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 class ShapeFits(msgspec.Struct, frozen=True, kw_only=True):
     """All classes that explain the region at all, best first; a class that cannot be seen in it is missing.
 
-    contour_cost: that of the free contour, as given. flags: no_data, clutter (the contour explains so much more that solids were not
-    refined).
+    contour_cost: that of the free contour, as given. n_hypotheses: tried in the search. flags: no_data, clutter (the contour explains so
+    much more that solids were not refined).
     """
 
     fits: tuple[ShapeFit, ...]
@@ -144,13 +143,32 @@ _PARAMETERS: Final[dict[Solid, tuple[_Parameter, ...]]] = {
 }
 
 
-class _Class(NamedTuple):
-    """One class under search: costs of points of its box by beam, and what was found."""
+# Coefficient and two factors of each column of a hypothesis, by class; see kernels.shape_walk.
+_ALONG, _ACROSS, _P2, _P3, _P4 = range(1, 6)
+_PLACE: Final = ((1.0, _ALONG, ONE), (1.0, _ACROSS, ONE))
+_RATIO: Final = (1.0, RATIO, ONE)
+_NONE: Final = (0.0, ONE, ONE)
+_TERMS: Final[dict[Solid, Array]] = {
+    "sphere": np.array([*_PLACE, _RATIO, (1.0, _P2, ONE), (1.0, _P2, SUNK), _NONE, _NONE, _NONE]),
+    "cylinder": np.array([*_PLACE, _RATIO, (1.0, _P2, ONE), (1.0, _P3, ONE), (1.0, _P4, ONE), (1.0, _P2, SUNK), _NONE]),
+    "truncated_cone": np.array([*_PLACE, (1.0, ONE, ONE), (1.0, _P2, ONE), (1.0, _P2, _P3), (2.0, _P2, _P4), _NONE, _NONE]),
+    "wedge": np.array([*_PLACE, _RATIO, *((size_m, _P2, ONE) for size_m in _WEDGE_M), (1.0, _P3, ONE), (_WEDGE_M[2], _P2, SUNK)]),
+}
 
-    solid: Solid
-    box: Box
-    cost: Callable[[Array, Beam], Array]
+
+class _Class(NamedTuple):
+    """One class under search, and what was found."""
+
+    chart: Chart
     found: Optima
+
+    @property
+    def solid(self) -> Solid:
+        return self.chart.solid
+
+    @property
+    def box(self) -> Box:
+        return self.chart.box
 
 
 def fit_shapes(
@@ -167,20 +185,21 @@ def fit_shapes(
     if image is None:
         return ShapeFits(fits=(), contour_cost=contour_cost, n_hypotheses=0, flags=("no_data",))
     beam = beam_of(region)
-    n_tried = [0]
-    classes = [_look(solid, region, image, effort, n_tried) for solid in SOLIDS]
+    classes = [_look(solid, region, image, effort) for solid in SOLIDS]
+    n_tried = len(classes) * (effort.n_starts + effort.n_walks * effort.n_steps * effort.n_tries)
     classes = [entry for entry in classes if entry.found.cost[0] < FORBIDDEN]
     lowest = min((entry.found.cost[0] for entry in classes), default=math.inf)
     clutter = contour_cost is not None and lowest > contour_cost + _CLUTTER
     fits = []
     for entry in classes:
         refined = not clutter and bool(entry.found.cost[0] < lowest + _HOPELESS)
-        final = _refine(entry, beam, effort) if refined else entry
+        final = _refine(entry, image, beam, effort) if refined else entry
+        n_tried += effort.n_fine_walks * effort.n_fine_steps * effort.n_fine_tries if refined else 0
         if final.found.cost[0] < FORBIDDEN:
             fits.append(_fit(final, region, image, beam if refined else PENCIL, refined))
     fits.sort(key=lambda fit: fit.best.cost)
     flags = ("clutter",) if clutter else ()
-    return ShapeFits(fits=tuple(fits), contour_cost=contour_cost, n_hypotheses=n_tried[0], flags=flags)
+    return ShapeFits(fits=tuple(fits), contour_cost=contour_cost, n_hypotheses=n_tried, flags=flags)
 
 
 def plausibility(solid: Solid, sizes: Array) -> float:
@@ -192,25 +211,10 @@ def plausibility(solid: Solid, sizes: Array) -> float:
 
 def hypotheses_of(solid: Solid, points: Array) -> Array:
     """Hypotheses (n, 8) for the kernel from points (n, d): place along the slices and ground range (m), then the class's parameters."""
-    hypotheses = np.zeros((len(points), N_COLUMNS))
-    hypotheses[:, :2] = points[:, :2]
-    sunk = np.zeros(len(points)) if solid == "truncated_cone" else points[:, -1]
-    hypotheses[:, 2] = 1.0 + np.minimum(sunk, 0.0)
-    fields, sunk = hypotheses[:, FIRST_FIELD:], np.maximum(sunk, 0.0)
-    match solid:
-        case "sphere":
-            fields[:, 0], fields[:, 1] = points[:, 2], sunk * points[:, 2]
-        case "cylinder":
-            fields[:, :3], fields[:, 3] = points[:, 2:5], sunk * points[:, 2]
-        case "truncated_cone":
-            fields[:, 0], fields[:, 1], fields[:, 2] = points[:, 2], points[:, 2] * points[:, 3], 2.0 * points[:, 2] * points[:, 4]
-        case "wedge":
-            fields[:, :3], fields[:, 3] = points[:, 2:3] * np.array(_WEDGE_M), points[:, 3]
-            fields[:, 4] = sunk * fields[:, 2]
-    return hypotheses
+    return hypotheses_at(_TERMS[solid], points)
 
 
-def _look(solid: Solid, region: Region, image: RowSums, effort: Effort, n_tried: list[int]) -> _Class:
+def _look(solid: Solid, region: Region, image: RowSums, effort: Effort) -> _Class:
     along_m = region.row * image.row_spacing_m
     across_m = image.first_ground_range_m + region.column * image.column_spacing_m
     place = (
@@ -219,31 +223,17 @@ def _look(solid: Solid, region: Region, image: RowSums, effort: Effort, n_tried:
     )
     parameters = place + _PARAMETERS[solid]
     box = Box(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
-    fixed = parameter_cost(len(parameters), image)
-
-    def cost(points: Array, beam: Beam) -> Array:
-        n_tried[0] += len(points)
-        hypotheses = hypotheses_of(solid, points)
-        altitude = (hypotheses[:, 2] - 1.0) / _ALTITUDE_SIGMA
-        burial = 0.0 if solid == "truncated_cone" else np.maximum(points[:, -1], 0.0) / _BURIAL_SIGMA
-        return shape_costs(solid, hypotheses, image, beam).cost + 0.5 * (altitude * altitude + burial * burial) + fixed
-
-    def with_pencil(points: Array) -> Array:
-        return cost(points, PENCIL)
-
-    starts = look_around(with_pencil, box, effort.n_starts, effort.n_walks)
-    return _Class(solid, box, cost, walk(with_pencil, box, starts, effort.n_steps, effort.n_tries, first_stride=3.0))
+    burial_sigma = math.inf if solid == "truncated_cone" else _BURIAL_SIGMA
+    chart = Chart(solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image))
+    starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), box, effort.n_starts, effort.n_walks)
+    return _Class(chart, walk_shapes(chart, image, PENCIL, starts, effort.n_steps, effort.n_tries, first_stride=3.0))
 
 
-def _refine(entry: _Class, beam: Beam, effort: Effort) -> _Class:
-    def with_beam(points: Array) -> Array:
-        return entry.cost(points, beam)
-
+def _refine(entry: _Class, image: RowSums, beam: Beam, effort: Effort) -> _Class:
     starts = apart(entry.found, entry.box, effort.n_fine_walks)
     if beam.share.size > 1:
-        starts = Optima(starts.unit, with_beam(entry.box.points(starts.unit)))
-    found = walk(with_beam, entry.box, starts, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2)
-    return entry._replace(found=found)
+        starts = Optima(starts.unit, costs_at(entry.chart, entry.box.points(starts.unit), image, beam))
+    return entry._replace(found=walk_shapes(entry.chart, image, beam, starts, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2))
 
 
 def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: bool) -> ShapeFit:
@@ -307,7 +297,7 @@ def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image
 
 def _sigma(entry: _Class, point: Array, hypothesis: Array, beam: Beam, region: Region, image: RowSums) -> dict[str, float]:
     """Of place and fields: what speckle leaves open, doubled for what the model leaves out, and what resolution and altitude do."""
-    covariance = curvature_covariance(lambda points: entry.cost(points, beam), entry.box, point)
+    covariance = curvature_covariance(lambda points: costs_at(entry.chart, points, image, beam), entry.box, point)
     there = point.copy()
     if entry.solid != "truncated_cone":
         there[-1] = max(there[-1], 1e-3)  # of a solid that is not buried: how deep it may be

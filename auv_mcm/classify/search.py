@@ -5,6 +5,7 @@ Everything is the same in every run: starts and directions come from the additiv
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
@@ -14,10 +15,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _APART: Final = 0.1  # of the box in some coordinate, between starts that are kept and between optima that are two
-_LEAST_STRIDE: Final = 0.1  # grains
+LEAST_STRIDE: Final = 0.1  # grains
+GROWTH, SHRINKAGE = 1.5, 0.7  # of strides
 _RISE: Final = 10.0  # nats
 _FLATTEST, _STEEPEST = 0.05, 1e6
-_LONGER, _SHORTER = 1.5, 0.7
 
 
 class Box(NamedTuple):
@@ -45,13 +46,21 @@ class Optima(NamedTuple):
     cost: Array
 
 
+@functools.lru_cache(maxsize=32)
 def spread(n: int, n_dimensions: int, first: int = 0) -> Array:
-    """Points first to first + n - 1 of a sequence that fills the unit cube evenly, (n, d)."""
+    """Points first to first + n - 1 of a sequence that fills the unit cube evenly, (n, d), not to be written to."""
     ratio = 2.0
     for _ in range(60):
         ratio = (1.0 + ratio) ** (1.0 / (n_dimensions + 1))
     steps = ratio ** -np.arange(1.0, n_dimensions + 1.0)
-    return np.asarray((0.5 + np.arange(first + 1, first + n + 1)[:, np.newaxis] * steps) % 1.0, dtype=np.float64)
+    points = np.asarray((0.5 + np.arange(first + 1, first + n + 1)[:, np.newaxis] * steps) % 1.0, dtype=np.float64)
+    points.flags.writeable = False
+    return points
+
+
+def directions(n_steps: int, n_tries: int, n_dimensions: int) -> Array:
+    """Ways to try at each step of a walk, (n_steps, n_tries, d) float64 from -1 to 1."""
+    return 2.0 * spread(n_steps * n_tries, n_dimensions).reshape(n_steps, n_tries, n_dimensions) - 1.0
 
 
 def look_around(cost: Callable[[Array], Array], box: Box, n_starts: int, n_kept: int) -> Optima:
@@ -68,8 +77,7 @@ def walk(cost: Callable[[Array], Array], box: Box, optima: Optima, n_steps: int,
     unit, best = optima.unit, optima.cost
     n, d = unit.shape
     strides = np.full(n, first_stride)
-    ways = 2.0 * spread(n_steps * n_tries, d).reshape(n_steps, 1, n_tries, d) - 1.0
-    for way in ways:
+    for way in directions(n_steps, n_tries, d):
         there = unit[:, np.newaxis] + strides[:, np.newaxis, np.newaxis] * (grain * way)
         costs = cost(box.points(there.reshape(-1, d))).reshape(n, n_tries)
         choice = costs.argmin(axis=1)
@@ -77,10 +85,14 @@ def walk(cost: Callable[[Array], Array], box: Box, optima: Optima, n_steps: int,
         better = lowest < best
         unit = np.where(better[:, np.newaxis], there[np.arange(n), choice], unit)
         best = np.where(better, lowest, best)
-        strides = np.maximum(strides * np.where(better, _LONGER, _SHORTER), _LEAST_STRIDE)
-    folded = box.folded(unit)
-    order = np.argsort(best, kind="stable")
-    return Optima(folded[order], best[order])
+        strides = np.maximum(strides * np.where(better, GROWTH, SHRINKAGE), LEAST_STRIDE)
+    return best_first(box, unit, best)
+
+
+def best_first(box: Box, unit: Array, cost: Array) -> Optima:
+    """Places (n, d) that may lie beyond the box, and their costs (n,), as optima."""
+    order = np.argsort(cost, kind="stable")
+    return Optima(box.folded(unit)[order], cost[order])
 
 
 def apart(optima: Optima, box: Box, n_kept: int) -> Optima:
@@ -110,8 +122,10 @@ def curvature_covariance(cost: Callable[[Array], Array], box: Box, point: Array)
         unit = (points - box.low) / (box.high - box.low)
         return cost(box.points(unit.reshape(-1, d))).reshape(points.shape[:-1])
 
-    here = float(at(point[np.newaxis])[0])
-    rise = 0.5 * (at(point + offsets) + at(point - offsets)) - here
+    here, ahead, back = np.split(
+        at(np.concatenate([point[np.newaxis], (point + offsets).reshape(-1, d), (point - offsets).reshape(-1, d)])), (1, 1 + 6 * d)
+    )
+    rise = (0.5 * (ahead + back) - here).reshape(len(scales), d)
     enough = rise >= _RISE
     choice = np.where(enough.any(axis=0), enough.argmax(axis=0), len(scales) - 1)
     step = scales[choice] * box.grain

@@ -6,21 +6,27 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 
 enum { SPHERE, CYLINDER, CONE, WEDGE };
-enum { FIELDS = 8, MAX_TAPS = 15, PIECE = 4, EDGES = 9, MAX_STEPS = 60 };
+enum { FIELDS = 8, EDGES = 9, CORNERS = 6, MAX_STEPS = 60, N_ENDS = 3, MAX_TAPS = 3, MIXTURES = 27 }; /* 3 to the power of MAX_TAPS */
+enum { SUNK = 7, RATIO = 8, N_FACTORS = 9 };
 
 #define FORBIDDEN 1e12
 #define LEAST_MEAN 1e-6
 #define LEVEL 1e-15
+#define STILL 1e-7 /* a step of Newton's method of this size, relative, leaves an error of its square */
 
+/* What of a solid does not change from slice to slice. */
 typedef struct {
-    double sine, cosine, reach, top;
-    double vertices[6][3];
+    double reach, top; /* horizontal radius within which all of it lies; height over the floor */
+    double sine, cosine, per_sine, per_cosine;
+    double base_radius, rim_radius, height, taper, per_taper;
+    double corner[CORNERS][3], across_per_m[EDGES], up_per_m[EDGES]; /* slopes of edges per metre along the track */
 } Placed;
 
 typedef struct {
-    double front, tangent, height, foot; /* slant range; ground range and height; ground range of a vertical face, if any is seen */
+    double front_squared, tangent, height, foot; /* slant range; ground range and height; ground range of a vertical face, if any is seen */
 } Slice;
 
 typedef struct {
@@ -29,6 +35,13 @@ typedef struct {
     const double *echoes, *counts;
     double total, n_total;
 } Image;
+
+typedef struct {
+    int n_taps;
+    int64_t n_steps; /* of Fisher scoring */
+    const double *angle;
+    double share[MIXTURES][2]; /* of highlight and shadow, by mixture: its digit of base 3 per tap is 0 floor, 1 highlight, 2 shadow */
+} Beam;
 
 static const int EDGE[EDGES][2] = {{0, 1}, {1, 2}, {2, 3}, {3, 0}, {1, 4}, {2, 5}, {4, 5}, {0, 4}, {3, 5}};
 
@@ -41,21 +54,27 @@ static inline double half_chord(double radius, double lateral)
     return sqrt(larger((radius - lateral) * (radius + lateral), 0.0));
 }
 
-static inline void interval(double offset, double slope, double half_width, double *low, double *high)
+/* per_slope: 1 / |slope|, unused where that is no number. */
+static inline void interval(double offset, double slope, double per_slope, double half_width, double *low, double *high)
 {
     if (fabs(slope) < LEVEL) {
         *high = fabs(offset) <= half_width ? INFINITY : -INFINITY;
         *low = -*high;
         return;
     }
-    const double way = slope < 0.0 ? -offset : offset, steep = 1.0 / fabs(slope);
-    *low = (-half_width - way) * steep;
-    *high = (half_width - way) * steep;
+    const double way = slope < 0.0 ? -offset : offset;
+    *low = (-half_width - way) * per_slope;
+    *high = (half_width - way) * per_slope;
+}
+
+static inline double below(double altitude, double centre, double half)
+{
+    return altitude - clamp(altitude, larger(centre - half, 0.0), larger(centre + half, 0.0));
 }
 
 static double arch_front(double radius, double lateral, double cosine, double sonar, double rise, double y)
 {
-    const double first = sonar / radius, second = rise / radius, squeeze = cosine * cosine;
+    const double per_radius = 1.0 / radius, first = sonar * per_radius, second = rise * per_radius, squeeze = cosine * cosine;
     const double square = first * first + second * second;
     double t = larger(sqrt(square) - 1.0, squeeze > 1e-30 ? (fabs(first) - 1.0) / squeeze : 0.0);
 
@@ -64,24 +83,24 @@ static double arch_front(double radius, double lateral, double cosine, double so
     for (int step = 0; step < MAX_STEPS; step++) {
         const double wide = 1.0 / (squeeze * t + 1.0), high = 1.0 / (t + 1.0);
         const double a = first * wide, b = second * high, value = a * a + b * b;
-        const double excess = value - 1.0, root = sqrt(value);
-        const double move = value * (excess / (root + 1.0)) / (a * a * squeeze * wide + b * b * high);
+        const double move = value * (value - 1.0) / ((sqrt(value) + 1.0) * (a * a * squeeze * wide + b * b * high));
         t = larger(t + move, 0.0);
-        if (fabs(move) <= 1e-13 * (1.0 + t))
+        if (fabs(move) <= STILL * (1.0 + t))
             break;
     }
     return -(y + lateral * cosine * t) / (squeeze * t + 1.0);
 }
 
-static int arch(double radius, double centre, double lateral, double cosine, double end_low, double end_high, double y, double altitude,
-                Slice *slice)
+static int cylinder(const double *solid, const Placed *placed, double u, double y, double altitude, Slice *slice)
 {
-    const double sunk = smaller(centre, 0.0);
-    double low, high;
+    const double radius = solid[0], centre = radius - solid[3], sunk = smaller(centre, 0.0), cosine = placed->cosine;
+    const double lateral = -u * placed->sine;
+    double low, high, end_low, end_high;
 
     if (!(radius > 0.0) || radius <= -sunk)
         return 0;
-    interval(lateral, cosine, half_chord(radius, sunk), &low, &high);
+    interval(u * cosine, placed->sine, placed->per_sine, 0.5 * solid[1], &end_low, &end_high);
+    interval(lateral, cosine, placed->per_cosine, half_chord(radius, sunk), &low, &high);
     low = larger(low, end_low);
     high = smaller(high, end_high);
     if (!(low <= high))
@@ -89,39 +108,44 @@ static int arch(double radius, double centre, double lateral, double cosine, dou
 
     const double sonar = lateral - cosine * y, rise = altitude - centre;
     const double square = sonar * sonar + rise * rise, power = square - radius * radius;
-    const double touch = (radius * radius * sonar + radius * sqrt(larger(power, 0.0)) * rise) / square;
+    const double touch = radius * (radius * sonar + sqrt(larger(power, 0.0)) * rise) / square;
     const double across = clamp(power > 0.0 ? (touch - lateral) / larger(cosine, LEVEL) : -INFINITY, low, high);
     const double front = clamp(arch_front(radius, lateral, cosine, sonar, rise, y), low, high);
-    const double half = half_chord(radius, lateral + cosine * front);
-    const double down = altitude - clamp(altitude, larger(centre - half, 0.0), larger(centre + half, 0.0));
+    const double down = below(altitude, centre, half_chord(radius, lateral + cosine * front));
 
-    slice->front = sqrt((y + front) * (y + front) + down * down);
+    slice->front_squared = (y + front) * (y + front) + down * down;
     slice->tangent = y + across;
     slice->height = larger(centre + half_chord(radius, lateral + cosine * across), 0.0);
     return 1;
 }
 
+/* A cylinder's slice without ends and turn: a circle, whose nearest point needs no search. */
 static int sphere(const double *solid, double u, double y, double altitude, Slice *slice)
 {
-    if (!(fabs(u) < solid[0]))
+    const double radius = half_chord(solid[0], u), centre = solid[0] - solid[1], sunk = smaller(centre, 0.0);
+
+    if (!(fabs(u) < solid[0]) || radius <= -sunk)
         return 0;
-    return arch(half_chord(solid[0], u), solid[0] - solid[1], 0.0, 1.0, -INFINITY, INFINITY, y, altitude, slice);
+    const double at_floor = half_chord(radius, sunk), rise = altitude - centre, square = y * y + rise * rise;
+    const double power = square - radius * radius, per_square = 1.0 / square;
+    const double touch = radius * (sqrt(larger(power, 0.0)) * rise - radius * y) * per_square;
+    const double across = clamp(power > 0.0 ? touch : -INFINITY, -at_floor, at_floor);
+    const double front = clamp(power > 0.0 ? -radius * y * sqrt(per_square) : -INFINITY, -at_floor, at_floor);
+    const double down = below(altitude, centre, half_chord(radius, front));
+
+    slice->front_squared = (y + front) * (y + front) + down * down;
+    slice->tangent = y + across;
+    slice->height = larger(centre + half_chord(radius, across), 0.0);
+    return 1;
 }
 
-static int cylinder(const double *solid, const Placed *placed, double u, double y, double altitude, Slice *slice)
-{
-    double low, high;
-    interval(u * placed->cosine, placed->sine, 0.5 * solid[1], &low, &high);
-    return arch(solid[0], solid[0] - solid[3], -u * placed->sine, placed->cosine, low, high, y, altitude, slice);
-}
-
-static double cone_side(double across, double u, double base, double rim, double base_radius, double k, double height, int flat)
+static inline double cone_side(const Placed *placed, double across, double u, double base, double rim, int flat)
 {
     if (flat && fabs(across) <= rim)
-        return height;
+        return placed->height;
     if (fabs(across) >= base)
         return 0.0;
-    return clamp((base_radius - sqrt(across * across + u * u)) / (k > 0.0 ? k : 1.0), 0.0, height);
+    return clamp((placed->base_radius - sqrt(across * across + u * u)) * placed->per_taper, 0.0, placed->height);
 }
 
 /* How far before the axis the sloping side is nearest. */
@@ -137,35 +161,33 @@ static double cone_front(double base_radius, double k, double u, double y, doubl
         const double shrink = 1.0 / sqrt(1.0 + u * u * x * x);
         const double move = (slope * x + m * x * shrink - target) / (slope + m * shrink * shrink * shrink);
         x -= move;
-        if (fabs(move) <= 1e-13 * fabs(x))
+        if (fabs(move) <= STILL * fabs(x))
             break;
     }
     return 1.0 / x;
 }
 
-static int cone(const double *solid, double u, double y, double altitude, Slice *slice)
+static int cone(const Placed *placed, double u, double y, double altitude, Slice *slice)
 {
-    const double height = solid[2] - solid[3], base_radius = solid[0] - (solid[0] - solid[1]) * (solid[3] / solid[2]);
+    const double base_radius = placed->base_radius;
     u = fabs(u);
-    if (!(u <= base_radius && height > 0.0))
+    if (!(u <= base_radius && placed->height > 0.0))
         return 0;
-    const double taper = (base_radius - solid[1]) / height;
-    /* Dividing by a smaller taper would make heights of rounding. */
-    const double top = taper < 1e-9 ? base_radius : solid[1], k = taper < 1e-9 ? 0.0 : taper, apex = base_radius - k * altitude;
-    const double base = half_chord(base_radius, u), rim = half_chord(top, u);
-    const int flat = u <= top;
+    const double apex = base_radius - placed->taper * altitude;
+    const double base = half_chord(base_radius, u), rim = half_chord(placed->rim_radius, u);
+    const int flat = u <= placed->rim_radius;
 
-    const double far = larger(sqrt(u * u + y * y), 1e-300), sine = clamp(apex / far, -1.0, 1.0);
+    const double per_far = 1.0 / larger(sqrt(u * u + y * y), 1e-300), sine = clamp(apex * per_far, -1.0, 1.0);
     const double cosine = sqrt((1.0 - sine) * (1.0 + sine));
-    const double turned_sine = y / far * cosine + u / far * sine, turned_cosine = u / far * cosine - y / far * sine;
+    const double turned_sine = per_far * (y * cosine + u * sine), turned_cosine = per_far * (u * cosine - y * sine);
     const double touch = turned_sine <= 0.0 ? INFINITY : u * turned_cosine / turned_sine;
     const double across = clamp(touch, flat ? rim : -base, base);
-    const double front = -clamp(cone_front(base_radius, larger(k, 1e-9), u, y, altitude), flat ? rim : 0.0, base);
-    const double down = larger(altitude - cone_side(front, u, base, rim, base_radius, k, height, flat), 0.0);
+    const double front = -clamp(cone_front(base_radius, larger(placed->taper, 1e-9), u, y, altitude), flat ? rim : 0.0, base);
+    const double down = larger(altitude - cone_side(placed, front, u, base, rim, flat), 0.0);
 
-    slice->front = sqrt((y + front) * (y + front) + down * down);
+    slice->front_squared = (y + front) * (y + front) + down * down;
     slice->tangent = y + across;
-    slice->height = cone_side(across, u, base, rim, base_radius, k, height, flat);
+    slice->height = cone_side(placed, across, u, base, rim, flat);
     return 1;
 }
 
@@ -185,48 +207,70 @@ static int wedge(const Placed *placed, double u, double y, double altitude, Slic
     int n = 0, hit = 0;
 
     for (int edge = 0; edge < EDGES; edge++) {
-        const double *a = placed->vertices[EDGE[edge][0]], *b = placed->vertices[EDGE[edge][1]];
+        const double *a = placed->corner[EDGE[edge][0]], *b = placed->corner[EDGE[edge][1]];
         if (a[0] == b[0] || (u < a[0] && u < b[0]) || (u > a[0] && u > b[0]))
             continue;
-        const double part = (u - a[0]) / (b[0] - a[0]);
-        at[n][0] = y + a[1] + part * (b[1] - a[1]);
-        at[n][1] = a[2] + part * (b[2] - a[2]);
+        at[n][0] = y + a[1] + (u - a[0]) * placed->across_per_m[edge];
+        at[n][1] = a[2] + (u - a[0]) * placed->up_per_m[edge];
         n++;
+    }
+    for (int i = 0; n > 1 && i < n; i++) {
+        if (at[i][1] >= 0.0) {
+            see_point(at[i][0], at[i][1], altitude, &highest, &tangent);
+            foot = smaller(foot, at[i][0]);
+        }
     }
     for (int i = 1; i < n; i++) {
         for (int j = 0; j < i; j++) {
             double y0 = at[i][0], z0 = at[i][1], y1 = at[j][0], z1 = at[j][1];
             if (z0 < 0.0 && z1 < 0.0)
                 continue;
-            if (z0 < 0.0) {
-                y0 += z0 / (z0 - z1) * (y1 - y0);
-                z0 = 0.0;
-            } else if (z1 < 0.0) {
-                y1 += z1 / (z1 - z0) * (y0 - y1);
-                z1 = 0.0;
+            if (z0 < 0.0 || z1 < 0.0) {
+                const double floor_y = y0 + z0 / (z0 - z1) * (y1 - y0);
+                see_point(floor_y, 0.0, altitude, &highest, &tangent);
+                foot = smaller(foot, floor_y);
+                y0 = z0 < 0.0 ? floor_y : y0;
+                y1 = z1 < 0.0 ? floor_y : y1;
+                z0 = larger(z0, 0.0);
+                z1 = larger(z1, 0.0);
             }
             const double run = y1 - y0, rise = z1 - z0, square = run * run + rise * rise;
             const double part = square > 0.0 ? clamp(((altitude - z0) * rise - y0 * run) / square, 0.0, 1.0) : 0.0;
             const double across = y0 + part * run, up = altitude - z0 - part * rise;
             nearest = smaller(nearest, across * across + up * up);
-            see_point(y0, z0, altitude, &highest, &tangent);
-            see_point(y1, z1, altitude, &highest, &tangent);
-            foot = smaller(foot, smaller(y0, y1));
             hit = 1;
         }
     }
-    slice->front = sqrt(nearest);
+    slice->front_squared = nearest;
     slice->tangent = tangent;
     slice->height = altitude + highest * tangent;
     slice->foot = foot;
     return hit;
 }
 
+static void place_wedge(const double *solid, Placed *placed)
+{
+    for (int v = 0; v < CORNERS; v++) {
+        const double l = (v == 0 || v == 3 ? -0.5 : 0.5) * solid[0], w = (v == 0 || v == 1 || v == 4 ? -0.5 : 0.5) * solid[1];
+        placed->corner[v][0] = l * placed->cosine - w * placed->sine;
+        placed->corner[v][1] = l * placed->sine + w * placed->cosine;
+        placed->corner[v][2] = (v < 4 ? 0.0 : solid[2]) - solid[4];
+    }
+    for (int edge = 0; edge < EDGES; edge++) {
+        const double *a = placed->corner[EDGE[edge][0]], *b = placed->corner[EDGE[edge][1]];
+        const double per_along = a[0] == b[0] ? 0.0 : 1.0 / (b[0] - a[0]);
+        placed->across_per_m[edge] = (b[1] - a[1]) * per_along;
+        placed->up_per_m[edge] = (b[2] - a[2]) * per_along;
+    }
+}
+
 static void place(int64_t kind, const double *solid, Placed *placed)
 {
     const double azimuth = kind == CYLINDER ? solid[2] : kind == WEDGE ? solid[3] : 0.0;
-    placed->sine = sin(azimuth);
-    placed->cosine = cos(azimuth);
+    double taper;
+
+    placed->sine = kind == CYLINDER || kind == WEDGE ? sin(azimuth) : 0.0;
+    placed->cosine = kind == CYLINDER || kind == WEDGE ? cos(azimuth) : 1.0;
     switch (kind) {
     case SPHERE:
         placed->reach = solid[0];
@@ -235,33 +279,31 @@ static void place(int64_t kind, const double *solid, Placed *placed)
     case CYLINDER:
         placed->reach = sqrt(solid[0] * solid[0] + 0.25 * solid[1] * solid[1]);
         placed->top = 2.0 * solid[0] - solid[3];
+        if (placed->cosine < 0.0) { /* an axis has no sign */
+            placed->sine = -placed->sine;
+            placed->cosine = -placed->cosine;
+        }
+        placed->per_sine = 1.0 / fabs(placed->sine);
+        placed->per_cosine = 1.0 / placed->cosine;
         break;
     case CONE:
         placed->reach = solid[0];
-        placed->top = solid[2] - solid[3];
+        placed->height = placed->top = solid[2] - solid[3];
+        placed->base_radius = solid[0] - (solid[0] - solid[1]) * (solid[3] / solid[2]);
+        taper = (placed->base_radius - solid[1]) / placed->height;
+        /* Dividing by a smaller taper would make heights of rounding. */
+        placed->rim_radius = taper < 1e-9 ? placed->base_radius : solid[1];
+        placed->taper = taper < 1e-9 ? 0.0 : taper;
+        placed->per_taper = taper < 1e-9 ? 1.0 : 1.0 / taper;
         break;
     default:
         placed->reach = 0.5 * sqrt(solid[0] * solid[0] + solid[1] * solid[1]);
         placed->top = solid[2] - solid[4];
-        for (int v = 0; v < 6; v++) {
-            const double l = (v == 0 || v == 3 ? -0.5 : 0.5) * solid[0], w = (v == 0 || v == 1 || v == 4 ? -0.5 : 0.5) * solid[1];
-            placed->vertices[v][0] = l * placed->cosine - w * placed->sine;
-            placed->vertices[v][1] = l * placed->sine + w * placed->cosine;
-            placed->vertices[v][2] = (v < 4 ? 0.0 : solid[2]) - solid[4];
-        }
-    }
-    if (kind == CYLINDER && placed->cosine < 0.0) {
-        placed->sine = -placed->sine;
-        placed->cosine = -placed->cosine;
+        place_wedge(solid, placed);
     }
 }
 
-static inline double up_to(const double *sums, double column, int64_t n_columns)
-{
-    const int64_t left = column < (double)(n_columns - 1) ? (int64_t)column : n_columns - 1;
-    return sums[left] + (sums[left + 1] - sums[left]) * (column - (double)left);
-}
-
+/* Columns at which the highlight begins, the shadow begins and the shadow ends in a slice; 0 if it misses the solid. */
 static int cut(int64_t kind, const double *solid, const Placed *placed, const Image *image, double altitude, double u, double y,
                double *ends)
 {
@@ -276,7 +318,7 @@ static int cut(int64_t kind, const double *solid, const Placed *placed, const Im
         hit = cylinder(solid, placed, u, y, altitude, &slice);
         break;
     case CONE:
-        hit = cone(solid, u, y, altitude, &slice);
+        hit = cone(placed, u, y, altitude, &slice);
         break;
     default:
         hit = wedge(placed, u, y, altitude, &slice);
@@ -285,83 +327,85 @@ static int cut(int64_t kind, const double *solid, const Placed *placed, const Im
         return 0;
     const double down = altitude - slice.height, per_metre = 1.0 / image->column_m, shadow_end = altitude * slice.tangent / down;
     const double tangent = slice.tangent * slice.tangent + down * down, foot = slice.foot * slice.foot + altitude * altitude;
-    const double range[3] = {
-        slice.front,
-        sqrt(slice.foot > 0.0 ? larger(tangent, foot) : tangent),
-        sqrt(shadow_end * shadow_end + altitude * altitude),
+    const double range_squared[N_ENDS] = {
+        slice.front_squared,
+        slice.foot > 0.0 ? larger(tangent, foot) : tangent,
+        shadow_end * shadow_end + altitude * altitude,
     };
-    for (int k = 0; k < 3; k++) {
-        const double ground = sqrt(larger((range[k] - image->altitude) * (range[k] + image->altitude), 0.0));
-        const double smear = k == 0 ? -image->smear : k == 1 ? image->smear : 0.0;
-        ends[k] = clamp((ground - image->first_m + smear) * per_metre, 0.0, (double)image->n_columns);
+    const double smear[N_ENDS] = {-image->smear, image->smear, 0.0}, flat = image->altitude * image->altitude;
+    for (int k = 0; k < N_ENDS; k++) {
+        const double ground = sqrt(larger(range_squared[k] - flat, 0.0));
+        ends[k] = clamp((ground - image->first_m + smear[k]) * per_metre, 0.0, (double)image->n_columns);
     }
     ends[1] = larger(ends[1], ends[0]);
     ends[2] = larger(ends[2], ends[1]);
     return 1;
 }
 
-/* Cuts a row into pieces of one mixture each: count, sum, share of highlight, share of shadow. Returns how many. */
-static int64_t mix_row(const double (*ends)[3], const double *share, int n_taps, const double *echoes, const double *counts,
-                       int64_t n_columns, double *pieces)
-{
-    double at[3 * MAX_TAPS], highlight[3 * MAX_TAPS], shadow[3 * MAX_TAPS];
-    double is_highlight = 0.0, is_shadow = 0.0, last_count, last_sum;
-    int n = 0;
-    int64_t n_pieces = 0;
+/* Pixels and echoes of something. */
+typedef struct {
+    double count, sum;
+} Echoes;
 
-    for (int k = 0; k < 3; k++) {
-        for (int tap = 0; tap < n_taps; tap++) {
-            const double here = ends[tap][k];
-            int place = n++;
-            for (; place > 0 && at[place - 1] > here; place--) {
-                at[place] = at[place - 1];
-                highlight[place] = highlight[place - 1];
-                shadow[place] = shadow[place - 1];
-            }
-            at[place] = here;
-            highlight[place] = k == 0 ? share[tap] : k == 1 ? -share[tap] : 0.0;
-            shadow[place] = k == 0 ? 0.0 : k == 1 ? share[tap] : -share[tap];
+/* Of a row up to a column, linear within a pixel. */
+static inline Echoes up_to(const double *counts, const double *echoes, double column, int64_t n_columns)
+{
+    const int64_t left = column < (double)(n_columns - 1) ? (int64_t)column : n_columns - 1;
+    const double part = column - (double)left;
+    const Echoes found = {counts[left] + (counts[left + 1] - counts[left]) * part, echoes[left] + (echoes[left + 1] - echoes[left]) * part};
+    return found;
+}
+
+static inline void gather(Echoes *into, Echoes from, Echoes to)
+{
+    into->count += to.count - from.count;
+    into->sum += to.sum - from.sum;
+}
+
+/* Adds a row's stretches to what is known of each mixture. */
+static void mix_row(const double *at_row, const int *code, int n, const double *counts, const double *echoes, int64_t n_columns,
+                    Echoes *mixture)
+{
+    double at[N_ENDS * MAX_TAPS];
+    int change[N_ENDS * MAX_TAPS], now = 0;
+
+    for (int i = 0; i < n; i++) {
+        int place = i;
+        for (; place > 0 && at[place - 1] > at_row[i]; place--) {
+            at[place] = at[place - 1];
+            change[place] = change[place - 1];
         }
+        at[place] = at_row[i];
+        change[place] = code[i];
     }
-    last_count = up_to(counts, at[0], n_columns);
-    last_sum = up_to(echoes, at[0], n_columns);
+    Echoes before = up_to(counts, echoes, at[0], n_columns);
     for (int i = 0; i + 1 < n; i++) {
-        is_highlight += highlight[i];
-        is_shadow += shadow[i];
+        now += change[i];
         if (at[i + 1] <= at[i])
             continue;
-        const double count = up_to(counts, at[i + 1], n_columns), sum = up_to(echoes, at[i + 1], n_columns);
-        double *piece = pieces + PIECE * n_pieces++;
-        piece[0] = count - last_count;
-        piece[1] = sum - last_sum;
-        piece[2] = is_highlight;
-        piece[3] = is_shadow;
-        last_count = count;
-        last_sum = sum;
+        const Echoes here = up_to(counts, echoes, at[i + 1], n_columns);
+        gather(mixture + now, before, here);
+        before = here;
     }
-    return n_pieces;
 }
 
 static inline double misfit(double count, double sum, double mean) { return count * log(mean) + sum / mean - count; }
 
 /* One step of Fisher scoring for the logarithms of the means of highlight, shadow and floor. */
-static void improve(const double *pieces, int64_t n_pieces, double floor_count, double floor_sum, double *mean)
+static void improve(const Echoes *mixture, const double (*share)[2], int n_mixtures, double *mean)
 {
     double h[3][3] = {{0.0}}, g[3] = {0.0};
 
-    for (int64_t i = 0; i <= n_pieces; i++) {
-        const double *piece = pieces + PIECE * i;
-        const double count = i < n_pieces ? piece[0] : floor_count, sum = i < n_pieces ? piece[1] : floor_sum;
-        double a[3] = {i < n_pieces ? piece[2] : 0.0, i < n_pieces ? piece[3] : 0.0, 0.0};
-        a[2] = (1.0 - a[0] - a[1]) * mean[2];
-        a[0] *= mean[0];
-        a[1] *= mean[1];
-        const double scale = 1.0 / (a[0] + a[1] + a[2]), surprise = sum * scale - count;
+    for (int i = 0; i < n_mixtures; i++) {
+        if (mixture[i].count <= 0.0 && mixture[i].sum <= 0.0)
+            continue;
+        double a[3] = {share[i][0] * mean[0], share[i][1] * mean[1], (1.0 - share[i][0] - share[i][1]) * mean[2]};
+        const double scale = 1.0 / (a[0] + a[1] + a[2]), surprise = mixture[i].sum * scale - mixture[i].count;
         for (int j = 0; j < 3; j++) {
             a[j] *= scale;
             g[j] += a[j] * surprise;
             for (int k = 0; k <= j; k++)
-                h[j][k] += count * a[j] * a[k];
+                h[j][k] += mixture[i].count * a[j] * a[k];
         }
     }
     const double ridge = 1e-9 * (h[0][0] + h[1][1] + h[2][2]) + 1e-12;
@@ -379,87 +423,209 @@ static void improve(const double *pieces, int64_t n_pieces, double floor_count, 
         mean[j] = larger(mean[j] * exp(clamp(step[j], -1.0, 1.0)), LEAST_MEAN);
 }
 
-static double cost_of(int64_t kind, const double *hypothesis, const Image *image, int n_taps, const double *angle, const double *share,
-                      int64_t n_steps, double *pieces, double *mean)
+static double cost_of(int64_t kind, const double *hypothesis, const Image *image, const Beam *beam, double *mean)
 {
+    static const int DIGIT[MAX_TAPS] = {1, 3, 9};
     const double *solid = hypothesis + 3, along = hypothesis[0], y = hypothesis[1], altitude = image->altitude * hypothesis[2];
     const double slant = sqrt(y * y + altitude * altitude);
-    double count[3] = {0.0}, sum[3] = {0.0}, spread = 0.0, ends[MAX_TAPS][3], cost = 0.0;
-    int64_t n_pieces = 0;
+    const int middle = beam->n_taps / 2, n_mixtures = beam->n_taps > 1 ? MIXTURES : 3;
+    Echoes part[3] = {{0.0, 0.0}}, mixture[MIXTURES]; /* highlight, shadow and floor as the middle slice has them */
+    double spread = 0.0, cost = 0.0;
     Placed placed;
 
     place(kind, solid, &placed);
     if (!(y > placed.reach * (1.0 + fabs(image->shear)) && altitude >= 1.2 * placed.top && placed.top > 0.0))
         return FORBIDDEN;
-    for (int tap = 0; tap < n_taps; tap++)
-        spread = larger(spread, fabs(angle[tap]) * slant);
+    for (int tap = 0; tap < beam->n_taps; tap++)
+        spread = larger(spread, fabs(beam->angle[tap]) * slant);
+    for (int i = 0; i < n_mixtures; i++)
+        mixture[i].count = mixture[i].sum = 0.0;
     const double low = (along - placed.reach - spread) / image->row_m - 1.0, high = (along + placed.reach + spread) / image->row_m + 1.0;
     const int64_t first = (int64_t)clamp(low, 0.0, (double)image->n_rows), stop = (int64_t)clamp(high, 0.0, (double)image->n_rows);
 
     for (int64_t row = first; row < stop; row++) {
         const double *echoes = image->echoes + row * (image->n_columns + 1), *counts = image->counts + row * (image->n_columns + 1);
         const double u = ((double)row + 0.5) * image->row_m - along;
-        int any = 0;
-        for (int tap = 0; tap < n_taps; tap++) {
-            const double off = u + angle[tap] * slant;
-            const int hit = cut(kind, solid, &placed, image, altitude, off, y - off * image->shear, ends[tap]);
-            if (!hit)
-                ends[tap][0] = ends[tap][1] = ends[tap][2] = 0.0;
-            any |= hit;
-            if (hit && tap == n_taps / 2) {
-                for (int k = 0; k < 2; k++) {
-                    count[k] += up_to(counts, ends[tap][k + 1], image->n_columns) - up_to(counts, ends[tap][k], image->n_columns);
-                    sum[k] += up_to(echoes, ends[tap][k + 1], image->n_columns) - up_to(echoes, ends[tap][k], image->n_columns);
-                }
+        double at[N_ENDS * MAX_TAPS];
+        int code[N_ENDS * MAX_TAPS], n = 0;
+
+        for (int tap = 0; tap < beam->n_taps; tap++) {
+            const double off = u + beam->angle[tap] * slant;
+            double *ends = at + n;
+            if (!cut(kind, solid, &placed, image, altitude, off, y - off * image->shear, ends))
+                continue;
+            code[n++] = DIGIT[tap];
+            code[n++] = DIGIT[tap];
+            code[n++] = -2 * DIGIT[tap];
+            if (tap == middle) {
+                const Echoes front = up_to(counts, echoes, ends[0], image->n_columns);
+                const Echoes between = up_to(counts, echoes, ends[1], image->n_columns);
+                const Echoes end = up_to(counts, echoes, ends[2], image->n_columns);
+                gather(part, front, between);
+                gather(part + 1, between, end);
             }
         }
-        if (any && n_taps > 1)
-            n_pieces += mix_row((const double(*)[3])ends, share, n_taps, echoes, counts, image->n_columns, pieces + PIECE * n_pieces);
+        if (n > 0 && beam->n_taps > 1)
+            mix_row(at, code, n, counts, echoes, image->n_columns, mixture);
     }
-    count[2] = image->n_total - count[0] - count[1];
-    sum[2] = image->total - sum[0] - sum[1];
+    part[2].count = image->n_total - part[0].count - part[1].count;
+    part[2].sum = image->total - part[0].sum - part[1].sum;
     for (int k = 0; k < 3; k++)
-        mean[k] = larger(count[k] > 0.0 ? sum[k] / count[k] : 0.0, LEAST_MEAN);
-    if (!(count[0] >= 4.0 && count[1] >= 8.0 && count[2] > 0.0))
+        mean[k] = larger(part[k].count > 0.0 ? part[k].sum / part[k].count : 0.0, LEAST_MEAN);
+    if (!(part[0].count >= 4.0 && part[1].count >= 8.0 && part[2].count > 0.0))
         return FORBIDDEN;
-    if (n_taps > 1) {
-        double floor_count = image->n_total, floor_sum = image->total;
-        for (int64_t i = 0; i < n_pieces; i++) {
-            floor_count -= pieces[PIECE * i];
-            floor_sum -= pieces[PIECE * i + 1];
+    if (beam->n_taps > 1) {
+        mixture[0].count = image->n_total;
+        mixture[0].sum = image->total;
+        for (int i = 1; i < n_mixtures; i++) {
+            mixture[0].count -= mixture[i].count;
+            mixture[0].sum -= mixture[i].sum;
         }
-        for (int64_t step = 0; step < n_steps; step++)
-            improve(pieces, n_pieces, floor_count, floor_sum, mean);
-        cost = misfit(floor_count, floor_sum, mean[2]);
-        for (int64_t i = 0; i < n_pieces; i++) {
-            const double *piece = pieces + PIECE * i;
-            cost += misfit(piece[0], piece[1], piece[2] * mean[0] + piece[3] * mean[1] + (1.0 - piece[2] - piece[3]) * mean[2]);
+        for (int64_t step = 0; step < beam->n_steps; step++)
+            improve(mixture, beam->share, n_mixtures, mean);
+        for (int i = 0; i < n_mixtures; i++) {
+            const double *share = beam->share[i], expected = share[0] * mean[0] + share[1] * mean[1] + (1.0 - share[0] - share[1]) * mean[2];
+            if (mixture[i].count > 0.0 || mixture[i].sum > 0.0)
+                cost += misfit(mixture[i].count, mixture[i].sum, expected);
         }
     } else {
         for (int k = 0; k < 3; k++)
-            cost += misfit(count[k], sum[k], mean[k]);
+            cost += misfit(part[k].count, part[k].sum, mean[k]);
     }
     if (!(mean[1] <= 0.6 * mean[2] && mean[0] >= 1.3 * mean[2]))
         return FORBIDDEN;
     return image->weight * cost;
 }
 
-/* hypotheses (n, 8), echoes and counts (n_rows, n_columns + 1), scalars: row, column, first ground range, altitude in metres,
- * independent samples per pixel, smear in metres, shear. angle, share (n_taps). pieces: scratch for 4 * n_rows * 3 * n_taps numbers. cost (n), mean (n, 3).
- */
-void auv_mcm_shape_costs(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns, const double *scalars,
-                         const double *echoes, const double *counts, int64_t n_taps, const double *angle, const double *share,
-                         int64_t n_steps, double *pieces, double *cost, double *mean)
+static Beam beam_of(int64_t n_taps, const double *angle, const double *share, int64_t n_steps)
+{
+    Beam beam = {(int)n_taps, n_steps, angle, {{0.0}}};
+    for (int i = 0; i < MIXTURES; i++) {
+        int code = i;
+        for (int tap = 0; tap < beam.n_taps; tap++, code /= 3)
+            if (code % 3 > 0)
+                beam.share[i][code % 3 - 1] += share[tap];
+    }
+    return beam;
+}
+
+static Image image_of(int64_t n_rows, int64_t n_columns, const double *scalars, const double *echoes, const double *counts)
 {
     Image image = {n_rows, n_columns, scalars[0], scalars[1], scalars[2], scalars[3], scalars[4], scalars[5], scalars[6], echoes, counts, 0.0, 0.0};
-
     for (int64_t row = 0; row < n_rows; row++) {
         image.total += echoes[row * (n_columns + 1) + n_columns];
         image.n_total += counts[row * (n_columns + 1) + n_columns];
     }
+    return image;
+}
+
+/* hypotheses (n, 8), echoes and counts (n_rows, n_columns + 1), scalars: row, column, first ground range, altitude in metres,
+ * independent samples per pixel, smear in metres, shear. angle, share (n_taps), one or three. cost (n), mean (n, 3).
+ */
+void auv_mcm_shape_costs(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns, const double *scalars,
+                         const double *echoes, const double *counts, int64_t n_taps, const double *angle, const double *share,
+                         int64_t n_steps, double *cost, double *mean)
+{
+    const Image image = image_of(n_rows, n_columns, scalars, echoes, counts);
+    const Beam beam = beam_of(n_taps, angle, share, n_steps);
+
     for (int64_t i = 0; i < n; i++) {
-        cost[i] = cost_of(kind, hypotheses + FIELDS * i, &image, (int)n_taps, angle, share, n_steps, pieces, mean + 3 * i);
+        cost[i] = cost_of(kind, hypotheses + FIELDS * i, &image, &beam, mean + 3 * i);
         if (cost[i] >= FORBIDDEN)
             mean[3 * i] = mean[3 * i + 1] = mean[3 * i + 2] = NAN;
+    }
+}
+
+/* ends (n, n_rows, n_taps, 3): columns as cut() finds them, 0 where it finds none. The rest as above. */
+void auv_mcm_shape_intervals(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns, const double *scalars,
+                             int64_t n_taps, const double *angle, double *ends)
+{
+    const Image image = {n_rows, n_columns, scalars[0], scalars[1], scalars[2], scalars[3], scalars[4], scalars[5], scalars[6], 0, 0, 0.0, 0.0};
+
+    for (int64_t i = 0; i < n; i++) {
+        const double *hypothesis = hypotheses + FIELDS * i, *solid = hypothesis + 3, y = hypothesis[1];
+        const double altitude = image.altitude * hypothesis[2], slant = sqrt(y * y + altitude * altitude);
+        Placed placed;
+        place(kind, solid, &placed);
+        for (int64_t row = 0; row < n_rows; row++) {
+            for (int64_t tap = 0; tap < n_taps; tap++, ends += N_ENDS) {
+                const double off = ((double)row + 0.5) * image.row_m - hypothesis[0] + angle[tap] * slant;
+                if (!cut(kind, solid, &placed, &image, altitude, off, y - off * image.shear, ends))
+                    ends[0] = ends[1] = ends[2] = 0.0;
+            }
+        }
+    }
+}
+
+/* What a class's points stand for, see shape_walk.py. */
+typedef struct {
+    int64_t n_dimensions;
+    const double *low, *span, *wraps, *term;
+    double altitude_sigma, burial_sigma, fixed;
+} Chart;
+
+/* As in Python, with the sign of the divisor. */
+static inline double modulo(double value, double divisor)
+{
+    const double rest = fmod(value, divisor);
+    return rest < 0.0 ? rest + divisor : rest;
+}
+
+static double cost_at(const double *unit, const Chart *chart, int64_t kind, const Image *image, const Beam *beam)
+{
+    double factor[N_FACTORS] = {1.0}, hypothesis[FIELDS], mean[3];
+
+    for (int64_t k = 0; k < chart->n_dimensions; k++) {
+        const double folded = chart->wraps[k] != 0.0 ? modulo(unit[k], 1.0) : 1.0 - fabs(1.0 - modulo(unit[k], 2.0));
+        factor[1 + k] = chart->low[k] + folded * chart->span[k];
+    }
+    const double last = factor[chart->n_dimensions];
+    factor[SUNK] = larger(last, 0.0);
+    factor[RATIO] = 1.0 + smaller(last, 0.0);
+    for (int j = 0; j < FIELDS; j++) {
+        const double *term = chart->term + 3 * j;
+        hypothesis[j] = term[0] * factor[(int)term[1]] * factor[(int)term[2]];
+    }
+    const double altitude = (hypothesis[2] - 1.0) / chart->altitude_sigma, burial = factor[SUNK] / chart->burial_sigma;
+    return cost_of(kind, hypothesis, image, beam, mean) + 0.5 * (altitude * altitude + burial * burial) + chart->fixed;
+}
+
+/* Each of n places takes the best of n_tries steps if that is better, n_steps times.
+ *
+ * box (4, n_dimensions): low, span, wraps, one grain over the span. term (8, 3). scalars: as above, then sigmas of altitude and burial
+ * and what every point costs. strides: first, growth, shrinkage, least. way (n_steps, n_tries, n_dimensions).
+ * unit (n, n_dimensions), best (n): in and out.
+ */
+void auv_mcm_shape_walk(int64_t kind, int64_t n, int64_t n_dimensions, const double *box, const double *term, int64_t n_rows,
+                        int64_t n_columns, const double *scalars, const double *echoes, const double *counts, int64_t n_taps,
+                        const double *angle, const double *share, int64_t n_scoring_steps, const double *strides, int64_t n_steps,
+                        int64_t n_tries, const double *way, double *unit, double *best)
+{
+    const Image image = image_of(n_rows, n_columns, scalars, echoes, counts);
+    const Beam beam = beam_of(n_taps, angle, share, n_scoring_steps);
+    const Chart chart = {n_dimensions, box, box + n_dimensions, box + 2 * n_dimensions, term, scalars[7], scalars[8], scalars[9]};
+    const double *grain = box + 3 * n_dimensions;
+
+    for (int64_t i = 0; i < n; i++) {
+        double stride = strides[0], *here = unit + i * n_dimensions;
+        for (int64_t step = 0; step < n_steps; step++) {
+            double lowest = INFINITY, chosen[N_FACTORS], there[N_FACTORS];
+            for (int64_t k = 0; k < n_tries; k++) {
+                const double *towards = way + (step * n_tries + k) * n_dimensions;
+                for (int64_t j = 0; j < n_dimensions; j++)
+                    there[j] = here[j] + stride * (grain[j] * towards[j]);
+                const double found = cost_at(there, &chart, kind, &image, &beam);
+                if (found < lowest) {
+                    lowest = found;
+                    memcpy(chosen, there, sizeof chosen);
+                }
+            }
+            const int better = lowest < best[i];
+            if (better) {
+                memcpy(here, chosen, (size_t)n_dimensions * sizeof *here);
+                best[i] = lowest;
+            }
+            stride = larger(stride * (better ? strides[1] : strides[2]), strides[3]);
+        }
     }
 }

@@ -57,8 +57,8 @@ _LEAST: Final[dict[Solid, Array]] = {
     "truncated_cone": np.array([_POSITIVE, 0.0, _POSITIVE, 0.0]),
     "wedge": np.array([_POSITIVE, _POSITIVE, _POSITIVE, _NO_BOUND, 0.0]),
 }
-_MAX_TAPS: Final = 15
-_STEPS: Final = 2  # of Fisher scoring; they leave 0.02 nats at the median, 0.5 at the 95th percentile
+_MAX_TAPS: Final = 3
+SCORING_STEPS: Final = 2  # of Fisher's; they leave 0.02 nats at the median, 0.5 at the 95th percentile
 _LEAST_HIGHLIGHT, _LEAST_SHADOW = 4.0, 8.0  # pixels
 _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
 _AT_ONCE: Final = 16  # hypotheses that numpy weighs together: more no longer fit the cache
@@ -86,7 +86,7 @@ class RowSums(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """Slices seen at once, an odd number up to 15, symmetric: (n_taps,) float64 bearings from the middle and shares that sum to 1."""
+    """Slices seen at once, one or three, symmetric: (n_taps,) float64 bearings from the middle and shares that sum to 1."""
 
     bearing_rad: Array
     share: Array
@@ -121,14 +121,17 @@ def shape_costs(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PE
     n, (n_rows, n_edges), n_taps = len(hypotheses), image.echoes.shape, beam.share.size
     scalars = np.array(image[2:], dtype=np.float64)
     echoes, counts = np.ascontiguousarray(image.echoes), np.ascontiguousarray(image.counts)
-    pieces = np.empty(4 * n_rows * 3 * n_taps)
     costs = Costs(np.empty(n), np.empty((n, 3)))
     slices = (np.ascontiguousarray(side, dtype=np.float64) for side in beam)
-    arrays = (hypotheses, scalars, echoes, counts, *slices, pieces, *costs)
+    arrays = (hypotheses, scalars, echoes, counts, *slices, *costs)
     at = [array.__array_interface__["data"][0] for array in arrays]
-    kind = _KINDS.index(solid)
-    function(kind, n, at[0], n_rows, n_edges - 1, *at[1:4], n_taps, *at[4:6], _STEPS, *at[6:])
+    function(kind_of(solid), n, at[0], n_rows, n_edges - 1, *at[1:4], n_taps, *at[4:6], SCORING_STEPS, *at[6:])
     return costs
+
+
+def kind_of(solid: Solid) -> int:
+    """The number by which C knows a solid."""
+    return _KINDS.index(solid)
 
 
 def solid_of(solid: Solid, fields: Array) -> Shape:
@@ -146,7 +149,23 @@ def intervals(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENC
     numbers, cut at the image's edges; three times 0 where a slice misses the solid.
 
     A wedge may turn its vertical face to the sonar. The face's foot, whose echo comes after that of the edge above it, ends the highlight.
+    Raises ValueError as shape_costs does; hypotheses must be none that it forbids.
     """
+    hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
+    _check(solid, hypotheses, image, beam)
+    function = _intervals_function()
+    if function is None:
+        return intervals_numpy(solid, hypotheses, image, beam)
+    n_rows, n_edges = image.echoes.shape
+    scalars, bearing = np.array(image[2:], dtype=np.float64), np.ascontiguousarray(beam.bearing_rad, dtype=np.float64)
+    ends = np.empty((len(hypotheses), n_rows, bearing.size, 3))
+    at = [array.ctypes.data for array in (scalars, bearing, ends)]
+    function(kind_of(solid), len(hypotheses), hypotheses.ctypes.data, n_rows, n_edges - 1, at[0], bearing.size, *at[1:])
+    return ends
+
+
+def intervals_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Array:
+    """intervals in numpy alone."""
     n_rows, n_edges = image.echoes.shape
     along, across, altitude = (hypotheses[:, k, np.newaxis] for k in range(FIRST_FIELD))
     altitude = altitude * image.altitude_m
@@ -176,7 +195,7 @@ def shape_costs_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Bea
     chosen = np.flatnonzero(clear)
     for first in range(0, chosen.size, _AT_ONCE):
         some = chosen[first : first + _AT_ONCE]
-        costs.cost[some], costs.mean[some] = _costs(intervals(solid, hypotheses[some], image, beam), image, beam)
+        costs.cost[some], costs.mean[some] = _costs(intervals_numpy(solid, hypotheses[some], image, beam), image, beam)
     return costs
 
 
@@ -214,7 +233,12 @@ def up_to(sums: Array, column: Array) -> Array:
 
 @functools.cache
 def _function() -> Callable[..., None] | None:
-    return kernels.c_function("shape_costs", _I, _I, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _P, _P)
+    return kernels.c_function("shape_costs", _I, _I, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _P)
+
+
+@functools.cache
+def _intervals_function() -> Callable[..., None] | None:
+    return kernels.c_function("shape_intervals", _I, _I, _P, _I, _I, _P, _I, _P, _P)
 
 
 def _wedge_foot(fields: Array, offset: Array) -> Array:
@@ -243,7 +267,7 @@ def _costs(ends: Array, image: RowSums, beam: Beam) -> Costs:
     count, total, mean, share = count[visible], total[visible], mean[visible], np.eye(3)
     if beam.share.size > 1:
         count, total, share = _pieces(ends[visible], image, beam, whole)
-        for _ in range(_STEPS):
+        for _ in range(SCORING_STEPS):
             mean = _improved(count, total, share, mean)
     expected = (share @ mean[:, :, np.newaxis])[:, :, 0]
     found = image.samples_per_pixel * (count * np.log(expected) + total / expected - count).sum(axis=1)
