@@ -73,6 +73,6 @@ def _feature(stump: Stump, rectangles: dict[Box, np.ndarray]) -> str:
     rects = []
     for box, factor in zip(_boxes(stump), factors, strict=True):
         top, bottom, left, right = rectangles[box].tolist()
-        weight = np.float32(factor / areas(rectangles[box]))
+        weight = np.float32(1.0 / areas(rectangles[box]) * factor)
         rects.append(f"<_>{left} {top} {right - left} {bottom - top} {weight:.9g}</_>")
     return f"<_><rects>{''.join(rects)}</rects><tilted>0</tilted></_>\n"

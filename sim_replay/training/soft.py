@@ -7,18 +7,19 @@ Sources: C. Zhang, P. Viola, "Multiple-instance pruning for learning efficient c
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-def best_windows(final: NDArray[np.int32], bag: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(n_bags,) index of the window with the highest final score of each bag, the first of equal ones, by ascending bag.
+def best_windows(merit: NDArray[Any], bag: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(n_bags,) index of the window with the highest merit of each bag, the first of equal ones, by ascending bag.
 
-    final: (n_windows,) int32. bag: (n_windows,) intp, the target a window belongs to; every window of a target centres on it, as near as
-    its highlight is known.
+    merit: (n_windows,) of numbers, e.g. the final score. bag: (n_windows,) intp, the target a window belongs to; every window of a target
+    centres on it, as near as its highlight is known.
     """
-    order = np.lexsort((np.arange(bag.size), -final.astype(np.int64), bag))
+    order = np.lexsort((np.arange(bag.size), -merit.astype(np.float64), bag))
     first = np.ones(order.size, dtype=np.bool_)
     first[1:] = bag[order[1:]] != bag[order[:-1]]
     return order[first]

@@ -43,7 +43,7 @@ def _holds(stump: Stump, band: int, image: np.ndarray, row: int, column: int) ->
         pixels = pixel_boxes([box], ROW_M, COLUMN_M)[band, 0]
         top, bottom, left, right = pixels.tolist()
         total = int(image[row + top : row + bottom, column + left : column + right].astype(np.int64).sum())
-        terms.append(np.float32(total) * np.float32(factor / areas(pixels)))
+        terms.append(np.float32(total) * np.float32(1.0 / areas(pixels) * factor))
     return bool(terms[0] < terms[1] if stump.w is None else terms[0] - terms[1] < terms[2])
 
 
