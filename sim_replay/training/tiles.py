@@ -18,7 +18,7 @@ class TileObject(msgspec.Struct, frozen=True, kw_only=True):
     """One object as a tile shows it.
 
     row, column: where the centre of its highlight is to be expected, fractional: pixel (i, j) covers [i, i + 1) and [j, j + 1), so the
-    pixel that holds it is (floor(row), floor(column)). kind, seabed: as in truth.json, "" if not told. ground_range_m: across-track
+    pixel that holds it is (floor(row), floor(column)). kind, seabed: as in truth.json, "unknown" if not told. ground_range_m: across-track
     distance of the object's middle. aspect_deg: direction of look against the object's long axis, clockwise, [0, 360): 90 and 270 are
     broadside; NaN if the axis is not known. length_m, width_m, height_m: of the whole object, NaN if not told.
     """
