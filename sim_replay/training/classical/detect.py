@@ -36,4 +36,4 @@ def detect_classical(tile: Tile, config: Config, model: ClassicalModel) -> TileD
     ]
     judged.sort(key=lambda d: (-d.score, d.row, d.column))
     n_unknown = len(found.detections) - len(judged)
-    return TileDetections(tuple(judged), found.n_over_budget, found.n_without_position + n_unknown)
+    return found._replace(detections=tuple(judged), n_without_position=found.n_without_position + n_unknown)

@@ -43,12 +43,17 @@ def train_classical(
     kinds: of targets to learn, all if None; others teach nothing. Backgrounds are kept apart where odds are calibrated. Raises
     UsageError if there are no targets, or nothing else, among the candidates.
     """
-    return fit_model(collect(tiles, config, kinds=kinds), families)
+    samples = collect(tiles, config)
+    return fit_model(samples if kinds is None else of_kinds(samples, kinds), families)
 
 
-def collect(tiles: Iterable[LabelledTile], config: Config, *, kinds: Collection[str] | None = None) -> Samples:
-    """Targets and others among the candidates in tiles."""
-    parts = [_samples(tile, find_candidates(tile, config), kinds) for tile in tiles]
+def collect(tiles: Iterable[LabelledTile], config: Config) -> Samples:
+    """Targets and others among the candidates in tiles. Raises UsageError if there are no tiles."""
+    return merged([_samples(tile, find_candidates(tile, config)) for tile in tiles])
+
+
+def merged(parts: Sequence[Samples]) -> Samples:
+    """Samples of several sets. Raises UsageError if there are no sets."""
     if not parts:
         raise UsageError("no tiles to train on. Give some")
     return Samples(
@@ -56,6 +61,17 @@ def collect(tiles: Iterable[LabelledTile], config: Config, *, kinds: Collection[
         tuple(kind for part in parts for kind in part.kind),
         tuple(background for part in parts for background in part.background),
         np.concatenate([part.weight for part in parts]),
+    )
+
+
+def of_kinds(samples: Samples, kinds: Collection[str]) -> Samples:
+    """Without the targets of other kinds."""
+    kept = [index for index, kind in enumerate(samples.kind) if kind in ("", *kinds)]
+    return Samples(
+        samples.contrast[kept],
+        tuple(samples.kind[index] for index in kept),
+        tuple(samples.background[index] for index in kept),
+        samples.weight[kept],
     )
 
 
@@ -70,17 +86,15 @@ def fit_model(samples: Samples, families: Sequence[Family] = FAMILIES) -> Classi
     return _model(found, families, templates, f"{n_targets:.0f} targets ({_count(samples.kind)}), {n_others:.0f} others")
 
 
-def _samples(tile: LabelledTile, found: Candidates, kinds: Collection[str] | None) -> Samples:
+def _samples(tile: LabelledTile, found: Candidates) -> Samples:
     labels = label(tile, found)
     rows, columns, kind, weight = [], [], [], []
     for index in np.flatnonzero(labels.object_index >= 0):
-        thing = tile.objects[labels.object_index[index]]
-        if kinds is None or thing.kind in kinds:
-            for row_step, column_step in _JITTER:
-                rows.append(found.rows[index] + row_step)
-                columns.append(found.columns[index] + column_step)
-                kind.append(thing.kind)
-                weight.append(1.0 / len(_JITTER))
+        for row_step, column_step in _JITTER:
+            rows.append(found.rows[index] + row_step)
+            columns.append(found.columns[index] + column_step)
+            kind.append(tile.objects[labels.object_index[index]].kind)
+            weight.append(1.0 / len(_JITTER))
     for index in np.flatnonzero(labels.is_other):
         if index < _FAINT_FROM or index % _FAINT_KEPT == 0:
             rows.append(found.rows[index])

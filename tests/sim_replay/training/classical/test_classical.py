@@ -17,7 +17,7 @@ from sim_replay.training.classical.candidates import Candidates, find_candidates
 from sim_replay.training.classical.detect import detect_classical
 from sim_replay.training.classical.extractors import FAMILIES
 from sim_replay.training.classical.model import ClassicalModel, format_model, parse_model, score_windows
-from sim_replay.training.classical.train import Samples, collect, fit_model, train_classical
+from sim_replay.training.classical.train import Samples, collect, fit_model, of_kinds, train_classical
 
 CONFIG = Config()
 KINDS = ("cylinder", "rock", "wedge", "rock")
@@ -57,10 +57,13 @@ def test_the_same_tiles_give_the_same_model_which_comes_back_from_its_file(model
     assert parse_model(data, "model.json") == model
 
 
-def test_kinds_that_were_not_asked_for_teach_nothing() -> None:
-    samples = collect(TILES[:1], CONFIG, kinds={"wedge"})
-    assert set(samples.kind) == {"", "wedge"}
-    assert set(fit_model(samples).templates) == {"wedge", "other"}
+def test_kinds_that_were_not_asked_for_teach_nothing(samples: Samples) -> None:
+    wedges = of_kinds(samples, {"wedge"})
+    assert set(wedges.kind) == {"", "wedge"}
+    assert len(wedges.contrast) == len(wedges.background) == len(wedges.weight) == len(samples.kind) - samples.kind.count("cylinder")
+    assert set(fit_model(wedges).templates) == {"wedge", "other"}
+    one_tile = train_classical(TILES[:1], CONFIG, families=["central"], kinds={"wedge"})
+    assert one_tile.trained_on.startswith("1 targets (1 wedge)")
 
 
 def test_backgrounds_of_samples_are_those_of_their_tiles(samples: Samples) -> None:
