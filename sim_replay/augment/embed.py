@@ -1,0 +1,337 @@
+"""Targets put into a recorded log: the floor around each place is recovered, the target stands on it, and what changes is heard anew.
+
+Coiras, Mignotte, Petillot, Bell and Lebart, "Supervised target detection and classification by training on augmented reality data", IET
+Radar, Sonar & Navigation 1(1), 2007. Outside of highlight and shadow the recorded echo is scaled by the ratio of the renders with and
+without the target, so that its speckle, artefacts and gain stay. Every pass that sees the place gets the target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from auv_mcm.config import Config
+from auv_mcm.errors import BadInputError
+from auv_mcm.georeference import EchoGeometry, locate
+from auv_mcm.records import Side
+from auv_mcm.waterfall.grid import slice_pose
+from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
+from auv_mcm.waterfall.transfer import to_intensity
+from sim_replay.augment.direct import invert
+from sim_replay.augment.forward import SeafloorScene
+from sim_replay.augment.line import Change, Line, measure_line, mixed, spread
+from sim_replay.augment.log import SamplePlace, Stretch, Survey, overwrite, sample_places, to_samples
+from sim_replay.augment.render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
+from sim_replay.augment.shadows import Runs, shadow_runs
+from sim_replay.augment.targets import Placement
+from sim_replay.augment.track import SIGN, Track
+from sim_replay.simulator.objects import Placed
+
+_COLUMN_M: Final = 0.1  # of the image that is inverted, which shows no relief finer than that
+_AROUND_M: Final = 3.0  # of sea floor recovered before and after an object
+_BEFORE_M: Final = 8.0  # and towards the sonar, whence it may be hidden
+_BEYOND_M: Final = 2.0  # and behind the shadow's end
+_LEVEL_M: Final = 4.0
+_GLINT: Final = 6.0
+_LEAST_FACING: Final = 0.2  # of a flat floor's: what is seen to echo cannot face away more
+_SAME_PASS_M: Final = 5.0
+
+Floats: TypeAlias = NDArray[np.float64]
+Bools: TypeAlias = NDArray[np.bool_]
+Recover: TypeAlias = Callable[[Floats, Bools, Floats, Floats, float], SeafloorScene]  # see direct.invert
+
+
+class Picture(NamedTuple):
+    """One side of a window over ground range, as an inversion takes it.
+
+    intensity: (n_pings, n_columns) float64, linear, 0 where not valid. valid: the same shape, bool. shadow: where it lies in shadow.
+    altitude_m, along_m: (n_pings,) float64. Column j is around (j + 0.5) * column_spacing_m.
+    """
+
+    intensity: Floats
+    valid: Bools
+    shadow: Runs
+    altitude_m: Floats
+    along_m: Floats
+    column_spacing_m: float
+
+
+class Look(NamedTuple):
+    """What one pass shows of an embedded object. visible_fraction: of its echo, 0 to 1; contrast_db: its highlight over the floor's level,
+    NaN if nothing of it is seen. n_samples: that were changed."""
+
+    ping: int
+    side: Side
+    ground_range_m: float
+    time_s: float
+    visible_fraction: float
+    contrast_db: float
+    n_samples: int
+
+
+class Embedded(NamedTuple):
+    """One object as it lies in the log; looks: by pass, the one it was placed by first."""
+
+    thing: Placed
+    latitude_deg: float
+    longitude_deg: float
+    looks: tuple[Look, ...]
+
+
+class Augmented(NamedTuple):
+    """The log with targets in it, the same bytes elsewhere."""
+
+    data: bytes
+    objects: tuple[Embedded, ...]
+
+
+def embed(
+    survey: Survey,
+    track: Track,
+    placements: Sequence[Placement],
+    config: Config,
+    seed: int,
+    recover: Recover = invert,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Augmented:
+    """The log of `survey` with every object in it, one after the other, so that later ones stand in the shadow of earlier ones.
+
+    recover: the inversion. Equal logs, placements and seeds give equal bytes. Raises BadInputError where samples cannot be overwritten.
+    """
+    data = bytearray(survey.path.read_bytes())
+    places = sample_places(survey.path, [ping for stretch in survey.stretches for ping in stretch.pings])
+    lines: dict[tuple[int, Side], Line] = {}
+    done: list[Embedded] = []
+    for number, placement in enumerate(placements):
+        looks: list[Look] = []
+        for pass_number, (ping, side, ground_range_m, ahead_m) in enumerate(passes(track, placement)):
+            stretch_number, index = int(track.stretch[ping]), int(track.row[ping])
+            stretch = survey.stretches[stretch_number]
+            if (stretch_number, side) not in lines:
+                lines[stretch_number, side] = measure_line(stretch, side, survey.transfer, config.sonar.blank_m)
+            window = _Window(data, places, stretch, index, side, ground_range_m, ahead_m, lines[stretch_number, side])
+            looks.append(_embed_look(window, survey, placement.thing, config, recover, seed, 64 * number + pass_number))
+            looks[-1] = looks[-1]._replace(ping=int(track.number[ping]))
+        latitude, longitude = _position(survey, track, placement, config)
+        done.append(Embedded(placement.thing, latitude, longitude, tuple(looks)))
+        progress((number + 1) / len(placements))
+    return Augmented(bytes(data), tuple(done))
+
+
+def passes(track: Track, placement: Placement) -> list[tuple[int, Side, float, float]]:
+    """Ping, side, ground range and distance ahead of that ping for every pass that sees an object, the one it was placed by first."""
+    own = [(placement.ping, placement.side, placement.ground_range_m, 0.0)]
+    for ping, side, ground_range_m in track.looks(placement.thing.east_m, placement.thing.north_m):
+        along_m, stretch = track.along_m[ping], track.stretch[ping]
+        near = max(_SAME_PASS_M, 0.5 * ground_range_m)
+        if any(track.stretch[one[0]] == stretch and abs(track.along_m[one[0]] - along_m) < near for one in own):
+            continue
+        sine, cosine = math.sin(track.heading_rad[ping]), math.cos(track.heading_rad[ping])
+        east_m, north_m = placement.thing.east_m - track.east_m[ping], placement.thing.north_m - track.north_m[ping]
+        own.append((ping, side, ground_range_m, float(east_m * sine + north_m * cosine)))
+    return own
+
+
+class _Window(NamedTuple):
+    """A place in one pass. ping: the one that looks at it, by its place in the stretch. data: the log as far as targets are in it."""
+
+    data: bytearray
+    places: dict[tuple[int, Side], SamplePlace]
+    stretch: Stretch
+    ping: int
+    side: Side
+    ground_range_m: float
+    ahead_m: float
+    line: Line
+
+    def samples(self, pings: slice) -> NDArray[Any]:
+        """(n_pings, n_samples) stored numbers, near to far. Raises BadInputError where the file does not hold them as they are read."""
+        rows = []
+        for k in range(pings.start, pings.stop):
+            trace, place = self.stretch.trace(k, self.side), self.places.get((self.stretch.pings[k].number, self.side))
+            if trace is None or place is None:
+                raise BadInputError(
+                    f"{self.stretch.pings[k].place}: its {self.side} samples cannot be overwritten, as the log stores them scaled. "
+                    "Keep targets away from there"
+                )
+            stored = np.frombuffer(self.data, trace.samples.dtype, trace.samples.shape[0], place.offset)
+            rows.append(stored[::-1] if place.turned else stored)
+        return np.stack(rows)
+
+
+def _embed_look(window: _Window, survey: Survey, thing: Placed, config: Config, recover: Recover, seed: int, stream: int) -> Look:
+    stretch, side, line, ground_m = window.stretch, window.side, window.line, window.ground_range_m
+    trace = stretch.trace(window.ping, side)
+    assert trace is not None
+    height_m = float(stretch.first_return_m[window.ping])
+    top_m = min(thing.height_m + thing.length_m * abs(math.sin(thing.tilt_rad)), 0.9 * height_m)
+    # The recovered floor may fall away behind the object: half as long again as on a plane.
+    reach_m = thing.reach_m * (1.0 + 0.6 * (thing.scour_m > 0.0))
+    shadow_m = 1.5 * ((ground_m + reach_m) * height_m / (height_m - top_m) - ground_m)
+    farthest_m = ground_m + shadow_m + _BEYOND_M
+    around_m = reach_m + math.radians(config.sonar.beam_width_deg) * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
+    along = stretch.along_m - stretch.along_m[window.ping]
+    pings = slice(int(np.searchsorted(along, -around_m)), int(np.searchsorted(along, around_m, side="right")))
+    # As far as every ping of the window reaches.
+    last_m = trace.first_range_m + (trace.samples.shape[0] - 0.5) * trace.spacing_m
+    farthest_m = min(farthest_m, math.sqrt(max(last_m**2 - float(stretch.first_return_m[pings].max()) ** 2, 0.0)))
+    samples = window.samples(pings)
+    recorded, valid = to_intensity(samples, survey.transfer)
+    intensity = np.where(valid, recorded, 0.0).astype(np.float64)
+
+    picture = _picture(intensity, valid, stretch, pings, window, trace.first_range_m, trace.spacing_m, farthest_m)
+    scene = recover(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m)
+    first = max(0, math.floor((ground_m - reach_m - _BEFORE_M) / picture.column_spacing_m))
+    stands_on, hides = reliefs(scene, picture, along[pings], first)
+    view = View(
+        side=side,
+        along_m=along[pings],
+        turn_rad=stretch.poses.heading_rad[pings] - stretch.poses.heading_rad[window.ping],
+        height_m=stretch.first_return_m[pings],
+        first_edge_m=trace.first_range_m - 0.5 * trace.spacing_m,
+        spacing_m=trace.spacing_m,
+        n_samples=trace.samples.shape[0],
+        beam_width_deg=config.sonar.beam_width_deg,
+        beam=scene.beam,
+    )
+    placed = thing._replace(
+        east_m=SIGN[side] * ground_m,
+        north_m=REFERENCE_NORTH_M + window.ahead_m,
+        azimuth_rad=thing.azimuth_rad - float(stretch.poses.heading_rad[window.ping]),
+        strength_db=thing.strength_db + 10.0 * math.log10(_floor_strength(stands_on, ground_m, window.ahead_m, height_m)),
+    )
+    heard = echoes(view, hides, placed, stands_on, farthest_m)
+    changed_intensity, changed, contrast_db = _heard_anew(intensity, heard, line, trace.spacing_m, seed, stream)
+    changed &= valid
+    full_scale = survey.full_scale[side]
+    for row, k in enumerate(range(pings.start, pings.stop)):
+        if changed[row].any():
+            new = to_samples(changed_intensity[row], survey.transfer, full_scale, samples.dtype)
+            overwrite(window.data, window.places[stretch.pings[k].number, side], new, changed[row])
+    whole = float(heard.in_full_view.sum())
+    return Look(
+        ping=window.ping,
+        side=side,
+        ground_range_m=ground_m,
+        time_s=stretch.pings[window.ping].time_s,
+        visible_fraction=min(1.0, float(heard.target.sum()) / whole) if whole > 0.0 else 0.0,
+        contrast_db=contrast_db,
+        n_samples=int(np.count_nonzero(changed)),
+    )
+
+
+def _picture(
+    intensity: Floats,
+    valid: Bools,
+    stretch: Stretch,
+    pings: slice,
+    window: _Window,
+    first_range_m: float,
+    spacing_m: float,
+    farthest_m: float,
+) -> Picture:
+    n_columns = max(8, math.floor(farthest_m / _COLUMN_M))
+    traces = make_traces(intensity.astype(np.float32), valid, np.zeros(valid.shape, dtype=np.bool_), first_range_m, spacing_m)
+    edges = ground_edges_m(stretch.first_return_m[pings], n_columns, _COLUMN_M)
+    ground = mean_between(traces, edges)
+    sample = np.clip((0.5 * (edges[:, 1:] + edges[:, :-1]) - first_range_m) / spacing_m, 0, window.line.noise.size - 1).astype(np.intp)
+    along_m = stretch.along_m[pings]
+    row_m = max(float(along_m[-1] - along_m[0]) / max(len(along_m) - 1, 1), 1e-3)
+    shadow = shadow_runs(ground.intensity, window.line.noise[sample], row_m, _COLUMN_M)
+    return Picture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
+
+
+def reliefs(scene: SeafloorScene, picture: Picture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
+    """The floor that an object stands on, and the floor that hides and echoes.
+
+    The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the sonar where it is
+    seen to echo: an image tells slopes within its speckle only.
+    """
+    columns = slice(first_column, None)
+    elevation = scene.elevation_m[:, columns].copy()
+    reflectivity = np.maximum(scene.reflectivity[:, columns], 0.0)
+    shadow = picture.shadow.mask(scene.elevation_m.shape)[:, columns]
+    spacing_m = picture.column_spacing_m
+    ground_m = (first_column + np.arange(elevation.shape[1]) + 0.5) * spacing_m
+    height_m = picture.altitude_m[:, None]
+    stands_on = Relief(elevation.copy(), reflectivity, along_m, first_column, spacing_m)
+    echoing = reflectivity.copy()
+    runs = picture.shadow
+    inside = runs.stop > first_column
+    row, start, stop = runs.row[inside], np.maximum(runs.start[inside] - first_column, 0), runs.stop[inside] - first_column
+    crest_m = picture.altitude_m[row] * (1.0 - ground_m[start] / (ground_m[stop - 1] + 0.5 * spacing_m))
+    elevation[row, start] = np.maximum(elevation[row, start], crest_m)
+    echoing[row, start] = 0.0
+    level_sight = -height_m / ground_m
+    gain = (elevation - height_m) / ground_m - _LEAST_FACING * level_sight
+    seen = height_m + ground_m * (np.maximum.accumulate(gain, axis=1) + _LEAST_FACING * level_sight)
+    elevation = np.where(shadow, elevation, np.maximum(elevation, seen))
+    return stands_on, Relief(elevation, echoing, along_m, first_column, spacing_m)
+
+
+def _floor_strength(relief: Relief, ground_m: float, ahead_m: float, height_m: float) -> float:
+    """Echo of the floor around a place: cosine of incidence times reflectivity."""
+    rows = np.abs(relief.along_m - ahead_m) < _AROUND_M
+    column = int(ground_m / relief.column_spacing_m) - relief.first_column
+    half = max(1, round(_AROUND_M / relief.column_spacing_m))
+    around = relief.reflectivity[rows, max(column - half, 0) : column + half + 1]
+    return float(height_m / math.hypot(ground_m, height_m) * max(float(around.mean()) if around.size else 1.0, 1e-3))
+
+
+def _heard_anew(recorded: Floats, heard: Echoes, line: Line, spacing_m: float, seed: int, stream: int) -> tuple[Floats, Bools, float]:
+    """Intensity with the object, what of it changed, and the highlight's contrast."""
+    bare, floor = spread(heard.bare, line.range_taps), spread(heard.floor, line.range_taps)
+    # Where nothing echoed before, nothing can be lost: a real shadow stays as it is.
+    little = 1e-2 * uniform_filter1d(bare.mean(axis=0), max(3, round(_LEVEL_M / spacing_m)), mode="nearest")
+    kept = np.divide(floor, bare, out=np.ones_like(bare), where=(bare > little) & (floor != bare))
+    level = _level(recorded, heard.bare, line, spacing_m)
+    added = heard.target * level
+    touched = np.flatnonzero((kept != 1.0).any(axis=0) | (added > 0.0).any(axis=0))
+    if not touched.size:
+        return recorded, np.zeros(recorded.shape, dtype=np.bool_), math.nan
+    half = line.range_taps.size // 2
+    columns = slice(max(0, int(touched[0]) - half), min(recorded.shape[1], int(touched[-1]) + half + 1))
+    change = Change(kept[:, columns], added[:, columns])
+    new, changed = recorded.copy(), np.zeros(recorded.shape, dtype=np.bool_)
+    new[:, columns], changed[:, columns] = mixed(recorded[:, columns], change, line, line.noise[columns], seed, stream)
+    highlight = spread(added, line.range_taps)
+    if not highlight.any():
+        return new, changed, math.nan
+    bright = highlight > 0.5 * highlight.max()
+    around = np.broadcast_to(level * heard.bare.mean(axis=0), recorded.shape)[bright].mean()
+    return new, changed, float(10.0 * math.log10(max(float(new[bright].mean()), 1e-30) / max(float(around), 1e-30)))
+
+
+def _level(recorded: Floats, bare: Floats, line: Line, spacing_m: float) -> Floats:
+    """Recorded intensity of the floor per rendered, (n_samples,), over a few metres, without shadows, glints and noise."""
+    lit = (bare > 0.0).astype(np.float64)
+    width = max(3, round(_LEVEL_M / spacing_m))
+
+    def along_range(values: Floats) -> Floats:
+        return np.asarray(uniform_filter1d(values.sum(axis=0), width, mode="nearest"))
+
+    typical = along_range(recorded * lit) / np.maximum(along_range(lit), 1e-9)
+    clipped = np.minimum(recorded, _GLINT * typical) * lit
+    echo = np.maximum(along_range(clipped) - line.noise * along_range(lit), 0.05 * along_range(clipped))
+    return np.asarray(echo / np.maximum(along_range(bare), 1e-30))
+
+
+def _position(survey: Survey, track: Track, placement: Placement, config: Config) -> tuple[float, float]:
+    stretch, index = survey.stretches[int(track.stretch[placement.ping])], int(track.row[placement.ping])
+    first_return_m = stretch.first_return_m[index : index + 1]
+    latitude, longitude, _ = locate(
+        EchoGeometry(
+            side=placement.side,
+            pose=slice_pose(stretch.poses, slice(index, index + 1)),
+            slant_range_m=np.hypot(placement.ground_range_m, first_return_m),
+            first_return_m=first_return_m,
+            sound_speed_mps=np.array([stretch.pings[index].sound_speed_mps]),
+        ),
+        config.sonar,
+    )
+    return float(latitude[0]), float(longitude[0])
