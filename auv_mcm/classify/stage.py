@@ -24,7 +24,7 @@ from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.config import ConfirmConfig
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
-from auv_mcm.confirm.snake import Contours, converge, start_from_detection, start_from_labels
+from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
 from auv_mcm.confirm.snake_rules import row_intervals
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
@@ -115,7 +115,8 @@ def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: 
 def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Look:
     """Go through the steps as far as the odds allow; without odds through all of them."""
     area = grain_area(region.intensity, region.valid)
-    contours = converge(region, start_from_detection(region), correlation_px=area)
+    ground = survey(region, area)
+    contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
     before = detector_features(detection)
     first = before | contour_features(contours) | outline_features(contours, region)
     p_contours = math.nan if odds is None else odds.p_mine(odds.log_ratio("contours", first))
@@ -123,8 +124,8 @@ def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine
         return Look(region, contours, None, None, first, first, p_contours)
     segmentation = segment(region)
     own = labels_near(segmentation.labels, region)
-    if own is not None:
-        again = converge(region, start_from_labels(region, own), correlation_px=area)
+    if own is not None and not isinstance(ground, Contours):
+        again = converge_on(ground, start_from_labels(region, own))
         # Whichever start led to the better contours; a criterion that is not a number is no contour.
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again

@@ -56,6 +56,16 @@ class Start(NamedTuple):
     shadow: Nodes
 
 
+class Ground(NamedTuple):
+    """What contours in a region share wherever they start. boxes: the start at the detection; spot: what is special about it there."""
+
+    region: Region
+    sums: snake.RowSums
+    settings: Settings
+    boxes: Start
+    spot: snake_rules.Spot
+
+
 class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """What the snakes came to.
 
@@ -95,6 +105,8 @@ def start_from_detection(region: Region) -> Start:
 
 def _boxes_at(region: Region, table: Nodes) -> Start:
     n_rows, n_columns = region.intensity.shape
+    sums = np.zeros((n_rows + 1, n_columns + 1, 2))
+    np.cumsum(table, axis=0, out=sums[1:])
     row_px, column_px = region.row_spacing_m, region.column_spacing_m
     row, column = min(max(region.row, 0.0), float(n_rows)), min(max(region.column, 0.0), float(n_columns))
     ground_m = max(region.first_ground_range_m + column * column_px, 0.0)
@@ -102,28 +114,23 @@ def _boxes_at(region: Region, table: Nodes) -> Start:
     lengths_m = np.clip(np.array(_START_HEIGHTS_M) * ground_m / above_m, _LEAST_SHADOW_M, _LONGEST_SHADOW_M)
     centres, halves = row + np.array(_START_SHIFTS_M) / row_px, np.array(_START_ALONG_M) / (2.0 * row_px)
     far_m = np.array(_START_ACROSS_M)
-    highlight = _best_box(snake_twin.HIGHLIGHT, region, table, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px)
+    highlight = _best_box(snake_twin.HIGHLIGHT, region, sums, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px)
     behind = column + np.array(_START_BEHIND_M) / column_px
-    shadow = _best_box(snake_twin.SHADOW, region, table, centres, halves, behind, lengths_m / column_px)
+    shadow = _best_box(snake_twin.SHADOW, region, sums, centres, halves, behind, lengths_m / column_px)
     return Start(highlight, shadow)
 
 
-def _best_box(which: int, region: Region, table: Nodes, centres: Nodes, halves: Nodes, nears: Nodes, widths: Nodes) -> Nodes:
-    """The box with most evidence out of all centres and halves along track with all near sides and widths, the first of equals."""
-    found, most = None, -1.0
-    for centre in centres.tolist():
-        for half in halves.tolist():
-            top, bottom = (int(end) for end in _interval(centre - half, centre + half, region.intensity.shape[0]))
-            total = table[top:bottom].sum(axis=0)
-            for near in nears.tolist():
-                for width in widths.tolist():
-                    low, high = (int(end) for end in _interval(near, near + width, region.intensity.shape[1]))
-                    inside, count = (total[high] - total[low]).tolist()
-                    gained = snake_rules.evidence(which, inside, count)
-                    if gained > most:
-                        found, most = (top, low, bottom, high), gained
-    assert found is not None
-    return _box(*found, region)
+def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: Nodes, nears: Nodes, widths: Nodes) -> Nodes:
+    """The box with most evidence out of all centres and halves along track with all near sides and widths, the first of equals.
+
+    sums: (n_rows + 1, n_columns + 1, 2) of all that is above and before."""
+    n_rows, n_columns = region.intensity.shape
+    top, bottom = _intervals(np.subtract.outer(centres, halves), np.add.outer(centres, halves), n_rows)
+    low, high = _intervals(np.repeat(nears, len(widths)), np.add.outer(nears, widths).ravel(), n_columns)
+    rows, columns = np.minimum(bottom, n_rows)[:, None], np.minimum(high, n_columns)
+    total, count = (sums[rows, columns] - sums[top[:, None], columns] - sums[rows, low] + sums[top[:, None], low]).transpose(2, 0, 1)
+    row, column = divmod(int(snake_rules.evidences(which, total, count).argmax()), len(low))
+    return _box(top[row], low[column], bottom[row], high[column], region)
 
 
 def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
@@ -152,11 +159,15 @@ def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coars
     region holds: a start that is no polygon is replaced (`start_replaced`), and a region nothing can be said about comes back rejected.
     Raises ValueError if correlation_px or a schedule is out of range.
     """
+    ground = survey(region, correlation_px)
+    return ground if isinstance(ground, Contours) else converge_on(ground, start, coarse=coarse, fine=fine)
+
+
+def survey(region: Region, correlation_px: float) -> Ground | Contours:
+    """What contours in a region share wherever they start, or those of nothing where nothing can be said. Raises as converge does."""
     if not 1.0 <= correlation_px < math.inf:
         raise ValueError(f"correlation_px must be a finite area of at least one pixel, not {correlation_px}")
-    n_rows, n_columns = region.intensity.shape
-    reasons: list[str] = []
-    if min(n_rows, n_columns) < 2 * _LEAST_SIDE_PX:
+    if min(region.intensity.shape) < 2 * _LEAST_SIDE_PX:
         return _nothing(("region_too_small",))
     try:
         require_sound(region)
@@ -165,17 +176,21 @@ def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coars
     sums = snake.row_sums(region.intensity, region.valid)
     if sums.mean == 0.0:
         return _nothing(("no_echo",))
-    settings = settings_of(region, sums.table, correlation_px)
     boxes = _boxes_at(region, sums.table)
+    return Ground(region, sums, settings_of(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes))
+
+
+def converge_on(ground: Ground, start: Start, *, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
+    """converge, several times in one region."""
+    region, sums, settings, boxes, spot = ground
     parts, replaced = _usable_start(region, sums.table, settings, start, boxes)
-    if replaced:
-        reasons.append("start_replaced")
+    reasons = ("start_replaced",) if replaced else ()
     highlight, shadow = (nodes if snake_rules.is_measured(sums.table, nodes) else _NONE for nodes in parts)
     if len(highlight) + len(shadow) == 0:
         return _nothing((*reasons, "not_measured"))
     moved, n_moves = _descend(region, sums.table, settings, Start(highlight, shadow), coarse, fine)
-    findings = snake_rules.find(region, sums.table, settings, moved, snake_rules.look_at(sums.table, *boxes))
-    return _judged(region, sums, findings, moved, n_moves, tuple(reasons))
+    findings = snake_rules.find(region, sums.table, settings, moved, spot)
+    return _judged(region, sums, findings, moved, n_moves, reasons)
 
 
 def _descend(
@@ -305,7 +320,7 @@ def _ordered(region: Region, table: NDArray[np.float64], settings: Settings, nod
     if not ((nodes >= 0.0) & (nodes <= region.intensity.shape)).all():
         return None
     ordered = np.rint((nodes if _area(nodes) > 0.0 else nodes[::-1]) * _NODES_PER_PX) / _NODES_PER_PX
-    return None if snake_twin.fault_of(table, settings, ordered) else ordered
+    return None if snake.fault_of(table, settings, ordered) else ordered
 
 
 def _box_around(region: Region, nodes: Nodes) -> Nodes | None:
@@ -337,6 +352,13 @@ def _interval(low: float, high: float, size: int) -> tuple[float, float]:
     low, high = float(round(min(max(low, 0.0), size))), float(round(min(max(high, 0.0), size)))
     low = max(0.0, min(low, size - _LEAST_SIDE_PX))
     return low, max(high, low + _LEAST_SIDE_PX)
+
+
+def _intervals(low: Nodes, high: Nodes, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """_interval for many ends, flat."""
+    low, high = (np.rint(np.clip(end.ravel(), 0.0, size)) for end in (low, high))
+    low = np.maximum(np.minimum(low, size - _LEAST_SIDE_PX), 0.0)
+    return low.astype(np.intp), np.maximum(high, low + _LEAST_SIDE_PX).astype(np.intp)
 
 
 def _in_front(region: Region, shadow: Nodes) -> Nodes:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
-from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
 
 Nodes = NDArray[np.float64]
@@ -232,11 +232,22 @@ def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
 
 def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Rows a polygon reaches, and its columns [near, far) in each; three (n,) int64."""
-    sides = [np.full(shape[0], -1, dtype=np.int64) for _ in range(2)]
-    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
-        rows, columns = snake_twin.crossings(a, b, shape[0], shape[1])
-        sides[int(b[0] > a[0])][rows] = columns
-    near, far = sides
+    # As kernels.snake_twin.crossings has it, all edges at once.
+    after = np.concatenate([nodes[1:], nodes[:1]])
+    falls = after[:, 0] > nodes[:, 0]
+    upper, lower = np.where(falls[:, None], nodes, after), np.where(falls[:, None], after, nodes)
+    height = lower[:, 0] - upper[:, 0]
+    slope = np.divide(lower[:, 1] - upper[:, 1], height, out=np.zeros(len(nodes)), where=height > 0.0)
+    start, stop = np.ceil(upper[:, 0] - 0.5), np.ceil(lower[:, 0] - 0.5)
+    row = np.arange(shape[0])
+    column = np.ceil(upper[:, 1:] + (row + 0.5 - upper[:, :1]) * slope[:, None] - 0.5)
+    column = np.clip(column, 0, shape[1]).astype(np.int64)
+    crossed = (row >= start[:, None]) & (row < stop[:, None])
+    # A polygon that is not sound may cross a row more than twice: then the last edge counts.
+    near, far = (np.full(shape[0], -1, dtype=np.int64) for _ in range(2))
+    for side, way in ((near, ~falls), (far, falls)):
+        edge, there = np.nonzero(crossed & way[:, None])
+        side[there] = column[edge, there]
     rows = np.flatnonzero((near >= 0) & (far > near))
     return rows, near[rows], far[rows]
 
@@ -299,7 +310,7 @@ def elsewhere(table: NDArray[np.float64], polygons: Sequence[tuple[int, Nodes]])
             continue
         rows, near, far = row_intervals(nodes, (n_rows, n_columns))
         here += evidence(which, *(table[rows, far] - table[rows, near]).sum(axis=0).tolist())
-        there += _evidence(which, *_sums(table, rows, near, far, shifts))
+        there += evidences(which, *snake.shifted_sums(table, rows, near, far, shifts).T)
     if here <= 0.0:
         return math.inf, math.inf
     if len(there) == 0:
@@ -317,16 +328,6 @@ def _shifts(nodes: Nodes, n_rows: int, n_columns: int) -> NDArray[np.int64]:
     return np.stack([row[clear], column[clear]], axis=1)
 
 
-def _sums(
-    table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.int64], far: NDArray[np.int64], shifts: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sum and count of intensity in the intervals at each shift; two (n_shifts,) float64."""
-    there = rows[:, None] + shifts[:, 0]
-    inside = table[there, far[:, None] + shifts[:, 1]] - table[there, near[:, None] + shifts[:, 1]]
-    total = inside.sum(axis=0)
-    return total[:, 0], total[:, 1]
-
-
 def evidence(which: int, total: float, count: float) -> float:
     """N (m - 1 - ln m) for a region of `count` pixels of mean m over the window's; 0 on the wrong side of 1."""
     if count < 1.0:
@@ -336,7 +337,8 @@ def evidence(which: int, total: float, count: float) -> float:
     return count * (mean - 1.0 - math.log(mean)) if right else 0.0
 
 
-def _evidence(which: int, total: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
+def evidences(which: int, total: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
+    """evidence for many regions at once; three arrays of one shape."""
     mean = np.maximum(total / np.maximum(count, 1.0), 1e-6)
     right = (mean > 1.0) if which == HIGHLIGHT else (mean < 1.0)
     return np.where(right, count * (mean - 1.0 - np.log(mean)), 0.0)

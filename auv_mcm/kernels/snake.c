@@ -534,3 +534,19 @@ void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const
     out[1] = (double)pair.n_accepted;
     out[2] = (double)pair.n_evaluated;
 }
+
+/* Sums of the table over intervals of rows, shifted. rows, near, far (n); shifts (n_shifts, 2) by rows and columns, all within the table.
+ * sums (n_shifts, 2): in, zeros.
+ */
+void auv_mcm_snake_shifted_sums(int64_t n_columns, const double *restrict table, int64_t n, const int64_t *restrict rows,
+                                const int64_t *restrict near, const int64_t *restrict far, int64_t n_shifts,
+                                const int64_t *restrict shifts, double *restrict sums)
+{
+    for (int64_t i = 0; i < n; i++) {
+        for (int64_t k = 0; k < n_shifts; k++) {
+            const double *row = table + 2 * ((rows[i] + shifts[2 * k]) * (n_columns + 1) + shifts[2 * k + 1]);
+            sums[2 * k] += row[2 * far[i]] - row[2 * near[i]];
+            sums[2 * k + 1] += row[2 * far[i] + 1] - row[2 * near[i] + 1];
+        }
+    }
+}

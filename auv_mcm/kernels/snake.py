@@ -44,6 +44,8 @@ _SPIKE: Final = 1e3  # times the median: brighter than any highlight; what is be
 _BRIGHTEST: Final = 1e6  # times the window's mean; keeps sums over any window within 2^53 quanta
 _STEPS_PER_PX: Final = 16.0
 _NODES_PER_PX: Final = 2.0**20  # sums of coordinates, and halves of edges, stay exact
+_NONE: Final = np.empty((0, 2))
+_NO_STAGES: Final = np.empty((0, 3))
 
 
 class RowSums(NamedTuple):
@@ -96,21 +98,107 @@ def move_pair(
     schedule = np.ascontiguousarray(schedule, dtype=np.float64)
     parts = [np.rint(np.asarray(nodes, dtype=np.float64) * _NODES_PER_PX) / _NODES_PER_PX for nodes in (highlight, shadow)]
     _check(table, schedule, parts)
+    if len(parts[0]) + len(parts[1]) == 0:
+        raise ValueError("there is neither a highlight nor a shadow to move")
     c_snake = c_kernel()
     if c_snake is None:
         _refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
         return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
-    n_rows, n_columns = table.shape[0], table.shape[1] - 1
+    ran = _run(c_snake, table, settings, schedule, parts)
+    _refuse(ran.faults, settings)
+    n_sums = len(Sums._fields)
+    return Moved(
+        ran.nodes[0, : ran.n_nodes[0]].copy(),
+        ran.nodes[1, : ran.n_nodes[1]].copy(),
+        ran.out[0],
+        int(ran.out[1]),
+        int(ran.out[2]),
+        Sums(*ran.out[3 : 3 + n_sums]),
+        Sums(*ran.out[3 + n_sums :]),
+    )
+
+
+def fault_of(table: NDArray[np.float64], settings: Settings, nodes: NDArray[np.float64]) -> int:
+    """What keeps a polygon (n, 2) from being moved: 0 nothing, 1 too small, clockwise or not measured, 2 not sound.
+
+    table, settings and nodes as move_pair has them. Raises ValueError for shapes that do not fit and nodes outside the window.
+    """
+    table = np.ascontiguousarray(table, dtype=np.float64)
+    _check(table, _NO_STAGES, [nodes])
+    c_snake = c_kernel()
+    return (
+        snake_twin.fault_of(table, settings, nodes)
+        if c_snake is None
+        else _run(c_snake, table, settings, _NO_STAGES, [nodes, _NONE]).faults[0]
+    )
+
+
+def shifted_sums(
+    table: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    near: NDArray[np.int64],
+    far: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Intensity and measured pixels of the columns [near, far) in rows (n,), shifted: (n_shifts, 2) float64.
+
+    table: of row_sums. shifts: (n_shifts, 2) int64 rows and columns. Raises ValueError if any shift leaves the table.
+    """
+    if len(rows) == 0 or len(shifts) == 0:
+        return np.zeros((len(shifts), 2))
+    lowest, highest = shifts.min(axis=0), shifts.max(axis=0)
+    first, last = np.array([rows.min(), near.min()]) + lowest, np.array([rows.max(), far.max()]) + highest
+    if (first < 0).any() or (last >= table.shape[:2]).any():
+        raise ValueError(f"shifts from {lowest} to {highest} leave the window of {table.shape[0]} rows and {table.shape[1] - 1} columns")
+    function = _c_shifted_sums()
+    if function is None:
+        return shifted_sums_numpy(table, rows, near, far, shifts)
+    sums = np.zeros((len(shifts), 2))
+    table = np.ascontiguousarray(table, dtype=np.float64)
+    places = [np.ascontiguousarray(each, dtype=np.int64) for each in (rows, near, far, shifts)]
+    at = [place.ctypes.data for place in places]
+    function(table.shape[1] - 1, table.ctypes.data, len(rows), *at[:3], len(shifts), at[3], sums.ctypes.data)
+    return sums
+
+
+def shifted_sums_numpy(
+    table: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    near: NDArray[np.int64],
+    far: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """shifted_sums in numpy alone."""
+    there = rows[:, None] + shifts[:, 0]
+    inside = table[there, far[:, None] + shifts[:, 1]] - table[there, near[:, None] + shifts[:, 1]]
+    return np.asarray(inside.sum(axis=0), dtype=np.float64)
+
+
+class _Ran(NamedTuple):
+    """What the C function left of both polygons."""
+
+    nodes: NDArray[np.float64]
+    n_nodes: list[int]
+    out: list[float]
+    faults: list[int]
+
+
+def _run(
+    c_snake: Callable[..., None],
+    table: NDArray[np.float64],
+    settings: Settings,
+    schedule: NDArray[np.float64],
+    parts: list[NDArray[np.float64]],
+) -> _Ran:
     room = np.zeros((2, MAX_NODES, 2))
     n_nodes = np.array([len(nodes) for nodes in parts], dtype=np.int64)
     for which, nodes in enumerate(parts):
         room[which, : len(nodes)] = nodes
-    n_sums = len(Sums._fields)
-    bound, out, faults = np.empty(n_rows), np.empty(3 + 2 * n_sums), np.empty(2, dtype=np.int64)
+    bound, out, faults = np.empty(len(table)), np.empty(3 + 2 * len(Sums._fields)), np.empty(2, dtype=np.int64)
     numbers = np.array(settings, dtype=np.float64)
     c_snake(
-        n_rows,
-        n_columns,
+        table.shape[0],
+        table.shape[1] - 1,
         table.ctypes.data,
         numbers.ctypes.data,
         len(schedule),
@@ -122,16 +210,13 @@ def move_pair(
         out.ctypes.data,
         faults.ctypes.data,
     )
-    _refuse(faults.tolist(), settings)
-    return Moved(
-        room[0, : n_nodes[0]].copy(),
-        room[1, : n_nodes[1]].copy(),
-        float(out[0]),
-        int(out[1]),
-        int(out[2]),
-        Sums(*out[3 : 3 + n_sums].tolist()),
-        Sums(*out[3 + n_sums :].tolist()),
-    )
+    return _Ran(room, n_nodes.tolist(), out.tolist(), faults.tolist())
+
+
+@functools.cache
+def _c_shifted_sums() -> Callable[..., None] | None:
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    return kernels.c_function("snake_shifted_sums", integer, pointer, integer, *[pointer] * 3, integer, *[pointer] * 2)
 
 
 @functools.cache
@@ -149,13 +234,11 @@ def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: lis
     if (np.rint(schedule[:, 1] * _STEPS_PER_PX) != schedule[:, 1] * _STEPS_PER_PX).any():
         raise ValueError("lengths of moves in the schedule must be whole multiples of 1/16 pixel")
     window = table.shape[0], table.shape[1] - 1
-    for name, nodes in zip(NAMES, parts, strict=True):
+    for name, nodes in zip(NAMES, parts, strict=False):
         if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) in (1, 2) or len(nodes) > MAX_NODES:
             raise ValueError(f"{name} must have shape (n, 2) with 3 to {MAX_NODES} nodes or none, not {nodes.shape}")
         if not ((nodes >= 0.0) & (nodes <= window)).all():
             raise ValueError(f"{name} has nodes outside the window of {window[0]} rows and {window[1]} columns")
-    if len(parts[0]) + len(parts[1]) == 0:
-        raise ValueError("there is neither a highlight nor a shadow to move")
 
 
 def _refuse(faults: list[int], settings: Settings) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.snake import COARSE, FINE, settings_of
+from auv_mcm.confirm.snake_rules import row_intervals
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings, Sums
 from sim_replay.benches.snakes import box, drawn_pair, plain_region
@@ -283,3 +284,55 @@ def test_row_sums_leave_out_what_was_not_measured() -> None:
     assert sums.mean == 1.5
     assert sums.table[:, -1, 1].tolist() == [1.0, 1.0]
     assert sums.table[:, -1, 0].tolist() == pytest.approx([1.0 / 1.5, 2.0 / 1.5], abs=snake.QUANTUM)
+
+
+@given(nodes=polygons(), as_drawn=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_row_intervals_are_those_of_edges_taken_one_by_one(nodes: Floats, as_drawn: bool) -> None:
+    nodes = nodes if as_drawn else nodes[::-1]
+    sides = np.full((2, SHAPE[0]), -1)
+    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
+        rows, columns = snake_twin.crossings(a, b, *SHAPE)
+        sides[int(b[0] > a[0]), rows] = columns
+    wanted = np.flatnonzero((sides[0] >= 0) & (sides[1] > sides[0]))
+    rows, near, far = row_intervals(nodes, SHAPE)
+    np.testing.assert_array_equal(rows, wanted)
+    np.testing.assert_array_equal([near, far], sides[:, wanted])
+
+
+def test_no_nodes_reach_no_rows() -> None:
+    assert all(len(part) == 0 for part in row_intervals(NONE, SHAPE))
+
+
+@given(nodes=polygons(), clockwise=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_c_finds_the_fault_that_the_twin_finds(nodes: Floats, clockwise: bool) -> None:
+    table, known = window(2)
+    nodes = nodes[::-1] if clockwise else nodes
+    assert snake.fault_of(table, known, nodes) == snake_twin.fault_of(table, known, nodes)
+
+
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 6), n_shifts=st.integers(1, 9))
+@settings(max_examples=40, deadline=None)
+def test_shifted_sums_are_those_of_the_shifted_pixels(seed: int, n: int, n_shifts: int) -> None:
+    table, _ = window(3)
+    pixels = np.diff(table, axis=1)
+    random = np.random.default_rng(seed)
+    rows, near = random.integers(5, 15, n), random.integers(5, 15, n)
+    far = near + random.integers(0, 10, n)
+    shifts = random.integers(-5, 6, (n_shifts, 2))
+    wanted = [
+        sum(pixels[row + down, low + right : high + right].sum(axis=0) for row, low, high in zip(rows, near, far, strict=True))
+        for down, right in shifts
+    ]
+    for function in (snake.shifted_sums, snake.shifted_sums_numpy):
+        np.testing.assert_array_equal(function(table, rows, near, far, shifts), np.array(wanted))
+
+
+def test_shifts_beyond_the_window_are_refused() -> None:
+    table, _ = window(3)
+    rows, near, far = np.array([5]), np.array([4]), np.array([9])
+    assert snake.shifted_sums(table, rows, near, far, np.array([[-5, -4], [18, 21]])).shape == (2, 2)
+    for shift in ((-6, 0), (19, 0), (0, -5), (0, 22)):
+        with pytest.raises(ValueError, match="leave the window of 24 rows and 30 columns"):
+            snake.shifted_sums(table, rows, near, far, np.array([shift]))
