@@ -39,7 +39,7 @@ _MIN_BIN_PIXELS: Final = 48
 _LEAST_FACING: Final = 0.02
 _NO_ECHO: Final = 1e-12
 
-_SLOPE_SIGMA: Final = 0.3
+SLOPE_SIGMA: Final = 0.3
 _STEEPEST: Final = 1.5
 _FLOOR: Final = 0.01  # an echo from where none can come, over that of level floor
 _TABLE_ECHOES: Final = 161
@@ -172,7 +172,7 @@ def _slope_table(looks: float) -> Array:
     angle = (np.arange(_N_ANGLES) + 0.5) * (0.5 * math.pi / _N_ANGLES)
     expected = np.maximum(np.sin(angle[:, None] + np.arctan(slope)) / np.sin(angle)[:, None], _FLOOR)
     echo = np.linspace(0.0, _MAX_ROOT_ECHO, _TABLE_ECHOES) ** 2
-    fixed = -looks * np.log(expected) - 0.5 * (slope / _SLOPE_SIGMA) ** 2
+    fixed = -looks * np.log(expected) - 0.5 * (slope / SLOPE_SIGMA) ** 2
     table = np.empty((_N_ANGLES, _TABLE_ECHOES))
     for k in range(_N_ANGLES):
         log_density = fixed[k] - looks * echo[:, None] / expected[k]
