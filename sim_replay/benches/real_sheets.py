@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_replay.benches.real_images import CALLED, Called, Judged, Mask, is_call
+from sim_replay.benches.real_calls import CALLED, Called, is_call
+from sim_replay.benches.real_outlines import Judged
+from sim_replay.benches.real_pictures import Mask
 
 Canvas = NDArray[np.uint8]
 
@@ -28,8 +30,7 @@ _QUALITY: Final = 62
 
 
 def write_sheets(folder: Path, judged: Sequence[Judged], called: Sequence[Called]) -> tuple[Path, Path]:
-    """Write real-outlines.jpg and real-calls.jpg into the folder, which is made if need be."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write real-outlines.jpg and real-calls.jpg into the folder."""
     paths = folder / "real-outlines.jpg", folder / "real-calls.jpg"
     for path, sheet in zip(paths, (outlines_sheet(judged), calls_sheet(called)), strict=True):
         path.write_bytes(cv2.imencode(".jpg", sheet, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())

@@ -13,19 +13,10 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.cli import main
 from auv_mcm.records import VALID
 from auv_mcm.waterfall.transfer import kind_from_speckle
-from sim_replay.benches.real_images import (
-    EFFIGY_M,
-    SAS,
-    SIDE_SCAN,
-    Picture,
-    call,
-    effigies,
-    evidence_of,
-    judge,
-    length_px,
-    read_picture,
-    tile_of,
-)
+from sim_replay.benches.real_calls import call
+from sim_replay.benches.real_outlines import judge
+from sim_replay.benches.real_pictures import EFFIGY_M, Picture, effigies, evidence_of, length_px, read_picture
+from sim_replay.benches.real_tiles import SAS, SIDE_SCAN, tile_of
 
 SharedData = Callable[[str], Path]
 
@@ -95,7 +86,7 @@ def test_a_tile_has_its_sea_floor_at_one_and_nothing_before_the_picture(pictures
 
 def test_snakes_outline_the_effigy_where_it_stands_out(pictures: dict[str, Picture]) -> None:
     for name, bound in CLEAR.items():
-        judged = judge(pictures[name], SIDE_SCAN, shipped_odds())
+        judged = judge(pictures[name], SIDE_SCAN, shipped_odds("contrast"))
         assert judged.detected, name
         assert judged.given.iou.best_start >= bound, name
         assert judged.found is not None
@@ -104,7 +95,7 @@ def test_snakes_outline_the_effigy_where_it_stands_out(pictures: dict[str, Pictu
 
 @pytest.mark.parametrize("name", QUIET)
 def test_quiet_sea_floor_holds_no_mine(name: str, shared_data: SharedData) -> None:
-    called = call(read_picture(shared_data(f"sas/{name}.png")), SAS, shipped_odds())
+    called = call(read_picture(shared_data(f"sas/{name}.png")), SAS, shipped_odds("contrast"))
     assert called.n_confirmed(0.5) == 0
 
 
