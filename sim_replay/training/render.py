@@ -30,6 +30,7 @@ from sim_replay.benches.arguments import count
 from sim_replay.recorded import RecordedMission
 from sim_replay.simulate import TRUTH_NAME
 from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.objects import place_objects
 from sim_replay.training.farm import Farm, run_tasks
 from sim_replay.training.place import Thing, cropped, objects_in
 from sim_replay.training.spec import AugmentedLine, SimulatedLine, lines_of, read_spec
@@ -122,11 +123,14 @@ def labelled(tile: Tile, things: Sequence[Thing], config: Config, background: st
 def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     """Render all missions of a spec (None: the one that ships) into a folder, and say on stderr how it goes.
 
-    Raises UsageError for a spec that cannot be and for a sea floor in two splits, BadInputError for augmented logs that are not there,
-    and as run_tasks does.
+    Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice; BadInputError for augmented
+    logs that are not there; and as run_tasks does.
     """
     spec, base = read_spec(spec_path)
     lines = lines_of(spec, base)
+    for line in lines:
+        if isinstance(line, SimulatedLine):
+            _check_room(line)
     make_directory(folder)
     started_s = time.monotonic()
 
@@ -167,6 +171,14 @@ def told_of(manifest: Manifest) -> str:
             f"{sum(shard.n_others for shard in shards)} at other objects"
         )
     return "\n".join([*lines, f"sha256 {manifest.sha256}"])
+
+
+def _check_room(line: SimulatedLine) -> None:
+    """Said now rather than after many missions."""
+    try:
+        place_objects(line.scene)
+    except UsageError as error:
+        raise UsageError(f"mission {line.background}: {error}") from error
 
 
 def _labelled(

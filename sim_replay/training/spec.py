@@ -227,10 +227,10 @@ def _simulated(spec: Spec, label: str, scene: Scene, seed: int, number: int, spl
 
 
 def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:
-    """Targets, then rocks, then what else the scene has."""
+    """What else the scene has, some of it large, then targets, then rocks."""
     own = {group.kind: group for group in scene.scatter}
     some_target = next((group for group in scene.scatter if group.kind in TARGET_KINDS), None)
-    groups = []
+    groups = [group for group in scene.scatter if group.kind != "rock" and group.kind not in TARGET_KINDS]
     counts = _shared_out(spec.targets.per_mission, [kind.share for kind in spec.targets.kinds.values()])
     for (kind, wanted), count in zip(spec.targets.kinds.items(), counts, strict=True):
         if count == 0:
@@ -245,7 +245,7 @@ def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:
         rocks = own.get("rock", Scatter(kind="rock", count=1, strength_db=(usual - 6.0, usual + 6.0), natural_sizes=True))
         sizes = {name: value for name in ("length_m", "height_m") if (value := getattr(spec.rocks, name)) is not None}
         groups.append(msgspec.structs.replace(rocks, count=spec.rocks.per_mission, **sizes))
-    return (*groups, *(group for group in scene.scatter if group.kind != "rock" and group.kind not in TARGET_KINDS))
+    return tuple(groups)
 
 
 def _within_swath(groups: tuple[Scatter, ...], scene: Scene) -> tuple[Scatter, ...]:

@@ -36,6 +36,8 @@ seeds: {train: {first: 600, count: 1}}
 targets: {per_mission: 14, kinds: {cylinder: {}, sphere: {}, truncated_cone: {}, wedge: {}, box: {}}}
 rocks: {per_mission: 4}
 """
+SHORT_SCENE = SCENE.replace("leg_m: 70", "leg_m: 24").replace("n_legs: 2", "n_legs: 1")
+SHORT_SPEC = SPEC.replace("per_mission: 14", "per_mission: 3")
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +51,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def line(folder: Path) -> SimulatedLine:
     (line,) = lines_of(parse_spec(SPEC, "spec"), folder)
+    assert isinstance(line, SimulatedLine)
+    return line
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> SimulatedLine:
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "bay.yaml").write_text(SHORT_SCENE)
+    (line,) = lines_of(parse_spec(SHORT_SPEC, "spec"), folder)
     assert isinstance(line, SimulatedLine)
     return line
 
@@ -116,10 +127,10 @@ def test_every_target_is_seen_and_nothing_is_made_up(tiles: list[LabelledTile]) 
             assert abs(thing.ground_range_m - thing.column * tile.column_spacing_m) < 1.6
 
 
-def test_a_set_has_the_same_bytes_whoever_renders_it(folder: Path, tmp_path: Path, line: SimulatedLine) -> None:
+def test_a_set_has_the_same_bytes_whoever_renders_it(tmp_path: Path) -> None:
     spec = tmp_path / "two.yaml"
-    (tmp_path / "bay.yaml").write_text(SCENE.replace("leg_m: 70", "leg_m: 24").replace("n_legs: 2", "n_legs: 1"))
-    spec.write_text(SPEC.replace("count: 1", "count: 2").replace("per_mission: 14", "per_mission: 3"))
+    (tmp_path / "bay.yaml").write_text(SHORT_SCENE)
+    spec.write_text(SHORT_SPEC.replace("count: 1", "count: 2"))
     alone = render_set(spec, tmp_path / "alone", Farm())
     shared = render_set(spec, tmp_path / "shared", Farm(workers=2))
     assert alone == shared
@@ -169,11 +180,7 @@ def test_folders_without_an_augmented_log_are_told(tmp_path: Path, line: Simulat
         render_line(AugmentedLine(tmp_path, line.config, "train"))
 
 
-def test_one_sea_floor_in_two_splits_is_refused(tmp_path: Path, line: SimulatedLine) -> None:
-    small = parse_spec(SPEC.replace("per_mission: 14", "per_mission: 3"), "spec")
-    (tmp_path / "bay.yaml").write_text(SCENE.replace("leg_m: 70", "leg_m: 24").replace("n_legs: 2", "n_legs: 1"))
-    (short,) = lines_of(small, tmp_path)
-    assert isinstance(short, SimulatedLine)
+def test_one_sea_floor_in_two_splits_is_refused(tmp_path: Path, short: SimulatedLine) -> None:
     for name in ("one", "two"):
         augmented(tmp_path / name, short)
     (tmp_path / "set.yaml").write_text("augmented: [{folder: one, split: train}, {folder: two, split: test}]")
@@ -182,9 +189,16 @@ def test_one_sea_floor_in_two_splits_is_refused(tmp_path: Path, line: SimulatedL
     assert not (tmp_path / "out" / "manifest.json").exists()
 
 
+def test_targets_without_room_are_told_before_any_mission_is_flown(folder: Path, tmp_path: Path) -> None:
+    (folder / "full.yaml").write_text(SPEC.replace("per_mission: 14", "per_mission: 900"))
+    with pytest.raises(UsageError, match=r"mission bay/600: .*no room for number"):
+        render_set(folder / "full.yaml", tmp_path / "out", Farm())
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_command_tells_what_a_set_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "bay.yaml").write_text(SCENE.replace("leg_m: 70", "leg_m: 24").replace("n_legs: 2", "n_legs: 1"))
-    (tmp_path / "set.yaml").write_text(SPEC.replace("per_mission: 14", "per_mission: 3"))
+    (tmp_path / "bay.yaml").write_text(SHORT_SCENE)
+    (tmp_path / "set.yaml").write_text(SHORT_SPEC)
     assert main([str(tmp_path / "set.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
     told = capsys.readouterr()
     assert told.out.startswith("train: 1 missions, ")
@@ -192,12 +206,11 @@ def test_the_command_tells_what_a_set_holds(tmp_path: Path, capsys: pytest.Captu
     assert "1 of 1 missions rendered" in told.err
 
 
-def test_held_out_missions_come_back_ready_to_be_scored(line: SimulatedLine) -> None:
-    flights = [Flight(msgspec.structs.replace(line.scene, seed=seed), line.config) for seed in (9200,)]
-    (mission,) = fly_all(flights, Farm())
+def test_held_out_missions_come_back_ready_to_be_scored(short: SimulatedLine) -> None:
+    (mission,) = fly_all([Flight(msgspec.structs.replace(short.scene, seed=9200), short.config)], Farm())
     assert mission.name == "bay, seed 9200"
-    assert sum(thing.is_target for thing in mission.truth.objects) == 14
-    assert len(mission.contacts) > 5
+    assert sum(thing.is_target for thing in mission.truth.objects) == 3
+    assert len(mission.contacts) > 0
 
 
 def test_held_out_flights_know_the_sonar_and_keep_the_configuration(line: SimulatedLine) -> None:
