@@ -12,7 +12,7 @@ from auv_mcm.config import Config
 
 PAPER_PER_KM2: Final = 100.0
 PAPER_PFA: Final = 2.68e-6
-"""What the source paper's section 4.4.2 takes for 100 false alarms per km²."""
+"""What the source paper (its figure 12) takes for 100 false alarms per km²."""
 
 _M2_PER_KM2: Final = 1e6
 _PAPER_PIXEL_M: Final = (0.12, 0.058)  # along and across track, section 4.3
