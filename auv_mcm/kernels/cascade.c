@@ -9,7 +9,7 @@
 #include <string.h>
 
 enum { LOWER_RIGHT, UPPER_RIGHT, LOWER_LEFT, UPPER_LEFT, CORNERS };
-enum { LANES = 8, SEGMENT = 1024, BLOCK = 8192, LIST = 1024, DENSE_SHARE = 6 };
+enum { LANES = 8, SEGMENT = 1024, BLOCK = 8192, LIST = 1024, DENSE_SHARE = 6, DIGIT_BITS = 11 };
 
 /* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
@@ -176,35 +176,57 @@ static int64_t run_list(const uint32_t *restrict sums, const Stump *restrict stu
     return n;
 }
 
+/* alive: -1 or 0. Returns how many are left. n: a multiple of LANES. */
+WIDE static int64_t keep_alive(int64_t n, const int32_t *restrict score, int32_t reject, int32_t *restrict alive)
+{
+    int32_t left = 0;
+    n -= n % LANES;
+    for (int64_t i = 0; i < n; i++) {
+        alive[i] &= -(score[i] >= reject);
+        left -= alive[i];
+    }
+    return left;
+}
+
+/* Which of n neighbouring windows hold at least `enough` valid pixels and may be centred there: -1 or 0. Returns how many. */
+WIDE static int64_t find_windows(int64_t n, const uint32_t *restrict counts, const int32_t *restrict window, int32_t enough,
+                                 const uint8_t *restrict usable, int32_t *restrict alive)
+{
+    const uint32_t *const c0 = counts + window[0], *const c1 = counts + window[1];
+    const uint32_t *const c2 = counts + window[2], *const c3 = counts + window[3];
+    const int64_t padded = (n + LANES - 1) / LANES * LANES;
+    int32_t found = 0;
+    for (int64_t i = 0; i < padded; i++)
+        alive[i] = -((int32_t)((c0[i] - c1[i]) - (c2[i] - c3[i])) >= enough);
+    for (int64_t i = n; i < padded; i++)
+        alive[i] = 0;
+    if (memchr(usable, 0, (size_t)n))
+        for (int64_t i = 0; i < n; i++)
+            alive[i] &= -(usable[i] != 0);
+    for (int64_t i = 0; i < padded; i++)
+        found -= alive[i];
+    return found;
+}
+
 /* Runs groups [0, n_groups) on the windows of a block and appends the survivors to a list. Returns their number. */
 static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups, int64_t n_groups,
                           int64_t restart, int64_t n_segments, const Segment *restrict segments, int32_t *restrict block_score,
                           int32_t *restrict alive, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
 {
-    int64_t group = 0, n_dense = 0, n = 0;
-    for (;;) {
-        const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop, reject = groups[group].reject;
-        int64_t total = 0, begin = 0;
-        for (int64_t k = 0; k < n_segments; k++) {
-            int32_t *restrict sum = block_score + begin, *restrict live = alive + begin, left = 0;
-            const int64_t length = segments[k].padded - segments[k].padded % LANES;
-            if (restart || group == 0)
-                memset(sum, 0, (size_t)length * sizeof *sum);
+    int64_t group = 0, total, filled = 0, n = 0;
+    for (int64_t k = 0; k < n_segments; k++)
+        filled += segments[k].padded;
+    do {
+        const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop;
+        if (restart || group == 0)
+            memset(block_score, 0, (size_t)filled * sizeof *block_score);
+        for (int64_t k = 0, begin = 0; k < n_segments; begin += segments[k].padded, k++)
             for (int32_t stump = from; stump < stop; stump++)
-                weigh_row(sums + segments[k].at, stumps + stump, length, sum);
-            for (int64_t i = 0; i < length; i++) {
-                live[i] &= -(sum[i] >= reject);
-                left -= live[i];
-            }
-            total += left;
-            begin += length;
-        }
-        n_dense = begin;
+                weigh_row(sums + segments[k].at, stumps + stump, segments[k].padded, block_score + begin);
+        total = keep_alive(filled, block_score, groups[group].reject, alive);
         n_alive[group] += total;
         group++;
-        if (group == n_groups || total * DENSE_SHARE < n_dense)
-            break;
-    }
+    } while (group < n_groups && total * DENSE_SHARE >= filled);
     for (int64_t k = 0, begin = 0; k < n_segments; begin += segments[k].padded, k++)
         for (int64_t i = 0; i < segments[k].n; i++) {
             at[n] = (int32_t)(segments[k].at + i);
@@ -243,19 +265,11 @@ void auv_mcm_cascade_open(int64_t n_rows, int64_t n_columns, int64_t stride, int
                                     at + n, score + n, n_alive);
                     n_segments = filled = 0;
                 }
-                const uint8_t *restrict use = usable + row * n_columns + column;
-                const uint32_t *restrict c0 = counts + segment.at + window[0], *restrict c1 = counts + segment.at + window[1];
-                const uint32_t *restrict c2 = counts + segment.at + window[2], *restrict c3 = counts + segment.at + window[3];
-                int32_t *restrict live = alive + filled, found = 0;
-                for (int64_t i = 0; i < segment.n; i++) {
-                    const int32_t count = (int32_t)((c0[i] - c1[i]) - (c2[i] - c3[i]));
-                    live[i] = -((count >= enough) & (use[i] != 0));
-                    found -= live[i];
-                }
+                const int64_t found = find_windows(segment.n, counts + segment.at, window, enough, usable + row * n_columns + column,
+                                                   alive + filled);
                 *n_windows += found;
                 if (!found || !n_groups)
                     continue;
-                memset(live + segment.n, 0, (size_t)(segment.padded - segment.n) * sizeof *live);
                 filled += segment.padded;
                 segments[n_segments++] = segment;
             }
@@ -283,4 +297,34 @@ void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t
         begin = stop;
         band_stop[band] = kept;
     }
+}
+
+/* order (n): out, indices of scores from the highest down, of equal ones the first first. scratch (n): overwritten. */
+void auv_mcm_cascade_rank(int64_t n, const int32_t *restrict score, int32_t *order, int32_t *scratch)
+{
+    int32_t highest = INT32_MIN;
+    for (int64_t i = 0; i < n; i++) {
+        highest = score[i] > highest ? score[i] : highest;
+        order[i] = (int32_t)i;
+    }
+    int32_t *from = order, *to = scratch;
+    for (int shift = 0; shift < 32; shift += DIGIT_BITS) {
+        int64_t start[1 << DIGIT_BITS] = {0}, before = 0;
+        for (int64_t i = 0; i < n; i++)
+            start[((uint32_t)highest - (uint32_t)score[i]) >> shift & ((1 << DIGIT_BITS) - 1)]++;
+        if (start[0] == n)
+            continue;
+        for (int digit = 0; digit < 1 << DIGIT_BITS; digit++) {
+            const int64_t alike = start[digit];
+            start[digit] = before;
+            before += alike;
+        }
+        for (int64_t i = 0; i < n; i++)
+            to[start[((uint32_t)highest - (uint32_t)score[from[i]]) >> shift & ((1 << DIGIT_BITS) - 1)]++] = from[i];
+        int32_t *const sorted = to;
+        to = from;
+        from = sorted;
+    }
+    if (from != order)
+        memcpy(order, from, (size_t)n * sizeof *order);
 }

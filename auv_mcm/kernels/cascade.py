@@ -242,6 +242,22 @@ def run_groups_numpy(
     return Windows(np.concatenate(places), np.concatenate(scores), band_stop), n_alive
 
 
+def rank(score: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Indices of scores (n,) int32 from the highest down, of equal ones the first first; (n,) int32."""
+    function = _c_rank()
+    if function is None:
+        return rank_numpy(score)
+    score = np.ascontiguousarray(score)
+    order, scratch = np.empty(score.size, dtype=np.int32), np.empty(score.size, dtype=np.int32)
+    function(score.size, *_pointers(score, order, scratch))
+    return order
+
+
+def rank_numpy(score: NDArray[np.int32]) -> NDArray[np.int32]:
+    """rank in numpy alone."""
+    return np.argsort(-score.astype(np.int64), kind="stable").astype(np.int32)
+
+
 def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
     """Offsets (..., 4) int32 of STUMP for boxes (..., 4): top, bottom, left, right in an integral image with rows of `stride`."""
     top, bottom, left, right = np.moveaxis(boxes_px, -1, 0)
@@ -300,3 +316,8 @@ def _c_open() -> Callable[..., None] | None:
 @functools.cache
 def _c_run() -> Callable[..., None] | None:
     return kernels.c_function("cascade_run", _P, _I, _I, _P, _I, _I, _P, _I, *[_P] * 4)
+
+
+@functools.cache
+def _c_rank() -> Callable[..., None] | None:
+    return kernels.c_function("cascade_rank", _I, *[_P] * 3)

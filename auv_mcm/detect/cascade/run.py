@@ -18,7 +18,7 @@ from auv_mcm.detect.cascade.bands import WINDOW, areas, band_edges, pixel_boxes
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, Plane, plane_of_tile
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.errors import UsageError
-from auv_mcm.kernels.cascade import STUMP, Tables, Windows, corners, open_windows, run_groups
+from auv_mcm.kernels.cascade import STUMP, Tables, Windows, corners, open_windows, rank, run_groups
 from auv_mcm.records import Tile
 
 OPENING_STUMPS: Final = 16
@@ -129,12 +129,14 @@ class _Run:
         self._tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
         self._edges = band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m)
         self._sizes = np.array([len(group) for group in model.groups], dtype=np.int64)
-        self._n_open = opening_groups(model)
         self._budget = max_evaluations
+        # Without a budget to run out of there is no rank to find.
+        self._n_usable = int(np.count_nonzero(plane.usable))
+        self._n_open = len(self._sizes) if self._affords(self._n_usable, 0, len(self._sizes)) else opening_groups(model)
 
     def open(self) -> tuple[int, Windows, int]:
         """Number of windows, those alive after the opening, and how many are cut since the budget does not reach to its end."""
-        if self._affords(int(np.count_nonzero(self._plane.usable)), 0, self._n_open):
+        if self._affords(self._n_usable, 0, self._n_open):
             n_windows, windows = self._opened(self._n_open)
             return n_windows, windows, 0
         n_windows, windows = self._opened(0)
@@ -151,12 +153,13 @@ class _Run:
         """What of the opening's survivors passes the rest of the cascade, and how many are cut."""
         first, last = self._n_open, len(self._sizes)
         n = len(windows.place)
-        if first == last or self._affords(n, first, last):
+        if first == last:
+            return windows, 0
+        if self._affords(n, first, last):
             return self._run(windows, first, last), 0
-        # Best score first, then in the order of windows: by band, row, column. Sorting keys takes a fraction of sorting by keys.
-        ranked = np.sort((-windows.score.astype(np.int64) << 32) + np.arange(n)) & 0xFFFFFFFF
-        most = int(self._sizes[first:].sum())
-        least = max(1, n // _SLICES)
+        # Best score first, then in the order of windows: by band, row, column.
+        ranked = rank(windows.score)
+        most, least = int(self._sizes[first:].sum()), max(1, n // _SLICES)
         done = 0
         finished: list[Windows] = []
         while done < n:

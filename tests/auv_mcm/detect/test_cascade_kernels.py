@@ -23,6 +23,8 @@ from auv_mcm.kernels.cascade import (
     integral_shape,
     open_windows,
     open_windows_numpy,
+    rank,
+    rank_numpy,
     run_groups,
     run_groups_numpy,
 )
@@ -122,3 +124,10 @@ def test_integral_images_go_where_they_are_told_or_nowhere() -> None:
         integral(values.astype(np.float32), (0, 0, 0), 0, out)
     with pytest.raises(ValueError, match="mask must hold a byte"):
         encode(np.ones((2, 2), dtype=np.float32), np.ones((2, 3), dtype=np.uint8))
+
+
+@given(score=hnp.arrays(np.int32, st.integers(0, 60), elements=st.integers(-(2**31), 2**31 - 1) | st.integers(-3, 3)))
+@settings(deadline=None)
+def test_ranks_are_from_the_highest_down_the_first_of_equals_first(score: NDArray[np.int32]) -> None:
+    expected = sorted(range(score.size), key=lambda k: (-int(score[k]), k))
+    assert rank(score).tolist() == rank_numpy(score).tolist() == expected

@@ -1,0 +1,58 @@
+"""How many evaluations a tile may cost: from the speed of this computer and the share of its time that detection may take."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from auv_mcm.detect.cascade.codes import codes_of, make_plane
+from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, CascadeModel
+from auv_mcm.detect.cascade.run import opening_groups, run_plane
+
+_SHAPE: Final = (512, 1024)
+_FIRST_RETURN_M: Final = 6.0
+_N_FINISHED: Final = 20_000  # windows that go all the way
+_ANY_SCORE: Final = -MAX_STUMPS * MAX_LEAF
+
+
+def budget_for(evaluations_per_s: float, tile_period_s: float, duty: float) -> int:
+    """Evaluations that keep one core busy for a share `duty` (0 to 1) of the time that passes between tiles.
+
+    tile_period_s: along-track length of a tile's core over the speed, divided by the number of sides.
+    Raises ValueError for numbers that are not finite or negative, and for a duty above 1.
+    """
+    if not (0.0 <= evaluations_per_s < math.inf and 0.0 <= tile_period_s < math.inf and 0.0 <= duty <= 1.0):
+        raise ValueError(
+            f"evaluations_per_s {evaluations_per_s} and tile_period_s {tile_period_s} must be finite and not negative, duty "
+            f"{duty} from 0 to 1"
+        )
+    return math.floor(evaluations_per_s * tile_period_s * duty)
+
+
+def measure_speed(model: CascadeModel, row_spacing_m: float, column_spacing_m: float, n_runs: int = 5) -> float:
+    """Evaluations per second of one core of this computer, from codes to result, where nothing is ever rejected: median of n_runs.
+
+    Such tiles are the slowest per evaluation too, so that a budget from this speed holds everywhere.
+    """
+    random = np.random.Generator(np.random.PCG64(1))
+    intensity = random.exponential(size=_SHAPE).astype(np.float32)
+    everywhere = np.ones(_SHAPE, dtype=np.bool_)
+    first_return_m = np.full(_SHAPE[0], _FIRST_RETURN_M)
+    endless = msgspec.structs.replace(model, reject=(_ANY_SCORE,) * len(model.reject))
+    sizes = [len(group) for group in model.groups]
+    first = opening_groups(model)
+    budget = sum(sizes[:first]) * intensity.size + sum(sizes[first:]) * _N_FINISHED
+
+    def speed() -> float:
+        began_s = time.thread_time()
+        plane = make_plane(codes_of(intensity, everywhere), everywhere, everywhere, first_return_m, row_spacing_m, column_spacing_m)
+        n_evaluations = run_plane(plane, endless, budget).n_evaluations
+        return n_evaluations / (time.thread_time() - began_s)
+
+    speed()  # the first run brings code and tables into memory
+    return statistics.median(speed() for _ in range(n_runs))
