@@ -115,7 +115,7 @@ def _odds() -> Finding:
     from auv_mcm.classify.odds import shipped_odds
 
     try:
-        return Finding("odds of the close look", "ok", f"from {shipped_odds().fitted_on}")
+        return Finding("odds of the close look", "ok", f"from {shipped_odds('contrast').fitted_on}")
     except (AuvMcmError, OSError) as error:
         return Finding("odds of the close look", "FAILED", str(error))
 

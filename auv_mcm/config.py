@@ -102,15 +102,32 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
 
 
 class DetectConfig(_Section, frozen=True, kw_only=True):
-    """The training-free highlight/shadow detector."""
+    """The detector: a trained cascade where there is a model for the sonar, else contrasts of highlight and shadow."""
+
+    model: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="the trained cascade: shipped, none, or the path of a model file; one that does not fit the pixel sizes below does "
+            "not serve, which is told",
+        ),
+    ] = "none"
+    max_evaluations_per_tile: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=10**12,
+            description="comparisons that the cascade may make per tile and side, best places first; what it did not get to is not covered",
+        ),
+    ] = 40_000_000
 
     p_false_alarm: Annotated[
         float,
         Meta(
             ge=1e-12,
             lt=0.5,
-            description="tail probability of one pair of boxes in pure speckle; the best of many pairs counts, so that one pixel in eighty "
-            "of white speckle is above the default",
+            description="without a cascade: tail probability of one pair of boxes in pure speckle; the best of many pairs counts, "
+            "so that one pixel in eighty of white speckle is above the default",
         ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[

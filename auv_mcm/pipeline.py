@@ -22,6 +22,7 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
 from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Ledger
+from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
@@ -49,8 +50,10 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `look` takes the
-    place of the close look at a detection, to learn from what it sees.
+    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `detect` and
+    `look` take the place of detection in a tile and of the close look at a detection, to compare with others or to learn from what is seen.
+
+    The trained cascade that `config.detect.model` names is read here, once. Raises BadInputError if it cannot be.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class Pipeline:
         exhaustive: bool = False,
         threads: int = 1,
         timer: Callable[[], float] | None = None,
+        detect: Callable[[Tile], TileDetections] | None = None,
         look: Callable[[Detection], Detection] | None = None,
     ) -> None:
         self._config = config
@@ -74,7 +78,9 @@ class Pipeline:
         self._last_ping_s = math.nan
         self._waterfall: Waterfall | None = None
         self._suppressors = {side: Suppressor(config.detect, self._counts) for side in SIDES}
-        self._odds = shipped_odds()
+        model, self._detector = fitting(configured_model(config), config)
+        self._detect_in = detect or partial(detect_tile, config=config, model=model, exhaustive=exhaustive)
+        self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0)
@@ -145,7 +151,7 @@ class Pipeline:
         transfer, notices = resolve_transfer(self._config.sonar, _traces(self._probe))
         self._transfer = transfer
         self._waterfall = Waterfall(self._config, transfer, OVERLAP_M, self._counts)
-        events: list[PipelineEvent] = list(notices)
+        events: list[PipelineEvent] = [*notices, self._detector]
         for ping in self._probe:
             events += self._take(ping)
         self._probe = []
@@ -196,14 +202,21 @@ class Pipeline:
         settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
             with self._timed("coverage"):
-                patch = cover_tile(tile, self._config.sonar)
+                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result))
             events += [tile, patch]
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
+            elif result.n_windows and not (result.detections or result.n_over_budget or result.n_without_position):
+                self._counts["detect.tile_left_by_cascade"] += 1
             self._counts["detect.candidate"] += len(result.detections)
             if result.n_over_budget and not self._counts["detect.over_budget"]:
                 events.append(_over_budget(tile, result))
+            if result.n_cut and not self._counts["detect.windows_cut"]:
+                events.append(_windows_cut(tile, result))
+            self._counts["detect.windows"] += result.n_windows
+            self._counts["detect.evaluations"] += result.n_evaluations
+            self._counts["detect.windows_cut"] += result.n_cut
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
             with self._timed("suppress"):
@@ -213,7 +226,7 @@ class Pipeline:
     def _detect(self, tile: Tile) -> TileDetections | None:
         if not self._exhaustive and not worth_looking(tile):
             return None
-        return detect_tile(tile, self._config)
+        return self._detect_in(tile)
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
         """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
@@ -269,6 +282,20 @@ def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
         text=f"{n_over_budget} detections beyond the budget of a tile were not looked at closely; they keep the detector's p_mine. "
         "Raise confirm.max_per_tile if the computer can afford it. More are counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
+    )
+
+
+def evaluated_fraction(result: TileDetections | None) -> float:
+    """Of the places to look at in a tile, those that the budget allowed for."""
+    return 1.0 if result is None or not result.n_windows else 1.0 - result.n_cut / result.n_windows
+
+
+def _windows_cut(tile: Tile, result: TileDetections) -> Notice:
+    return Notice(
+        code="detect.windows_cut",
+        text=f"the budget of comparisons ended before {result.n_cut} of {result.n_windows} places of a tile had been looked at (the most "
+        "likely ones were). They are not covered. Raise detect.max_evaluations_per_tile if the computer can afford it. More are counted.",
+        place=f"{tile.side} tile {tile.index}",
     )
 
 

@@ -6,6 +6,7 @@ headings, bow up for positive pitch, starboard down for positive roll. An absent
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
@@ -173,6 +174,9 @@ class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     reasons: tuple[str, ...]
 
 
+Detector: TypeAlias = Literal["cascade", "contrast"]
+"""What proposes places to look at: the trained cascade, or contrasts of highlight and shadow alone."""
+
 LookStep: TypeAlias = Literal["detector", "contours", "shape"]
 
 
@@ -181,7 +185,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
     height_m from the shadow's length, NaN if no shadow was seen. score: evidence of highlight and shadow together, in
-    standard deviations of the sea floor around. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
+    standard deviations of the sea floor around. cascade_score: of the trained cascade, half a log-odds, NaN where it did not serve.
+    aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
     codes of `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
     snippet_column: the centroid inside it.
     covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone; p_by_step: after each step of the close look (`detector`,
@@ -218,6 +223,12 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     p_by_step: dict[LookStep, float] = {}
     surroundings: Surroundings | None = None
     confirmation: Confirmation | None = None
+    cascade_score: float = NAN
+
+    @property
+    def strength(self) -> float:
+        """What the detector that served ranks its detections by."""
+        return self.score if math.isnan(self.cascade_score) else self.cascade_score
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -255,7 +266,8 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
     covered_m2: area of pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
-    `stale_navigation`, `saturated`).
+    `stale_navigation`, `saturated`, `over_budget`). evaluated_fraction: of its places to look at, those that the detector's budget
+    allowed for.
     """
 
     side: Side
@@ -265,6 +277,7 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     rings_deg: tuple[NDArray[np.float64], ...]
     covered_m2: float
     lost_m2: dict[str, float]
+    evaluated_fraction: float = 1.0
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True):

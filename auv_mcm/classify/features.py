@@ -27,6 +27,7 @@ _NO_ALTITUDE: Final = 0.2  # relative, of an altitude that no solid bears out
 _LEAST_PLAUSIBILITY: Final = 1e-3
 _TEMPER: Final = 4.0
 _MOST_ODDS: Final = 6.0
+_MOST_SCORE: Final = 15.0
 _RANGE: Final = (-1.5, 3.5)
 _LEAST_ROWS: Final = 4  # of an edge that can be said to bend
 _LEAST_AREA_M2: Final = 0.01
@@ -37,11 +38,17 @@ def detector_features(detection: Detection) -> Features:
     """Of a detection by itself. Levels that were not measured count as 0 and are told by a feature of their own.
 
     `range`: ln(ground range / altitude). What a level or odds are worth changes with it: near ones have faint highlights and short shadows.
+    Detections of the trained cascade have its score and, beside it, that of contrasts.
     """
     ratio = detection.ground_range_m / detection.altitude_m if detection.altitude_m > 0.0 else math.nan
     odds = min(max(odds_of(detection.p_mine), -_MOST_ODDS), _MOST_ODDS)
     highlight_db = _known(detection.highlight_db, 0.0)
     log_range = min(max(math.log(ratio), _RANGE[0]), _RANGE[1]) if 0.0 < ratio < math.inf else 0.0
+    trained: Features = {}
+    if not math.isnan(detection.cascade_score):
+        score = min(max(detection.cascade_score, -_MOST_SCORE), _MOST_SCORE)
+        contrast = min(max(_known(detection.score, 0.0), -_MOST_SCORE), _MOST_SCORE)
+        trained = {"cascade_score": score, "cascade_score_by_range": score * log_range, "contrast": contrast}
     return {
         "detector_odds": odds,
         "highlight_db": highlight_db,
@@ -51,6 +58,7 @@ def detector_features(detection: Detection) -> Features:
         "range_squared": log_range**2,
         "detector_odds_by_range": odds * log_range,
         "highlight_db_by_range": highlight_db * log_range,
+        **trained,
     }
 
 

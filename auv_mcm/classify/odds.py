@@ -18,7 +18,7 @@ import numpy as np
 
 from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import LookStep
+from auv_mcm.records import Detector, LookStep
 
 _TEMPER: Final = 0.5  # views sure by 6 nats that contradict each other are a conflict of 0.9, at which they are kept apart
 _RELIABILITY: Final = 0.999
@@ -62,9 +62,10 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return 1.0 / (1.0 + math.exp(-(log_ratio + self.prior)))
 
 
-def shipped_odds() -> MineOdds:
-    """The weights that ship with the package."""
-    return parse_odds(resources.files("auv_mcm.classify").joinpath("mine_odds.json").read_bytes(), "mine_odds.json")
+def shipped_odds(detector: Detector) -> MineOdds:
+    """The weights that ship with the package for detections of one of the detectors."""
+    name = f"mine_odds_{detector}.json"
+    return parse_odds(resources.files("auv_mcm.classify").joinpath(name).read_bytes(), name)
 
 
 def parse_odds(data: bytes, place: str) -> MineOdds:

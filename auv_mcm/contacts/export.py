@@ -107,6 +107,7 @@ def coverage_geojson(patches: Iterable[CoveragePatch]) -> bytes:
             "start": iso_time(patch.start_s),
             "stop": iso_time(patch.stop_s),
             "covered_m2": _number(patch.covered_m2, _METRE_DIGITS),
+            "evaluated_fraction": _number(patch.evaluated_fraction, _PROBABILITY_DIGITS),
             "lost_m2": {reason: _number(patch.lost_m2[reason], _METRE_DIGITS) for reason in sorted(patch.lost_m2)},
         }
         features.append(_feature(_one_or_multi("Polygon", polygons), properties))

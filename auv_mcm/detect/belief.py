@@ -37,9 +37,13 @@ REASONS: Final[dict[str, str]] = {
 }
 
 
-def log_odds(score: float, measured: Measurement, max_object_m: float) -> tuple[float, tuple[str, ...]]:
-    """Log-odds of a mine-like object and the codes of what spoke for or against it (keys of REASONS)."""
-    odds = min(max(_PER_DEVIATION * (score - _EVEN_SCORE), -_BOUND), _BOUND)
+def contrast_odds(score: float) -> float:
+    """Log-odds of a mine-like object from contrasts alone. score: in standard deviations."""
+    return min(max(_PER_DEVIATION * (score - _EVEN_SCORE), -_BOUND), _BOUND)
+
+
+def with_measurement(odds: float, measured: Measurement, max_object_m: float) -> tuple[float, tuple[str, ...]]:
+    """Log-odds of a mine-like object with what was measured of it, and the codes of what spoke for or against it (keys of REASONS)."""
     reasons: list[str] = []
     if measured.has_highlight and measured.has_shadow:
         reasons.append("highlight_and_shadow")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
@@ -73,6 +74,7 @@ CONTEXT_M: Final = _LOOKS_ROWS_M + _FRAME_ROWS_M + 1.0
 _NEAR_CONTEXT_M: Final = _LOOKS_COLUMNS_M + _FRAME_NEAR_M + 1.0
 _FAR_CONTEXT_M: Final = max(_LOOKS_COLUMNS_M + _FRAME_FAR_M + 1.0, _SHADOW_LAG_M + _SHADOW_LENGTH_M[1] + 0.5)
 """The same across the track."""
+_PATCHES_SHARE: Final = 0.8  # of a tile's pixels in patches, from which on the whole of it is cheaper
 
 
 class ScoreMaps(NamedTuple):
@@ -223,6 +225,28 @@ def score_around(tile: Tile, row: int, column: int, reach_m: float) -> tuple[flo
     near_columns = _around(column, reach_m, reach_m, tile.column_spacing_m)
     scores = maps.score[_shifted(near_rows, rows.start), _shifted(near_columns, columns.start)]
     return float(scores.max()), maps.floor(row - rows.start, column - columns.start)
+
+
+def score_places(
+    tile: Tile, rows: Sequence[int] | NDArray[np.integer], columns: Sequence[int] | NDArray[np.integer], reach_m: float
+) -> list[tuple[float, Floor]]:
+    """What score_around says of each of several pixels; of many it scores the whole tile instead, rows beyond its core included."""
+    patch_px = (2.0 * (CONTEXT_M + reach_m) / tile.row_spacing_m) * ((_NEAR_CONTEXT_M + _FAR_CONTEXT_M) / tile.column_spacing_m)
+    places = [(int(row), int(column)) for row, column in zip(rows, columns, strict=True)]
+    if len(places) * patch_px < _PATCHES_SHARE * tile.mask.size:
+        return [score_around(tile, row, column, reach_m) for row, column in places]
+    maps = _score(_picture(tile, slice(0, tile.mask.shape[0]), slice(0, None), slice(0, None)))
+    return [
+        (
+            float(
+                maps.score[
+                    _around(row, reach_m, reach_m, tile.row_spacing_m), _around(column, reach_m, reach_m, tile.column_spacing_m)
+                ].max()
+            ),
+            maps.floor(row, column),
+        )
+        for row, column in places
+    ]
 
 
 def _around(pixel: int, before_m: float, behind_m: float, spacing_m: float) -> slice:

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.config import Config
-from auv_mcm.detect.belief import log_odds, probability
+from auv_mcm.detect.belief import probability, with_measurement
+from auv_mcm.detect.candidates import Candidate, by_cascade, by_contrast
+from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
-from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak
 from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
 from auv_mcm.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
@@ -23,7 +25,6 @@ OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
 
 _STALE_SIGMA_M: Final = 25.0
 _UNSEEN_BOTTOM: Final = 0.2  # relative error of the first return that only a bottom not seen has
-STEP_M: Final = 0.4  # peaks closer than this are one candidate
 _NEAR_M: Final = 3.0  # of the surroundings, before the object
 _BEHIND_M: Final = 2.5  # and behind the longest shadow looked for
 _TALLEST_M: Final = 0.8
@@ -32,11 +33,18 @@ _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 
 class TileDetections(NamedTuple):
-    """What a tile gave: detections (best first), peaks beyond the candidate budget, detections that could not be placed on Earth."""
+    """What a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
+
+    n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
+    used up, of n_windows; all 0 where contrasts alone serve.
+    """
 
     detections: tuple[Detection, ...]
     n_over_budget: int
     n_without_position: int
+    n_windows: int = 0
+    n_evaluations: int = 0
+    n_cut: int = 0
 
 
 def worth_looking(tile: Tile) -> bool:
@@ -45,19 +53,30 @@ def worth_looking(tile: Tile) -> bool:
     return bool(((core & (VALID | LOW_RESOLUTION)) == VALID).any())
 
 
-def detect_tile(tile: Tile, config: Config) -> TileDetections:
-    """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead."""
-    maps = score_tile(tile)
-    peaks = find_peaks(tile, maps, config.detect.p_false_alarm, STEP_M)
-    taken = peaks[: config.detect.max_candidates_per_tile]
+def detect_tile(tile: Tile, config: Config, model: CascadeModel | None = None, *, exhaustive: bool = False) -> TileDetections:
+    """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead.
+
+    model: the trained cascade; without one contrasts alone serve. exhaustive: no budget for it.
+    """
+    if model is None:
+        found = by_contrast(tile, config.detect)
+    else:
+        found = by_cascade(tile, model, config.detect, None if exhaustive else config.detect.max_evaluations_per_tile)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
-    measured = [measure(tile, maps.floor(peak.row, peak.column), peak, beam_width_rad) for peak in taken]
-    detections = _placed(tile, config, taken, measured)
-    return TileDetections(detections, len(peaks) - len(taken), len(taken) - len(detections))
+    measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
+    detections = _placed(tile, config, found.candidates, measured)
+    return TileDetections(
+        detections=detections,
+        n_over_budget=found.n_over_budget,
+        n_without_position=len(found.candidates) - len(detections),
+        n_windows=found.n_windows,
+        n_evaluations=found.n_evaluations,
+        n_cut=found.n_cut,
+    )
 
 
-def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measurement]) -> tuple[Detection, ...]:
-    if not peaks:
+def _placed(tile: Tile, config: Config, candidates: list[Candidate], measured: list[Measurement]) -> tuple[Detection, ...]:
+    if not candidates:
         return ()
     # Measured rows count from the upper edge of row 0, poses stand at row centres.
     position = np.clip(np.array([m.row for m in measured]) - 0.5, 0.0, len(tile.pose) - 1.0)
@@ -77,10 +96,10 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
     covariance[pose.stale] += _STALE_SIGMA_M**2 * np.eye(2)
     aspect = aspect_deg(echoes, config.sonar)
     detections = []
-    for index, (peak, m) in enumerate(zip(peaks, measured, strict=True)):
+    for index, (candidate, m) in enumerate(zip(candidates, measured, strict=True)):
         if not (math.isfinite(latitude[index]) and math.isfinite(longitude[index])):
             continue
-        odds, reasons = log_odds(peak.score, m, config.detect.max_object_m)
+        odds, reasons = with_measurement(candidate.odds, m, config.detect.max_object_m)
         if first_return_sigma_m[index] > _UNSEEN_BOTTOM * first_return_m[index]:
             reasons = (*reasons, "bottom_not_seen")
         if pose.stale[index]:
@@ -100,7 +119,8 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
                 ground_range_m=float(ground_range_m[index]),
                 slant_range_m=float(echoes.slant_range_m[index]),
                 altitude_m=float(first_return_m[index] * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))),
-                score=peak.score,
+                score=candidate.peak.score,
+                cascade_score=candidate.cascade_score,
                 highlight_db=m.highlight_db,
                 shadow_db=m.shadow_db,
                 length_m=max(m.along_m, m.across_m),
@@ -114,7 +134,7 @@ def _placed(tile: Tile, config: Config, peaks: list[Peak], measured: list[Measur
                 snippet_column=m.snippet_column,
                 row_spacing_m=tile.row_spacing_m,
                 column_spacing_m=tile.column_spacing_m,
-                surroundings=_surroundings(tile, peak, m),
+                surroundings=_surroundings(tile, candidate.peak, m),
             )
         )
     return tuple(detections)

@@ -103,7 +103,7 @@ class Suppressor:
         n_alike = 0
         for other in known:
             distance_m = _distance_m(detection, other)
-            n_alike += self._config.suppression_m < distance_m < _SURROUNDINGS_M and other.score >= detection.score - _ALIKE
+            n_alike += self._config.suppression_m < distance_m < _SURROUNDINGS_M and other.strength >= detection.strength - _ALIKE
         reasons = (*detection.reasons, "crowded") if n_alike >= _CROWDED else detection.reasons
         return msgspec.structs.replace(detection, p_mine=probability(odds_of(detection.p_mine) - crowding(n_alike)), reasons=reasons)
 
@@ -114,7 +114,7 @@ def _stretch(detection: Detection) -> int:
 
 
 def _strongest_first(detection: Detection) -> tuple[float, float, float]:
-    return -detection.score, detection.row, detection.column
+    return -detection.strength, detection.row, detection.column
 
 
 def _distance_m(a: Detection, b: Detection) -> float:
@@ -154,7 +154,7 @@ def _outline(kept: list[Detection], chain: list[Detection]) -> list[Detection]:
 
 
 def _order(detection: Detection) -> tuple[float, float, float]:
-    return detection.row, detection.column, -detection.score
+    return detection.row, detection.column, -detection.strength
 
 
 def _chains(detections: list[Detection], link_m: float) -> list[list[Detection]]:

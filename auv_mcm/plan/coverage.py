@@ -17,9 +17,10 @@ _MIN_ROW_COVER: Final = 0.2
 _MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
 
 
-def cover_tile(tile: Tile, sonar: SonarConfig) -> CoveragePatch:
+def cover_tile(tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0) -> CoveragePatch:
     """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh,
-    and it is not saturated: among clipped echoes no highlight stands out.
+    and it is not saturated: among clipped echoes no highlight stands out. Of the area so covered only the evaluated fraction counts, since
+    the detector's budget did not allow for the rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where rows that
     cover less than a fifth of the range lie for more than half a metre.
@@ -34,6 +35,7 @@ def cover_tile(tile: Tile, sonar: SonarConfig) -> CoveragePatch:
     clipped = valid & ~coarse & ~turn & ~stale & ((mask & SATURATED) != 0)
     covered = valid & ~coarse & ~turn & ~stale & ~clipped
     pixel_m2 = tile.row_spacing_m * tile.column_spacing_m
+    seen_m2 = float(np.count_nonzero(covered)) * pixel_m2
     lost = {"invalid": ~valid, "low_resolution": coarse, "turn": turn, "stale_navigation": lost_position, "saturated": clipped}
     return CoveragePatch(
         side=tile.side,
@@ -41,8 +43,12 @@ def cover_tile(tile: Tile, sonar: SonarConfig) -> CoveragePatch:
         start_s=float(tile.pose.time_s[tile.core_start]),
         stop_s=float(tile.pose.time_s[tile.core_stop - 1]),
         rings_deg=_outlines(tile, covered, sonar),
-        covered_m2=float(np.count_nonzero(covered)) * pixel_m2,
-        lost_m2={reason: float(np.count_nonzero(pixels)) * pixel_m2 for reason, pixels in lost.items()},
+        covered_m2=seen_m2 * evaluated_fraction,
+        lost_m2={
+            **{reason: float(np.count_nonzero(pixels)) * pixel_m2 for reason, pixels in lost.items()},
+            "over_budget": seen_m2 * (1.0 - evaluated_fraction),
+        },
+        evaluated_fraction=evaluated_fraction,
     )
 
 

@@ -193,9 +193,9 @@ def _sample_type(log: Path) -> Any:
 
 
 def _bench_detect(log: Path, repeat: int) -> None:
+    from auv_mcm.detect.candidates import STEP_M
     from auv_mcm.detect.measure import measure
     from auv_mcm.detect.prescreen import find_peaks, score_tile
-    from auv_mcm.detect.stage import STEP_M
     from auv_mcm.pipeline import Pipeline
 
     config = Config()

@@ -152,7 +152,7 @@ def fly(name: str, seed: int) -> Flown:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
     config = config_for(scene)
-    odds, beam_width_rad = shipped_odds(), math.radians(config.sonar.beam_width_deg)
+    odds, beam_width_rad = shipped_odds("contrast"), math.radians(config.sonar.beam_width_deg)
     looks_s: dict[LookStep, list[float]] = {step: [] for step in STEPS}
 
     def timed_look(detection: Detection) -> Detection:

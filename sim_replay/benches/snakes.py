@@ -249,7 +249,7 @@ def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
         confirm=msgspec.structs.replace(config.confirm, enabled=False),
     )
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
-    mission, pipeline, odds = Mission(scene), Pipeline(config), shipped_odds()
+    mission, pipeline, odds = Mission(scene), Pipeline(config), shipped_odds("contrast")
     tiles = [event for source in mission.events() for event in pipeline.feed(source) if isinstance(event, Tile)]
     tiles += [event for event in pipeline.finish() if isinstance(event, Tile)]
     detections = [detection for tile in tiles for detection in detect_tile(tile, config).detections]

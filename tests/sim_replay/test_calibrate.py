@@ -241,7 +241,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
             contour_features: dict[str, float]
             features: dict[str, float]
 
-        measured = Looked(dict.fromkeys(shipped_odds().contours.weights, 0.5), dict.fromkeys(shipped_odds().shape.weights, 0.5))
+        measured = Looked(dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5), dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5))
         monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "take", lambda *_: measured)
@@ -294,7 +294,7 @@ def test_a_target_that_only_passed_over_detections_stand_for_is_left_out(fly: Fl
 
 def test_every_step_has_its_features(fly: Fly) -> None:
     (found,) = fly([seen_at(0.0)], [])
-    odds = shipped_odds()
+    odds = shipped_odds("contrast")
     assert found.scene == "flat"
     assert (found.detector.keys(), found.contours.keys(), found.shape.keys()) == (
         odds.detector.weights.keys(),

@@ -23,7 +23,7 @@ from auv_mcm.errors import BadInputError
 
 CLUTTER = subset("clutter")
 NOTHING = Weights(offset=0.0, weights={})
-SHIPPED = Path(odds_module.__file__).with_name("mine_odds.json")
+SHIPPED = Path(odds_module.__file__).with_name("mine_odds_contrast.json")
 
 ratios = st.floats(-12.0, 12.0)
 numbers = st.floats(-50.0, 50.0)
@@ -192,7 +192,7 @@ def test_any_bytes_are_weights_or_refused(data: bytes) -> None:
 
 
 def test_the_shipped_weights_are_for_the_features_there_are() -> None:
-    odds = shipped_odds()
+    odds = shipped_odds("contrast")
     detector = detector_features(detection())
     contours, outlines = contour_features(no_contours()), outline_features(no_contours(), bare_floor())
     shape = shape_features(no_fits(), np.zeros((2, 2), dtype=np.uint8))
@@ -207,7 +207,7 @@ def test_the_shipped_weights_are_for_the_features_there_are() -> None:
 @given(st.integers(0, 1000))
 def test_the_shipped_weights_give_probabilities_for_any_features(seed: int) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
-    odds = shipped_odds()
+    odds = shipped_odds("contrast")
     for step in (odds.detector, odds.contours, odds.shape):
         assert all(map(math.isfinite, (step.offset, *step.weights.values())))
     features = {name: float(random.normal(0.0, 10.0)) for name in odds.shape.weights}

@@ -80,7 +80,7 @@ def bare_floor(seed: int) -> Region:
 
 
 def close_look(detection: Detection, config: ConfirmConfig = EVERYTHING) -> Detection:
-    return look_closely(detection, BEAM_RAD, shipped_odds(), config)
+    return look_closely(detection, BEAM_RAD, shipped_odds("contrast"), config)
 
 
 def confirmed(detection: Detection) -> Confirmation:
@@ -140,7 +140,7 @@ def found_last(detection: Detection) -> Any:
 
 
 def test_detections_passed_over_keep_the_detectors_odds_and_say_why(cylinder: Detection) -> None:
-    found = passed_over(cylinder, shipped_odds(), "over_budget")
+    found = passed_over(cylinder, shipped_odds("contrast"), "over_budget")
     assert found.reasons[-1] == "over_budget"
     assert found.confirmation is None
     assert found.surroundings is None

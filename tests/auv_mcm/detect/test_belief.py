@@ -11,11 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.config import DetectConfig
-from auv_mcm.detect.belief import HEIGHT_RANGE_M, MIN_OBJECT_M, REASONS, crowding, log_odds, odds_of, probability
+from auv_mcm.detect.belief import HEIGHT_RANGE_M, MIN_OBJECT_M, REASONS, contrast_odds, crowding, odds_of, probability, with_measurement
 from auv_mcm.detect.measure import Measurement
 from auv_mcm.records import NAN
 
 LONGEST_M = DetectConfig().max_object_m
+
+
+def log_odds(score: float, measured: Measurement, max_object_m: float) -> tuple[float, tuple[str, ...]]:
+    return with_measurement(contrast_odds(score), measured, max_object_m)
 
 
 def measurement(**values: Any) -> Measurement:

@@ -152,6 +152,7 @@ def test_every_pixel_of_the_core_is_counted_once_as_covered_or_by_why_not(seed: 
                 expected["covered"] += 1
     pixel_m2 = ROW_M * COLUMN_M
     assert patch.covered_m2 == pytest.approx(expected.pop("covered") * pixel_m2)
+    assert patch.lost_m2.pop("over_budget") == 0.0
     assert set(patch.lost_m2) == LOSSES
     for reason, count in expected.items():
         assert patch.lost_m2[reason] == pytest.approx(count * pixel_m2)
@@ -277,3 +278,12 @@ def test_a_tile_of_a_row_or_two_is_counted(n_rows: int) -> None:
     patch = cover_tile(tile_of(plain(n_rows)), SonarConfig())
     assert patch.covered_m2 == pytest.approx(n_rows * 64 * ROW_M * COLUMN_M)
     assert len(patch.rings_deg) == (0 if n_rows == 1 else 1)
+
+
+@pytest.mark.parametrize("evaluated_fraction", [0.0, 0.25, 1.0])
+def test_what_the_budget_did_not_allow_for_is_not_covered(evaluated_fraction: float) -> None:
+    tile = tile_of(plain())
+    whole, part = cover_tile(tile, SonarConfig()), cover_tile(tile, SonarConfig(), evaluated_fraction)
+    assert part.covered_m2 == pytest.approx(evaluated_fraction * whole.covered_m2)
+    assert part.covered_m2 + sum(part.lost_m2.values()) == pytest.approx(whole.covered_m2 + sum(whole.lost_m2.values()))
+    assert part.evaluated_fraction == evaluated_fraction

@@ -1,0 +1,120 @@
+"""Candidates of the trained cascade: what they carry, the budget, and that contrasts are taken around them as in the whole tile."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scene_tiles import COLUMN_M, ROW_M, make_tile, speckle
+
+from auv_mcm.config import Config, DetectConfig
+from auv_mcm.detect.candidates import STEP_M, Found, by_cascade
+from auv_mcm.detect.cascade.bands import Box
+from auv_mcm.detect.cascade.model import SCORE_UNIT, Calibration, CascadeModel, Stump
+from auv_mcm.detect.cascade.peaks import apart
+from auv_mcm.detect.prescreen import score_tile
+from auv_mcm.detect.stage import detect_tile
+from auv_mcm.records import Tile
+
+HIGHLIGHT = Box(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
+BEFORE = Box(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
+SHADOW = Box(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
+PLACES = [(40, 120), (90, 200), (140, 150)]
+
+
+def stump(a: Box, b: Box, threshold: float) -> Stump:
+    return Stump(kind="ratio", a=a, b=b, threshold=threshold, below=-SCORE_UNIT, above=SCORE_UNIT)
+
+
+MODEL = CascadeModel(
+    kind="soft",
+    trained_on="nothing",
+    training_sha256="0" * 64,
+    row_spacing_m=(0.05, 0.2),
+    column_spacing_m=(0.03, 0.1),
+    calibration=Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0)),
+    reject=(0, 0, 0),
+    groups=((stump(HIGHLIGHT, BEFORE, 3.0),), (stump(BEFORE, SHADOW, 3.0),), (stump(HIGHLIGHT, SHADOW, 10.0),)),
+)
+CONFIG = Config()
+
+
+def scene(n_objects: int = 3, n_rows: int = 180) -> Tile:
+    plane = speckle(3, (n_rows, 320), spread_pixels=1.0)
+    for row, column in PLACES[:n_objects]:
+        plane[row - 2 : row + 3, column - 3 : column + 4] *= 20.0
+        plane[row - 2 : row + 3, column + 4 : column + 34] *= 0.02
+    return make_tile(plane)
+
+
+def found(tile: Tile, max_evaluations: int | None = None, most: int = 256) -> Found:
+    return by_cascade(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations)
+
+
+def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_them() -> None:
+    tile = scene()
+    maps = score_tile(tile)
+    best = found(tile).candidates
+    for row, column in PLACES:
+        candidate = next(c for c in best if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5)
+        assert candidate.cascade_score == 3.0
+        assert candidate.odds == 6.0
+        assert candidate.peak.score > 5.0
+        assert candidate.floor == pytest.approx(maps.floor(candidate.peak.row, candidate.peak.column), rel=1e-4)
+
+
+def test_no_two_candidates_are_of_one_object() -> None:
+    places = [(c.peak.row, c.peak.column) for c in found(scene()).candidates]
+    assert all(abs(a[0] - b[0]) * ROW_M > STEP_M or abs(a[1] - b[1]) * COLUMN_M > STEP_M for i, a in enumerate(places) for b in places[:i])
+
+
+def test_beyond_the_number_of_candidates_the_best_stay_and_the_rest_is_counted() -> None:
+    everything, limited = found(scene()), found(scene(), most=2)
+    assert limited.candidates == everything.candidates[:2]
+    assert limited.n_over_budget == len(everything.candidates) - 2
+
+
+def test_a_budget_is_kept_and_what_it_cut_is_counted() -> None:
+    whole = found(scene())
+    assert whole.n_cut == 0
+    part = found(scene(), whole.n_evaluations // 2)
+    assert part.n_evaluations <= whole.n_evaluations // 2
+    assert part.n_cut > 0
+    result = detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL)
+    assert (result.detections, result.n_cut) == ((), result.n_windows)
+    assert detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL, exhaustive=True).n_cut == 0
+
+
+def test_detections_carry_the_cascades_score_and_rank_by_it() -> None:
+    result = detect_tile(scene(), CONFIG, MODEL)
+    assert len(result.detections) >= len(PLACES)
+    assert all(detection.strength == detection.cascade_score for detection in result.detections)
+    assert [d.cascade_score for d in result.detections] == sorted((d.cascade_score for d in result.detections), reverse=True)
+    alone = detect_tile(scene(), CONFIG)
+    assert all(math.isnan(detection.cascade_score) and detection.strength == detection.score for detection in alone.detections)
+
+
+@settings(max_examples=60)
+@given(
+    places=st.lists(
+        st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(-5, 5)), min_size=1, max_size=60, unique_by=lambda p: p[:2]
+    ),
+    cut=st.integers(0, 60),
+)
+def test_more_windows_never_lose_a_candidate_without_a_better_one_in_reach(places: list[tuple[int, int, int]], cut: int) -> None:
+    places.sort(key=lambda place: -place[2])
+    rows, columns, scores = np.array(places).T
+    kept = apart(rows, columns, scores, 3.0, 5.0, len(places))
+    few = apart(rows[:cut], columns[:cut], scores[:cut], 3.0, 5.0, len(places))
+    for one in few:
+        near = kept[(np.abs(rows[kept] - rows[one]) <= 3.0) & (np.abs(columns[kept] - columns[one]) <= 5.0)]
+        assert (scores[near] >= scores[one]).any()
+    assert (np.diff(scores[kept]) <= 0).all()
+
+
+def test_nothing_passes_on_a_masked_tile() -> None:
+    tile = make_tile(np.ones((64, 64), dtype=np.float32), mask=np.zeros((64, 64), dtype=np.uint8))
+    assert found(tile).candidates == []
