@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any
 from xml.etree import ElementTree
 
+import drawn_looks
 import msgspec
 import numpy as np
 import pytest
@@ -17,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import FRAME, singleton_belief, vacuous
-from auv_mcm.classify.evidence import ClassEvidence, view_mass
+from auv_mcm.classify.beliefs import FRAME, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.export import (
     CSV_COLUMNS,
@@ -31,63 +31,46 @@ from auv_mcm.contacts.export import (
     iso_time,
     waypoints_geojson,
 )
-from auv_mcm.records import NAN, Confirmation, Contact, CoveragePatch, Detection, Waypoint
+from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 
 KML = "{http://www.opengis.net/kml/2.2}"
 
 
 def detection(**changes: Any) -> Detection:
-    plain = Detection(
-        side="port",
-        row=120.5,
-        column=310.25,
-        time_s=1_700_000_000.0,
-        ping_number=77,
-        latitude_deg=55.1,
-        longitude_deg=12.2,
-        covariance_m2=np.eye(2),
-        heading_rad=0.3,
-        aspect_deg=287.2,
-        ground_range_m=18.6,
-        slant_range_m=19.4,
-        altitude_m=5.5,
-        score=14.2,
-        highlight_db=9.0,
-        shadow_db=-11.0,
-        length_m=2.0,
-        width_m=0.5,
-        height_m=0.4,
-        shadow_length_m=1.9,
-        p_mine=0.8,
-        reasons=("bright",),
-        snippet=pack_snippet(np.ones((8, 16))),
-        snippet_row=4.0,
-        snippet_column=8.0,
-        row_spacing_m=0.12,
-        column_spacing_m=0.06,
-    )
-    return msgspec.structs.replace(plain, **changes)
+    known: dict[str, Any] = {
+        "side": "port",
+        "time_s": 1_700_000_000.0,
+        "latitude_deg": 55.1,
+        "longitude_deg": 12.2,
+        "aspect_deg": 287.2,
+        "ground_range_m": 18.6,
+        "score": 14.2,
+        "p_mine": 0.8,
+        "reasons": ("bright",),
+        "snippet": pack_snippet(np.ones((8, 16))),
+        "snippet_row": 4.0,
+        "snippet_column": 8.0,
+    }
+    return drawn_looks.detection(**{**known, **changes})
 
 
 def contact(**changes: Any) -> Contact:
-    plain = Contact(
-        id="C0001",
-        time_s=1_700_000_000.1234,
-        latitude_deg=55.123456789012,
-        longitude_deg=12.5,
-        covariance_m2=np.array([[4.0, 0.0], [0.0, 1.0]]),
-        p_mine=0.87654321,
-        classification="cylinder",
-        belief={"unknown": 0.25, "cylinder": 0.75},
-        length_m=2.0,
-        width_m=0.5,
-        height_m=NAN,
-        aspects_deg=(12.0,),
-        reasons=("long and narrow", "shadow 1.9 m"),
-        views=(detection(), detection(score=20.0, side="starboard", ground_range_m=30.0, time_s=1_700_000_100.0)),
-    )
-    return msgspec.structs.replace(plain, **changes)
+    known: dict[str, Any] = {
+        "id": "C0001",
+        "time_s": 1_700_000_000.1234,
+        "latitude_deg": 55.123456789012,
+        "longitude_deg": 12.5,
+        "covariance_m2": np.array([[4.0, 0.0], [0.0, 1.0]]),
+        "p_mine": 0.87654321,
+        "classification": "cylinder",
+        "belief": {"unknown": 0.25, "cylinder": 0.75},
+        "length_m": 2.0,
+        "aspects_deg": (12.0,),
+        "reasons": ("long and narrow", "shadow 1.9 m"),
+        "views": (detection(), detection(score=20.0, side="starboard", ground_range_m=30.0, time_s=1_700_000_100.0)),
+    }
+    return drawn_looks.contact(**{**known, **changes})
 
 
 def patch(ring: list[tuple[float, float]], **changes: Any) -> CoveragePatch:
@@ -159,20 +142,8 @@ def test_contact_properties_are_those_of_the_contract() -> None:
 
 
 def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None:
-    mass = view_mass({name: ClassEvidence(nll=0.0 if name == "wedge" else 400.0) for name in FRAME}, 0.9)
-    nothing = np.empty((0, 2))
-    found = Confirmation(
-        log_ratio=3.14159,
-        shape_mass=vacuous(),
-        mass=mass,
-        half_turn_symmetric=False,
-        labels=np.zeros((0, 0), dtype=np.uint8),
-        highlight=nothing,
-        shadow=nothing,
-        model=None,
-        rejected=False,
-        reasons=("buried", "bright"),
-    )
+    mass = drawn_looks.like("wedge", quality=0.9)
+    found = drawn_looks.confirmation(3.14159, mass=mass, reasons=("buried", "bright"))
     told = contact(
         length_sigma_m=0.12345,
         width_sigma_m=0.05,

@@ -6,6 +6,7 @@ import math
 import time
 from itertools import pairwise
 
+import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given
@@ -32,22 +33,8 @@ def contact(
     next_look: tuple[float, ...] = (90.0,),
     aspects: tuple[float, ...] = (0.0,),
 ) -> Contact:
-    return Contact(
-        id=name,
-        time_s=0.0,
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        covariance_m2=np.eye(2),
-        p_mine=p_mine,
-        classification="unknown",
-        belief={"unknown": 1.0},
-        length_m=1.0,
-        width_m=0.5,
-        height_m=NAN,
-        aspects_deg=aspects,
-        reasons=(),
-        views=(),
-        next_look_deg=next_look,
+    return drawn_looks.contact(
+        id=name, latitude_deg=latitude, longitude_deg=longitude, p_mine=p_mine, aspects_deg=aspects, next_look_deg=next_look
     )
 
 

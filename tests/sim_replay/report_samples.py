@@ -5,6 +5,7 @@ from __future__ import annotations
 from html.parser import HTMLParser
 from typing import Any
 
+import drawn_looks
 import msgspec
 import numpy as np
 
@@ -92,56 +93,46 @@ def tile(index: int, side: Side = "port", n_rows: int = 64, n_columns: int = 200
 
 
 def detection(side: Side = "port", row: float = 30.0, column: float = 100.0, **changes: Any) -> Detection:
-    plain = Detection(
-        side=side,
-        row=row,
-        column=column,
-        time_s=START_S,
-        ping_number=30,
-        latitude_deg=55.0,
-        longitude_deg=12.0,
-        covariance_m2=np.eye(2),
-        heading_rad=0.0,
-        aspect_deg=270.0,
-        ground_range_m=6.0,
-        slant_range_m=7.0,
-        altitude_m=4.0,
-        score=9.0,
-        highlight_db=8.0,
-        shadow_db=NAN,
-        length_m=1.5,
-        width_m=0.5,
-        height_m=NAN,
-        shadow_length_m=NAN,
-        p_mine=0.8,
-        reasons=("saturated",),
-        snippet=pack_snippet(np.ones((20, 60))),
-        snippet_row=4.0,
-        snippet_column=10.0,
-        row_spacing_m=ROW_M,
-        column_spacing_m=COLUMN_M,
-    )
-    return msgspec.structs.replace(plain, **changes)
+    known: dict[str, Any] = {
+        "side": side,
+        "row": row,
+        "column": column,
+        "time_s": START_S,
+        "ping_number": 30,
+        "latitude_deg": 55.0,
+        "longitude_deg": 12.0,
+        "aspect_deg": 270.0,
+        "ground_range_m": 6.0,
+        "slant_range_m": 7.0,
+        "altitude_m": 4.0,
+        "shadow_db": NAN,
+        "length_m": 1.5,
+        "height_m": NAN,
+        "shadow_length_m": NAN,
+        "p_mine": 0.8,
+        "reasons": ("saturated",),
+        "snippet": pack_snippet(np.ones((20, 60))),
+        "snippet_row": 4.0,
+        "snippet_column": 10.0,
+        "row_spacing_m": ROW_M,
+        "column_spacing_m": COLUMN_M,
+    }
+    return drawn_looks.detection(**{**known, **changes})
 
 
 def contact(name: str = "C0001", p_mine: float = 0.9, **changes: Any) -> Contact:
-    plain = Contact(
-        id=name,
-        time_s=START_S,
-        latitude_deg=55.0,
-        longitude_deg=12.0,
-        covariance_m2=np.eye(2),
-        p_mine=p_mine,
-        classification="truncated_cone",
-        belief={"truncated_cone": 0.6, "unknown": 0.4},
-        length_m=1.5,
-        width_m=0.5,
-        height_m=NAN,
-        aspects_deg=(270.0,),
-        reasons=("saturated", "new_reason"),
-        views=(detection(),),
-    )
-    return msgspec.structs.replace(plain, **changes)
+    known: dict[str, Any] = {
+        "time_s": START_S,
+        "latitude_deg": 55.0,
+        "longitude_deg": 12.0,
+        "classification": "truncated_cone",
+        "belief": {"truncated_cone": 0.6, "unknown": 0.4},
+        "length_m": 1.5,
+        "aspects_deg": (270.0,),
+        "reasons": ("saturated", "new_reason"),
+        "views": (detection(),),
+    }
+    return drawn_looks.contact(**{**known, "id": name, "p_mine": p_mine, **changes})
 
 
 def mission(**changes: Any) -> MissionRecord:

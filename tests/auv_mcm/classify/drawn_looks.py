@@ -1,4 +1,4 @@
-"""Detections, close looks and what their steps measured, made up: only what a test names is particular about them."""
+"""Contacts, detections, close looks and what their steps measured, made up: only what a test names is particular about them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from auv_mcm.classify.fit import ShapeFits
 from auv_mcm.classify.odds import with_ratio
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours
-from auv_mcm.records import NAN, Confirmation, ContactClass, Detection
+from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection
 
 NOWHERE = np.empty((0, 2))
 
@@ -50,6 +50,26 @@ def detection(**values: Any) -> Detection:
         "column_spacing_m": 0.06,
     }
     return Detection(**{**known, **values})
+
+
+def contact(**values: Any) -> Contact:
+    known: dict[str, Any] = {
+        "id": "C00001",
+        "time_s": 0.0,
+        "latitude_deg": 43.0,
+        "longitude_deg": 10.0,
+        "covariance_m2": np.eye(2),
+        "p_mine": 0.9,
+        "classification": "unknown",
+        "belief": {"unknown": 1.0},
+        "length_m": 1.0,
+        "width_m": 0.5,
+        "height_m": NAN,
+        "aspects_deg": (),
+        "reasons": (),
+        "views": (),
+    }
+    return Contact(**{**known, **values})
 
 
 def like(*names: ContactClass, quality: float = 0.95) -> NDArray[np.float64]:

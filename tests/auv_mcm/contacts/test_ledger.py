@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import drawn_looks
 import msgspec
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, subset, vacuous
-from auv_mcm.classify.odds import with_ratio
 from auv_mcm.config import ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.geodesy import LocalFrame
@@ -29,31 +29,17 @@ def view(east_m: float, north_m: float, time_s: float, *, frame: LocalFrame = HO
     latitude, longitude, _ = frame.to_geodetic(np.array([east_m, north_m, 0.0]))
     known: dict[str, Any] = {
         "row": time_s * 15.0,
-        "column": 200.0,
         "time_s": time_s,
         "ping_number": int(time_s * 15.0),
         "latitude_deg": float(latitude),
         "longitude_deg": float(longitude),
         "covariance_m2": sigma_m**2 * np.eye(2),
-        "ground_range_m": 12.0,
-        "slant_range_m": 13.0,
-        "altitude_m": 5.0,
-        "score": 5.0,
-        "highlight_db": 6.0,
-        "shadow_db": -9.0,
         "length_m": 0.8,
         "width_m": 0.4,
         "height_m": 0.3,
-        "shadow_length_m": 1.0,
-        "p_mine": 0.7,
         "reasons": ("highlight_and_shadow",),
-        "snippet": np.zeros((1, 1), dtype=np.uint8),
-        "snippet_row": 0.5,
-        "snippet_column": 0.5,
-        "row_spacing_m": 0.12,
-        "column_spacing_m": 0.06,
     }
-    return Detection(**{**known, **FIRST_LEG, **values})
+    return drawn_looks.detection(**{**known, **FIRST_LEG, **values})
 
 
 def ledger() -> Ledger:
@@ -326,21 +312,11 @@ def confirmed(
     log_ratio: float, classification: ContactClass, sizes: dict[str, float], sigma: dict[str, float], certainty: float = 0.9
 ) -> Confirmation:
     """What a close look found that shows one solid, as certain as told."""
-    nowhere = np.empty((0, 2))
+    nowhere = drawn_looks.NOWHERE
     shape_mass = vacuous()
     shape_mass[EVERYTHING], shape_mass[subset(classification, "clutter")] = 1.0 - certainty, certainty
-    return Confirmation(
-        log_ratio=log_ratio,
-        shape_mass=shape_mass,
-        mass=with_ratio(shape_mass, log_ratio),
-        half_turn_symmetric=True,
-        labels=np.zeros((0, 0), dtype=np.uint8),
-        highlight=nowhere,
-        shadow=nowhere,
-        model=ShapeModel(classification=classification, sizes=sizes, sigma=sigma, highlight=nowhere, shadow=nowhere),
-        rejected=False,
-        reasons=("buried",),
-    )
+    model = ShapeModel(classification=classification, sizes=sizes, sigma=sigma, highlight=nowhere, shadow=nowhere)
+    return drawn_looks.confirmation(log_ratio, shape_mass, model=model, reasons=("buried",))
 
 
 def test_sizes_are_those_of_the_solid_told_in_the_view_that_shows_it_best() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 
+import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.contacts.picture import in_picture, snippet_picture
-from auv_mcm.records import NAN, Detection, Side
+from auv_mcm.records import Detection, Side
 from auv_mcm.snippet import pack_snippet
 
 
@@ -18,29 +19,8 @@ def detection(side: Side, shape: tuple[int, int], bright: tuple[int, int], row_m
     """One bright pixel on a dark floor."""
     intensity = np.full(shape, 0.05)
     intensity[bright] = 30.0
-    return Detection(
+    return drawn_looks.detection(
         side=side,
-        row=0.0,
-        column=0.0,
-        time_s=0.0,
-        ping_number=0,
-        latitude_deg=0.0,
-        longitude_deg=0.0,
-        covariance_m2=np.eye(2),
-        heading_rad=0.0,
-        aspect_deg=90.0,
-        ground_range_m=20.0,
-        slant_range_m=21.0,
-        altitude_m=5.0,
-        score=9.0,
-        highlight_db=8.0,
-        shadow_db=NAN,
-        length_m=1.0,
-        width_m=0.5,
-        height_m=NAN,
-        shadow_length_m=NAN,
-        p_mine=0.5,
-        reasons=(),
         snippet=pack_snippet(intensity),
         snippet_row=bright[0] + 0.5,
         snippet_column=bright[1] + 0.5,

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from drawn_looks import detection
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,31 +30,16 @@ def seen(row_m: float, column_m: float, **values: Any) -> Detection:
         "row": row_m / ROW_M,
         "column": column_m / COLUMN_M,
         "time_s": row_m / 1.8,
-        "ping_number": 0,
-        "latitude_deg": 0.0,
-        "longitude_deg": 0.0,
-        "covariance_m2": np.eye(2),
-        "heading_rad": 0.0,
-        "aspect_deg": 90.0,
         "ground_range_m": column_m,
         "slant_range_m": column_m,
-        "altitude_m": 5.0,
         "score": 5.0,
-        "highlight_db": 5.0,
-        "shadow_db": -8.0,
         "length_m": 0.6,
-        "width_m": 0.3,
-        "height_m": 0.3,
         "shadow_length_m": NAN,
         "p_mine": 0.6,
-        "reasons": ("highlight_and_shadow",),
-        "snippet": np.zeros((1, 1), dtype=np.float32),
-        "snippet_row": 0.5,
-        "snippet_column": 0.5,
         "row_spacing_m": ROW_M,
         "column_spacing_m": COLUMN_M,
     }
-    return Detection(**{**known, **values})
+    return detection(**{**known, **values})
 
 
 def apart_m(a: Detection, b: Detection) -> float:

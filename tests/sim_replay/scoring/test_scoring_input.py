@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +16,7 @@ from scoring_cases import collection, contact, thing, write_pair
 
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.records import NAN, Contact
+from auv_mcm.records import NAN
 from sim_replay.scoring import parse_contacts, parse_truth, read_contacts, read_truth, score_files
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
@@ -39,9 +40,7 @@ def changed(document: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
 
 
 def test_contacts_as_the_payload_writes_them_are_understood() -> None:
-    written = Contact(
-        id="C00001",
-        time_s=1.7e9,
+    written = drawn_looks.contact(
         latitude_deg=43.1,
         longitude_deg=5.9,
         covariance_m2=np.diag([0.25, 0.04]),
@@ -51,9 +50,6 @@ def test_contacts_as_the_payload_writes_them_are_understood() -> None:
         length_m=0.8,
         width_m=NAN,
         height_m=0.5,
-        aspects_deg=(),
-        views=(),
-        reasons=(),
     )
     (told,) = parse_contacts(json.loads(contacts_geojson([written])), "contacts.geojson")
     assert told[:5] == (43.1, 5.9, 0.75, "sphere", 0.8)
