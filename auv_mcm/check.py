@@ -26,7 +26,7 @@ _PACKAGES: Final = {
     "pyyaml": "yaml",
     "msgspec": "msgspec",
 }
-_BENCH_PACKAGES: Final = {"pyxtf": "pyxtf", "rich": "rich", "matplotlib": "matplotlib", "jinja2": "jinja2"}
+_BENCH_PACKAGES: Final = {"pyxtf": "pyxtf", "rich": "rich", "matplotlib": "matplotlib", "jinja2": "jinja2", "dask": "dask", "distributed": "distributed"}
 _LEAST_FREE_BYTES: Final = 1 << 30
 
 

@@ -7,6 +7,9 @@ auv-mcm bench scenes            what the chain finds in the named scenes
 auv-mcm bench segmentation, snakes, shapes   parts of confirmation and classification: error beside time
 auv-mcm bench beliefs           what one and two views make one believe, beside what the source paper prints
 auv-mcm bench images            outlines and false confirmations on real pictures
+auv-mcm bench cascade           speed and budgets of the trained cascade
+auv-mcm bench inversion, augment   relief recovered from images, and targets put into it
+auv-mcm bench figure9           the source paper's examples of classical detection
 
 Costs of the chain are medians over fresh processes, those of the detector over repetitions in one. Times on a shared machine move by
 half; compare figures of one run only.
@@ -49,6 +52,10 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "shapes": ("sim_replay.benches.shapes", "classification by shape: error beside time"),
     "beliefs": ("sim_replay.benches.beliefs", "beliefs in the classes of single objects, beside the source paper's"),
     "images": ("sim_replay.benches.real_images", "outlines and false confirmations on real pictures"),
+    "cascade": ("sim_replay.benches.cascade", "the trained cascade: windows per second beside OpenCV's, budgets, equality of kernels"),
+    "inversion": ("sim_replay.benches.inversion", "relief and reflectivity recovered from images: error beside time"),
+    "augment": ("sim_replay.benches.augment", "whether embedded targets can be told from simulated ones"),
+    "figure9": ("sim_replay.benches.figure9", "the source paper's examples of classical detection, flown many times"),
 }
 
 

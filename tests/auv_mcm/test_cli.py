@@ -29,7 +29,7 @@ def error_of(capsys: pytest.CaptureFixture[str]) -> str:
     return lines[0]
 
 
-@pytest.mark.parametrize("command", [(), ("replay",), ("run",), ("check",), ("config",), ("bench",)])
+@pytest.mark.parametrize("command", [(), ("replay",), ("run",), ("check",), ("config",), ("bench",), ("augment",), ("train",), ("calibrate",)])
 def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
     command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,6 +50,8 @@ def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
         ["replay", "a.xtf", "--out", "o", "--threads", "0"],
         ["replay", "a.xtf", "--out", "o", "--chunk-bytes", "many"],
         ["replay", "a.xtf", "--out", "o", "--speed", "warp"],
+        ["augment", "a.xtf", "--out", "o"],
+        *(["calibrate"], ["calibrate", "--speed", "0"], ["calibrate", "--speed", "nan"], ["calibrate", "--speed", "2", "--duty", "1.5"]),
     ],
 )
 def test_bad_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,110 @@
+"""The subcommands of auv-mcm, a module each, and what they share. Whatever is heavy they import when they run."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from auv_mcm.errors import UsageError
+
+if TYPE_CHECKING:
+    from auv_mcm.config import Config
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+EXIT_CODES: Final = "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
+
+
+def command(commands: Commands, name: str, does: str, more: str, examples: Sequence[str]) -> argparse.ArgumentParser:
+    """A subcommand's parser. does: in a few words, more: in full; examples: command lines."""
+    return commands.add_parser(
+        name,
+        help=does,
+        description=f"{does[0].upper()}{does[1:]}.\n\n{more}",
+        epilog="examples:\n" + "\n".join(f"  {example}" for example in examples) + f"\n\n{EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def add_config_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'")
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """A parser of whole numbers from low to high."""
+
+    def parse(text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            number = low - 1
+        if not low <= number <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is no whole number from {low} to {high}")
+        return number
+
+    return parse
+
+
+def read_config(path: Path | None) -> Config:
+    """The configuration in a file, or the defaults. Raises UsageError for one that cannot be read or is not valid."""
+    from auv_mcm.config import Config, parse_config
+
+    if path is None:
+        return Config()
+    try:
+        text = path.read_text("utf-8")
+    except OSError as error:
+        raise UsageError(f"configuration {path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"configuration {path} is no UTF-8 text (byte {error.start})") from error
+    return parse_config(text, str(path))
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write text to a file that is not there yet, and say so. Raises UsageError if it is, or cannot be written."""
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise UsageError(f"{path} exists and is left alone: name a new file, or remove that one") from error
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror}") from error
+    print(f"written: {path}")
+
+
+class Progress:
+    """A bar on a terminal, a plain line every tenth elsewhere; both on standard error."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._tenths = 0
+        self._update: Callable[[float], None] = self._print_tenths
+        self._close: Callable[[], None] = lambda: None
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            try:
+                from rich.console import Console
+                from rich.progress import Progress
+            except ImportError:
+                return self
+            bar = Progress(console=Console(stderr=True), transient=True)
+            task = bar.add_task(self._title, total=1.0)
+            bar.start()
+            self._update = lambda fraction: bar.update(task, completed=fraction)
+            self._close = bar.stop
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def show(self, fraction: float) -> None:
+        self._update(fraction)
+
+    def _print_tenths(self, fraction: float) -> None:
+        if int(fraction * 10.0) > self._tenths:
+            self._tenths = int(fraction * 10.0)
+            print(f"{self._title}: {10 * self._tenths} %", file=sys.stderr, flush=True)

@@ -1,0 +1,40 @@
+"""The live service."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from auv_mcm.commands import Commands, add_config_option, command, read_config
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "run",
+        "run the live service until its source ends or SIGINT or SIGTERM arrives",
+        "The source is service.source of the configuration; replay:///path/to/mission.xtf?speed=1 plays a recorded\n"
+        "mission (speed: times real time, or max). Contacts go to the console once they are on disk, in contacts.jsonl of\n"
+        "a new session directory below service.output_directory; clutter stays off the console. Health lines go to\n"
+        "standard error.\n"
+        "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
+        ["auv-mcm run --config vehicle.yaml"],
+    )
+    add_config_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    import logging
+
+    from auv_mcm.service import serve
+
+    config = read_config(arguments.config)
+    logging.Formatter.converter = time.gmtime
+    logging.basicConfig(
+        stream=sys.stderr, level=logging.INFO, format="%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", datefmt="%Y-%m-%dT%H:%M:%S"
+    )
+    folder = serve(config)
+    print(f"results: {folder}")
+    return 0

@@ -1,0 +1,46 @@
+"""Contacts against the truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from auv_mcm.commands import Commands, command
+from auv_mcm.errors import UsageError
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "score",
+        "score contacts against the truth: detections, false alarms, errors",
+        "Takes pairs of a contacts.geojson and a truth.json; several pairs are pooled. Prints Pd with Wilson and false alarms\n"
+        "per km² with exact Poisson intervals (95 %) over thresholds of p_mine, and where they come from.",
+        [
+            "auv-mcm score results/contacts.geojson sim/truth.json",
+            "auv-mcm score r1/contacts.geojson s1/truth.json r2/contacts.geojson s2/truth.json --json score.json --plot froc.png",
+        ],
+    )
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="CONTACTS TRUTH, as often as there are missions")
+    parser.add_argument(
+        "--gate-m", metavar="M", type=float, default=2.0, help="farther from an object a contact is no call of it (default 2)"
+    )
+    parser.add_argument("--threshold", metavar="P", type=float, default=0.5, help="p_mine from which a contact is a call (default 0.5)")
+    parser.add_argument("--json", metavar="PATH", type=Path, help="write everything as JSON, too")
+    parser.add_argument("--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)")
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.scoring import plot, score_files, table, to_json
+
+    score = score_files(arguments.files, gate_m=arguments.gate_m, threshold=arguments.threshold)
+    print(table(score))
+    if arguments.json is not None:
+        try:
+            arguments.json.write_bytes(to_json(score))
+        except OSError as error:
+            raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
+    if arguments.plot is not None:
+        plot(score, arguments.plot)
+    return 0
