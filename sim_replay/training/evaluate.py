@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -41,6 +42,7 @@ def held_out(names: Sequence[str], seeds: Sequence[int], config: Config) -> tupl
 
 def fly(flight: Flight) -> scoring.Mission:
     """What the payload reports of a mission, and the truth about it."""
+    gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     mission, pipeline = Mission(flight.scene), Pipeline(flight.config)
     for event in mission.events():
         pipeline.feed(event)

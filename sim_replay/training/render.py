@@ -7,6 +7,7 @@ the truth of the mission. Every mission is a task of its own, on the cores of th
 from __future__ import annotations
 
 import argparse
+import gc
 import math
 import sys
 import time
@@ -61,6 +62,7 @@ class _AugmentedTruth(msgspec.Struct, frozen=True, kw_only=True):
 
 def render_line(line: SimulatedLine | AugmentedLine) -> Packed:
     """The shard of one mission. Raises BadInputError for a folder that holds no augmented log."""
+    gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     if isinstance(line, SimulatedLine):
         return pack(simulated_tiles(line), line.split, line.background, "simulated")
     background, things = _augmented_truth(line.folder / TRUTH_NAME)
