@@ -25,7 +25,7 @@ from auv_mcm.config import ConfirmConfig
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
-from auv_mcm.confirm.snake_rules import row_intervals
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
 from auv_mcm.snippet import unpack_snippet
@@ -159,9 +159,7 @@ def contour_cost(region: Region, contours: Contours, correlation_area: float) ->
     """What the free contours cost in nats, with the code length of their nodes, to weigh against what solids cost."""
     labels = np.zeros(region.intensity.shape, dtype=np.uint8)
     for nodes, label in ((contours.shadow, SHADOW), (contours.highlight, HIGHLIGHT)):
-        if len(nodes):
-            for row, near, far in zip(*(part.tolist() for part in row_intervals(nodes, labels.shape)), strict=True):
-                labels[row, near:far] = label
+        labels[contour_mask(nodes, labels.shape)] = label
     n_nodes = len(contours.highlight) + len(contours.shadow)
     n_samples = float(region.valid.sum()) / correlation_area
     return labels_cost(region, labels, correlation_area) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))

@@ -252,6 +252,15 @@ def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int6
     return rows, near[rows], far[rows]
 
 
+def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Pixels of a region of this shape (n_rows, n_columns) inside a contour (n, 2); none for no nodes."""
+    inside = np.zeros(shape, dtype=np.bool_)
+    rows, near, far = row_intervals(nodes, shape)
+    column = np.arange(shape[1])
+    inside[rows] = (column >= near[:, None]) & (column < far[:, None])
+    return inside
+
+
 def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
     """Whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are fewer."""
     rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))

@@ -29,11 +29,11 @@ from auv_mcm.classify.likelihood import labels_cost, row_sums
 from auv_mcm.classify.search import Box, look_around, walk
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Nodes, converge, start_from_detection
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid
 from auv_mcm.records import ContactClass
 from sim_replay.benches.arguments import count
 from sim_replay.benches.shapes import CORRELATION_AREA, draw_object, rendered_region
-from sim_replay.benches.snakes import mask_of
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.simulator.scene import SceneObject
 
@@ -178,7 +178,7 @@ def free_contour(region: Region) -> FreeContour:
     code = 0.0
     for nodes, label in ((contours.shadow, SHADOW), (contours.highlight, HIGHLIGHT)):
         if len(nodes):
-            labels[mask_of(nodes, labels.shape)] = label
+            labels[contour_mask(nodes, labels.shape)] = label
             code += code_length(nodes, labels.size)
     return FreeContour(labels, labels_cost(region, labels, CORRELATION_AREA) + code)
 

@@ -13,12 +13,13 @@ from auv_mcm.classify.stage import labels_near, look_closely, region_of
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import HIGHLIGHT, Region
 from auv_mcm.confirm.snake import FINE, Nodes, converge, start_from_detection, start_from_labels
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import VALID, Detection, Tile
+from sim_replay.benches.overlap import overlap
 from sim_replay.benches.real_pictures import Mask, Picture, Plane
 from sim_replay.benches.real_tiles import Geometry, config_of, detections_of, tile_of
-from sim_replay.benches.snakes import mask_of, overlap
 
 _NEAR_M: Final = 0.5  # from the mask, for a detection to be of the object
 _SNAKE_NODES: Final = max(nodes for nodes, _, _ in FINE)
@@ -147,9 +148,8 @@ def outline(placed: Placed, mask: Mask) -> Outlined:
         both = int((found & inside).sum())
         return both / (int(found.sum()) + n_mask - both)
 
-    nothing = np.zeros(inside.shape, dtype=np.bool_)
-    contours = [mask_of(c.highlight, inside.shape) if len(c.highlight) else nothing for c in (snake, again, best)]
-    own_highlight = nothing if own is None else own == HIGHLIGHT
+    contours = [contour_mask(c.highlight, inside.shape) for c in (snake, again, best)]
+    own_highlight = np.zeros(inside.shape, dtype=np.bool_) if own is None else own == HIGHLIGHT
     return Outlined(
         placed=placed,
         labels=own_highlight,

@@ -24,6 +24,7 @@ from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.trws import energy_of, icm, trws, trws_numpy
 from sim_replay.benches.drawn_regions import Drawing, aperture_drawings, draw_region
+from sim_replay.benches.overlap import overlap
 
 Labels = NDArray[np.uint8]
 
@@ -81,10 +82,6 @@ class _Knob(NamedTuple):
     shadow: float
 
 
-def _overlap(one: Labels, other: Labels, label: int) -> float:
-    return float(((one == label) & (other == label)).sum() / max(1, ((one == label) | (other == label)).sum()))
-
-
 def _score(method: Callable[[Region], Labels], drawings: Iterator[Drawing]) -> _Score:
     shadows, highlights, pieces, times = [], [], [], []
     for drawing in drawings:
@@ -92,8 +89,8 @@ def _score(method: Callable[[Region], Labels], drawings: Iterator[Drawing]) -> _
         began = time.perf_counter()
         labels = method(region)
         times.append(1e3 * (time.perf_counter() - began))
-        shadows.append(_overlap(labels, truth, SHADOW))
-        highlights.append(_overlap(labels, truth, HIGHLIGHT))
+        shadows.append(overlap(labels == SHADOW, truth == SHADOW))
+        highlights.append(overlap(labels == HIGHLIGHT, truth == HIGHLIGHT))
         inside = ndimage.binary_erosion(truth == SHADOW, iterations=2)
         pieces.append(ndimage.label(labels == SHADOW)[1] + ndimage.label(inside & (labels != SHADOW))[1])
     return _Score(
@@ -142,7 +139,7 @@ def _sweeps_knob() -> Iterator[_Knob]:
             energy = energy_of(found.labels, cost, _INDEPENDENT)
             gaps.append(100.0 * (energy - found.lower_bound) / abs(energy))
             excesses.append(100.0 * (energy - least) / abs(least))
-            shadows.append(_overlap(found.labels, truth, SHADOW))
+            shadows.append(overlap(found.labels == SHADOW, truth == SHADOW))
         began = time.perf_counter()
         trws_numpy(costs[0], _INDEPENDENT, sweeps)
         slow = time.perf_counter() - began

@@ -30,6 +30,7 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
+from sim_replay.benches.overlap import overlap
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
@@ -147,20 +148,6 @@ def box(top: float, near: float, bottom: float, far: float) -> NDArray[np.float6
     return np.array([(top, near), (top, far), (bottom, far), (bottom, near)], dtype=np.float64)
 
 
-def mask_of(nodes: NDArray[np.float64], shape: tuple[int, ...]) -> Mask:
-    """Pixels inside a contour."""
-    inside = np.zeros(shape, dtype=np.bool_)
-    for row, near, far in zip(*snake_rules.row_intervals(nodes, shape), strict=True):
-        inside[row, near:far] = True
-    return inside
-
-
-def overlap(one: Mask, other: Mask) -> float:
-    """Intersection over union; 1 if both are empty."""
-    union = int((one | other).sum())
-    return int((one & other).sum()) / union if union else 1.0
-
-
 def snake_rows(n_images: int = 10, n_starts: int = 5) -> list[SnakeRow]:
     """Contour error beside the time for one pair, per schedule."""
     drawings = [drawn_pair(seed) for seed in range(100, 100 + n_images)]
@@ -179,8 +166,8 @@ def _row(name: str, drawings: list[Drawn], n_starts: int, coarse: Schedule, fine
             pair_s.append(time.perf_counter() - began)
             proposed.append(moved.n_proposed)
             contours = converge(drawn.region, start, coarse=coarse, fine=fine)
-            shadow_iou.append(overlap(mask_of(contours.shadow, _SHAPE), drawn.shadow))
-            highlight_iou.append(overlap(mask_of(contours.highlight, _SHAPE), drawn.highlight))
+            shadow_iou.append(overlap(snake_rules.contour_mask(contours.shadow, _SHAPE), drawn.shadow))
+            highlight_iou.append(overlap(snake_rules.contour_mask(contours.highlight, _SHAPE), drawn.highlight))
     return SnakeRow(
         schedule=name,
         shadow_iou=statistics.median(shadow_iou),

@@ -19,8 +19,9 @@ from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Start, converge
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid, shape_costs
-from sim_replay.benches.snakes import mask_of, overlap
+from sim_replay.benches.overlap import overlap
 
 Plane = NDArray[np.float64]
 EVERY_DOOR = pytest.mark.parametrize("door", DOORS)
@@ -118,7 +119,10 @@ def test_a_masked_border_changes_hardly_a_label_and_no_cost(rows: int, columns: 
     assert (segment_as_paper(wide).labels[inside] != segment_as_paper(region).labels).mean() < 0.01
     shape = region.intensity.shape
     moved = Start(*(nodes + np.array([rows, columns]) for nodes in START))
-    narrow_mask, wide_mask = mask_of(converge(region, START).shadow, shape), mask_of(converge(wide, moved).shadow, wide.intensity.shape)
+    narrow_mask, wide_mask = (
+        contour_mask(converge(region, START).shadow, shape),
+        contour_mask(converge(wide, moved).shadow, wide.intensity.shape),
+    )
     assert overlap(narrow_mask, wide_mask[inside]) > 0.9
     shifted = {solid: one + np.eye(1, 8) * rows * region.row_spacing_m for solid, one in HYPOTHESES.items()}
     np.testing.assert_allclose(costs_of(wide, shifted), costs_of(region, HYPOTHESES), rtol=1e-9)
@@ -147,7 +151,7 @@ def test_a_mirror_along_the_track_mirrors_every_answer(seed: int) -> None:
     assert (segment_as_paper(turned).labels[::-1] != segment_as_paper(region).labels).mean() < 0.05
     start = Start(*(np.abs(nodes - (shape[0], 0.0)) for nodes in START))
     there, back = converge(region, START), converge(turned, start)
-    assert overlap(mask_of(there.shadow, shape), mask_of(back.shadow, shape)[::-1]) > 0.85  # nodes go in the other order
+    assert overlap(contour_mask(there.shadow, shape), contour_mask(back.shadow, shape)[::-1]) > 0.85  # nodes go in the other order
     assert there.rejected == back.rejected
     length_m = shape[0] * region.row_spacing_m
     opposite: dict[Solid, Plane] = {}

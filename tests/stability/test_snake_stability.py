@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from auv_mcm import kernels
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours, Start, converge, settings_of, start_from_detection
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
-from sim_replay.benches.snakes import box, drawn_pair, mask_of, overlap, plain_region, random_start
+from sim_replay.benches.overlap import overlap
+from sim_replay.benches.snakes import box, drawn_pair, plain_region, random_start
 
 SHAPE = (64, 80)
 NONE = np.empty((0, 2))
@@ -130,7 +132,7 @@ def test_masked_rows_and_stray_nan_change_little() -> None:
     intensity[30] = np.nan
     intensity[np.random.default_rng(1).random(SHAPE) < 0.001] = np.nan
     contours = looked_at(msgspec.structs.replace(region, valid=valid, intensity=intensity))
-    assert overlap(mask_of(contours.shadow, SHAPE), mask_of(truth.shadow, SHAPE)) > 0.9
+    assert overlap(contour_mask(contours.shadow, SHAPE), contour_mask(truth.shadow, SHAPE)) > 0.9
     assert not contours.rejected
 
 
@@ -161,7 +163,7 @@ def test_mirror_along_track_gives_the_mirrored_object(n_runs: Callable[[int, int
         mirrored = msgspec.structs.replace(drawn.region, intensity=drawn.region.intensity[::-1].copy(), row=height - drawn.region.row)
         one, other = converge(drawn.region, start), converge(mirrored, turned)
         shape = drawn.region.intensity.shape
-        assert overlap(mask_of(one.shadow, shape), mask_of(other.shadow, shape)[::-1]) > 0.9  # nodes go in the other order
+        assert overlap(contour_mask(one.shadow, shape), contour_mask(other.shadow, shape)[::-1]) > 0.9  # nodes go in the other order
         assert one.reasons == other.reasons
 
 
@@ -172,7 +174,7 @@ def test_masked_border_changes_little() -> None:
         first_ground_range_m=region.first_ground_range_m - 6 * region.column_spacing_m,
     )  # fmt: skip
     one, other = looked_at(region), looked_at(wide)
-    assert overlap(mask_of(one.shadow, SHAPE), mask_of(other.shadow - 6.0, SHAPE)) > 0.9
+    assert overlap(contour_mask(one.shadow, SHAPE), contour_mask(other.shadow - 6.0, SHAPE)) > 0.9
     assert one.rejected == other.rejected
 
 

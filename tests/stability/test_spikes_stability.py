@@ -16,8 +16,9 @@ from auv_mcm.confirm.likelihoods import BackgroundLaw, background_cost
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import converge
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.trws import energy_of, trws
-from sim_replay.benches.snakes import mask_of, overlap
+from sim_replay.benches.overlap import overlap
 
 FLOORS = [1.0, 1e-300, 1e-310]
 
@@ -47,7 +48,7 @@ def test_a_spike_moves_no_contour(spike: float) -> None:
     region = cone_region(1)
     plain, spiked = converge(region, START), converge(with_spike(region, spike), START)
     shape = region.intensity.shape
-    assert overlap(mask_of(plain.shadow, shape), mask_of(spiked.shadow, shape)) > 0.9
+    assert overlap(contour_mask(plain.shadow, shape), contour_mask(spiked.shadow, shape)) > 0.9
     assert spiked.rejected == plain.rejected
 
 

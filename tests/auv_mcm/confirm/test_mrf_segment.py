@@ -8,17 +8,13 @@ from collections.abc import Callable, Iterator
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from sim_replay.benches.drawn_regions import Drawing, aperture_drawings, draw_region
-
-
-def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8], label: int) -> float:
-    return float(((one == label) & (other == label)).sum() / max(1, ((one == label) | (other == label)).sum()))
+from sim_replay.benches.overlap import overlap
 
 
 def side_scan(n: int) -> Iterator[Drawing]:
@@ -45,7 +41,7 @@ def medians(drawings: Iterator[Drawing]) -> tuple[float, float]:
     for drawing in drawings:
         region, truth = draw_region(drawing)
         labels = segment(region).labels
-        overlaps.append([overlap(labels, truth, label) for label in (SHADOW, HIGHLIGHT)])
+        overlaps.append([overlap(labels == label, truth == label) for label in (SHADOW, HIGHLIGHT)])
     shadow, highlight = np.median(overlaps, axis=0)
     return float(shadow), float(highlight)
 
@@ -78,7 +74,7 @@ def test_paper_breaks_the_shadow_that_is_whole_here(n_runs: Callable[[int, int],
     for drawing in aperture_drawings(n_runs(6, 3), 1.2, seed=5):
         region, truth = draw_region(drawing)
         for name, labels in (("paper", segment_as_paper(region).labels), ("ours", segment(region).labels)):
-            overlaps[name].append(overlap(labels, truth, SHADOW))
+            overlaps[name].append(overlap(labels == SHADOW, truth == SHADOW))
             holes = ndimage.label(ndimage.binary_erosion(truth == SHADOW, iterations=2) & (labels != SHADOW))[1]
             n_pieces[name].append(holes + ndimage.label(labels == SHADOW)[1])
     assert np.median(overlaps["ours"]) > np.median(overlaps["paper"]) + 0.2
@@ -87,7 +83,7 @@ def test_paper_breaks_the_shadow_that_is_whole_here(n_runs: Callable[[int, int],
 
 def test_paper_finds_the_shadow_where_speckle_is_white() -> None:
     region, truth = draw_region(Drawing(spread_rows=0.0, spread_columns=0.0))
-    assert overlap(segment_as_paper(region).labels, truth, SHADOW) > 0.95
+    assert overlap(segment_as_paper(region).labels == SHADOW, truth == SHADOW) > 0.95
 
 
 def test_energy_is_within_its_gap_of_the_bound_and_more_sweeps_close_it() -> None:
@@ -121,7 +117,7 @@ def test_bare_sea_floor_is_background_and_says_so() -> None:
 def test_shadow_alone_is_found_without_highlight() -> None:
     region, truth = draw_region(Drawing(highlight_columns=0, seed=8))
     result = segment(region)
-    assert overlap(result.labels, truth, SHADOW) > 0.85
+    assert overlap(result.labels == SHADOW, truth == SHADOW) > 0.85
     assert "no_highlight" in result.flags
 
 
@@ -131,7 +127,7 @@ def test_a_few_lost_pings_are_bridged() -> None:
     valid[[60, 61, 71]] = False
     lost = msgspec.structs.replace(region, valid=valid, intensity=np.where(valid, region.intensity, np.nan))
     labels = segment(lost).labels
-    assert overlap(labels, truth, SHADOW) > 0.85
+    assert overlap(labels == SHADOW, truth == SHADOW) > 0.85
     assert (labels[[60, 61, 71]] == SHADOW).sum() > 0.8 * (truth[[60, 61, 71]] == SHADOW).sum()
 
 
@@ -140,7 +136,7 @@ def test_smoothness_can_be_given_or_estimated() -> None:
     assert segment(region, smoothness=0.8).smoothness == 0.8
     estimated = segment(region, estimate_markov=True)
     assert 0.2 <= estimated.smoothness <= 2.0
-    assert overlap(estimated.labels, truth, SHADOW) > 0.85
+    assert overlap(estimated.labels == SHADOW, truth == SHADOW) > 0.85
 
 
 def test_planes_that_do_not_fit_are_refused() -> None:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
-from auv_mcm.confirm.snake_rules import Findings, Spot
-from sim_replay.benches.snakes import N_STARTS, drawn_pair, mask_of, overlap, plain_region, random_start
+from auv_mcm.confirm.snake_rules import Findings, Spot, contour_mask
+from sim_replay.benches.overlap import overlap
+from sim_replay.benches.snakes import N_STARTS, drawn_pair, plain_region, random_start
 
 SHAPE = (128, 128)
 
@@ -43,7 +44,7 @@ def overlaps(n_runs: Callable[[int, int], int]) -> NDArray[np.float64]:
         for k in range(found.shape[1]):
             contours = converge(drawn.region, random_start(drawn, 100 * seed + k))
             assert not contours.rejected, (seed, k, contours.reasons)
-            found[seed, k] = overlap(mask_of(contours.shadow, SHAPE), drawn.shadow)
+            found[seed, k] = overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow)
     return found
 
 
@@ -62,8 +63,8 @@ def test_object_is_confirmed_from_the_detection_alone(seed: int) -> None:
     drawn = drawn_pair(seed)
     contours = converge(drawn.region, start_from_detection(drawn.region))
     assert contours.reasons == ()
-    assert overlap(mask_of(contours.shadow, SHAPE), drawn.shadow) > 0.9
-    assert overlap(mask_of(contours.highlight, SHAPE), drawn.highlight) > 0.75
+    assert overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow) > 0.9
+    assert overlap(contour_mask(contours.highlight, SHAPE), drawn.highlight) > 0.75
     assert contours.shadow_mean == pytest.approx(0.1, rel=0.25)
     assert contours.highlight_mean == pytest.approx(10.0**0.8, rel=0.25)
     assert contours.background_mean == pytest.approx(1.0, rel=0.05)
@@ -101,7 +102,7 @@ def test_labels_with_holes_and_specks_are_start_enough() -> None:
     labels[drawn.shadow], labels[drawn.highlight] = SHADOW, HIGHLIGHT
     labels[np.random.default_rng(0).random(SHAPE) < 0.4] = BACKGROUND
     contours = converge(drawn.region, start_from_labels(drawn.region, labels))
-    assert overlap(mask_of(contours.shadow, SHAPE), drawn.shadow) > 0.95
+    assert overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow) > 0.95
 
 
 def test_labels_of_another_shape_are_refused() -> None:
@@ -118,7 +119,7 @@ def test_object_without_echo_keeps_its_shadow() -> None:
     assert contours.reasons == ("no_highlight",)
     assert len(contours.highlight) == 0
     assert math.isnan(contours.highlight_mean)
-    assert overlap(mask_of(contours.shadow, SHAPE), drawn.shadow) > 0.9
+    assert overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow) > 0.9
 
 
 def test_way_round_of_the_start_does_not_matter() -> None:
@@ -126,7 +127,7 @@ def test_way_round_of_the_start_does_not_matter() -> None:
     start = random_start(drawn, 5)
     turned = Start(start.highlight[::-1], start.shadow[::-1])
     one, other = converge(drawn.region, start), converge(drawn.region, turned)
-    assert overlap(mask_of(one.shadow, SHAPE), mask_of(other.shadow, SHAPE)) > 0.95
+    assert overlap(contour_mask(one.shadow, SHAPE), contour_mask(other.shadow, SHAPE)) > 0.95
     assert "start_replaced" not in other.reasons
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.snake import COARSE, FINE, settings_of
-from auv_mcm.confirm.snake_rules import row_intervals
+from auv_mcm.confirm.snake_rules import contour_mask, row_intervals
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings, Sums
 from sim_replay.benches.snakes import box, drawn_pair, plain_region
@@ -298,10 +298,15 @@ def test_row_intervals_are_those_of_edges_taken_one_by_one(nodes: Floats, as_dra
     rows, near, far = row_intervals(nodes, SHAPE)
     np.testing.assert_array_equal(rows, wanted)
     np.testing.assert_array_equal([near, far], sides[:, wanted])
+    painted = np.zeros(SHAPE, dtype=np.bool_)
+    for row, start, stop in zip(rows, near, far, strict=True):
+        painted[row, start:stop] = True
+    np.testing.assert_array_equal(contour_mask(nodes, SHAPE), painted)
 
 
 def test_no_nodes_reach_no_rows() -> None:
     assert all(len(part) == 0 for part in row_intervals(NONE, SHAPE))
+    assert not contour_mask(NONE, SHAPE).any()
 
 
 @given(nodes=polygons(), clockwise=st.booleans())
