@@ -199,7 +199,7 @@ class _Run:
         self.n_alive[first:last] += n_alive
 
 
-def _some(windows: Windows, chosen: NDArray[np.intp] | slice) -> Windows:
+def _some(windows: Windows, chosen: NDArray[np.int32] | slice) -> Windows:
     """Windows by their indices, which rise."""
     indices = np.arange(len(windows.place))[chosen]
     return Windows(windows.place[indices], windows.score[indices], np.searchsorted(indices, windows.band_stop).astype(np.int64))

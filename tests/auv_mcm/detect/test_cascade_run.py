@@ -67,11 +67,11 @@ def test_finds_what_one_window_after_the_other_finds(seed: int, kind: str) -> No
 
 
 @given(seed=seeds, share=st.floats(0.0, 1.2))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 def test_a_larger_budget_loses_no_window(seed: int, share: float) -> None:
     plane, model = draw_ground(seed).plane(), draw_model(seed)
     whole = run_plane(plane, model, None)
-    budgets = sorted({math.floor(share * whole.n_evaluations), *(math.floor(k * whole.n_evaluations / 7) for k in range(10))})
+    budgets = sorted({math.floor(share * whole.n_evaluations), *(math.floor(k * whole.n_evaluations / 4) for k in range(6))})
     results = [run_plane(plane, model, budget) for budget in budgets]
     for budget, result in zip(budgets, results, strict=True):
         assert result.n_evaluations <= budget
