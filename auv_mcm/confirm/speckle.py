@@ -71,10 +71,11 @@ def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
 
 def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
     """Rows and columns of a block that holds about one grain, but is no longer than a quarter of a metre."""
-    return tuple(  # type: ignore[return-value]  # two of them
+    rows, columns = (
         max(1, min(round(length), int(_LARGEST_BLOCK_M / spacing_m)))
         for length, spacing_m in zip(correlation, (row_spacing_m, column_spacing_m), strict=True)
     )
+    return rows, columns
 
 
 def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int]) -> tuple[Plane, Plane]:

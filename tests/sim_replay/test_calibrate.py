@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import drawn_looks
 import numpy as np
 import pytest
 
@@ -171,35 +172,15 @@ class Thing(NamedTuple):
 def seen_at(east_m: float, p_mine: float = 0.5, **values: Any) -> Detection:
     latitude, longitude, _ = HOME.to_geodetic(np.array([east_m, 0.0, 0.0]))
     known: dict[str, Any] = {
-        "side": "starboard",
-        "row": 100.0,
-        "column": 200.0,
         "time_s": 1000.0,
-        "ping_number": 1,
         "latitude_deg": float(latitude),
         "longitude_deg": float(longitude),
         "covariance_m2": 0.01 * np.eye(2),
-        "heading_rad": 0.0,
-        "aspect_deg": 90.0,
-        "ground_range_m": 12.0,
-        "slant_range_m": 13.0,
-        "altitude_m": 5.0,
-        "score": 6.0,
         "highlight_db": east_m,
-        "shadow_db": -8.0,
-        "length_m": 1.0,
-        "width_m": 0.5,
-        "height_m": 0.4,
-        "shadow_length_m": 1.0,
-        "reasons": (),
-        "snippet": np.zeros((1, 1), dtype=np.uint8),
-        "snippet_row": 0.5,
-        "snippet_column": 0.5,
-        "row_spacing_m": 0.12,
-        "column_spacing_m": 0.06,
         "surroundings": AROUND,
+        "p_mine": p_mine,
     }
-    return Detection(**{**known, "p_mine": p_mine, **values})
+    return drawn_looks.detection(**{**known, **values})
 
 
 Fly = Callable[[Iterable[Detection], Iterable[Thing]], list[Example]]
@@ -241,7 +222,9 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
             contour_features: dict[str, float]
             features: dict[str, float]
 
-        measured = Looked(dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5), dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5))
+        measured = Looked(
+            dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5), dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5)
+        )
         monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "take", lambda *_: measured)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import cv2
+import drawn_looks
 import msgspec
 import numpy as np
 import pytest
@@ -46,19 +47,17 @@ def confirmation(**changes: Any) -> Confirmation:
         highlight=BOX,
         shadow=BEHIND,
     )
-    plain = Confirmation(
-        log_ratio=8.4,
-        shape_mass=mass(LIKE_A_CYLINDER),
-        mass=mass(LIKE_A_CYLINDER),
-        half_turn_symmetric=True,
-        labels=labels,
-        highlight=BOX,
-        shadow=BEHIND,
-        model=model,
-        rejected=False,
-        reasons=("buried",),
-    )
-    return msgspec.structs.replace(plain, **changes)
+    known: dict[str, Any] = {
+        "log_ratio": 8.4,
+        "shape_mass": mass(LIKE_A_CYLINDER),
+        "mass": mass(LIKE_A_CYLINDER),
+        "labels": labels,
+        "highlight": BOX,
+        "shadow": BEHIND,
+        "model": model,
+        "reasons": ("buried",),
+    }
+    return drawn_looks.confirmation(**{**known, **changes})
 
 
 def seen(side: Side = "port", **changes: Any) -> Detection:

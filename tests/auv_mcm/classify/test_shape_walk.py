@@ -84,7 +84,7 @@ def test_c_takes_the_steps_that_a_walk_over_any_cost_takes(chart: Chart, beam_wi
         assert image is not None
         beam = beam_of(region)
         assert beam.share.size == (3 if beam_width_rad else 1)
-        starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), chart.box, 100, 5)  # noqa: B023
+        starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), chart.box, 100, 5)  # noqa: B023  # called at once
         fast, slow = (walk(chart, image, beam, starts, 12, 5, first_stride=3.0) for walk in (walk_shapes, walk_shapes_numpy))
         np.testing.assert_array_equal(fast.unit, slow.unit)
         np.testing.assert_array_equal(fast.cost, slow.cost)

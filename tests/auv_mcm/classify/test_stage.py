@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from drawn_looks import detection
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,27 +32,13 @@ def detection_in(region: Region, **values: Any) -> Detection:
     codes = pack_snippet(np.where(region.valid, np.maximum(region.intensity, 1e-4), 0.0))
     ground_range_m = region.first_ground_range_m + region.column * region.column_spacing_m
     known: dict[str, Any] = {
-        "side": "starboard",
         "row": 1000.0 + region.row,
         "column": ground_range_m / region.column_spacing_m,
-        "time_s": 0.0,
-        "ping_number": 0,
-        "latitude_deg": 0.0,
-        "longitude_deg": 0.0,
-        "covariance_m2": np.eye(2),
-        "heading_rad": 0.0,
-        "aspect_deg": 90.0,
         "ground_range_m": ground_range_m,
         "slant_range_m": math.hypot(ground_range_m, region.altitude_m),
         "altitude_m": region.altitude_m,
-        "score": 6.0,
         "highlight_db": 10.0,
         "shadow_db": -9.0,
-        "length_m": 1.0,
-        "width_m": 0.5,
-        "height_m": 0.4,
-        "shadow_length_m": 1.0,
-        "p_mine": 0.7,
         "reasons": ("highlight_and_shadow",),
         "snippet": codes[MARGIN_ROWS:-MARGIN_ROWS, MARGIN_COLUMNS:-MARGIN_COLUMNS],
         "snippet_row": region.row - MARGIN_ROWS,
@@ -66,7 +53,7 @@ def detection_in(region: Region, **values: Any) -> Detection:
             first_return_m=region.altitude_m,
         ),
     }
-    return Detection(**{**known, **values})
+    return detection(**{**known, **values})
 
 
 def mine(kind: str, seed: int, **sizes: float) -> Region:
