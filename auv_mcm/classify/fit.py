@@ -84,8 +84,8 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
     sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the resolution, and an
-    altitude that is wrong by 6 %. Empty unless refined. ends: columns in each slice (n_rows) at which the solid's highlight
-    starts and ends and its shadow ends, 0 where it has none.
+    altitude that is wrong by 6 %. Empty unless refined and the best of all classes. ends: columns in each slice (n_rows) at which the
+    solid's highlight starts and ends and its shadow ends, 0 where it has none.
     plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     contrast: mean of highlight and of shadow over the floor's, echoes cut off at three times the floor.
     flags: at_bound (a parameter at the end of what is searched), altitude (solids do fit, but for another altitude), buried (by over a
@@ -190,16 +190,19 @@ def fit_shapes(
     classes = [entry for entry in classes if entry.found.cost[0] < FORBIDDEN]
     lowest = min((entry.found.cost[0] for entry in classes), default=math.inf)
     clutter = contour_cost is not None and lowest > contour_cost + _CLUTTER
-    fits = []
+    fits: list[tuple[ShapeFit, _Class]] = []
     for entry in classes:
         refined = not clutter and bool(entry.found.cost[0] < lowest + _HOPELESS)
         final = _refine(entry, image, beam, effort) if refined else entry
         n_tried += effort.n_fine_walks * effort.n_fine_steps * effort.n_fine_tries if refined else 0
         if final.found.cost[0] < FORBIDDEN:
-            fits.append(_fit(final, region, image, beam if refined else PENCIL, refined))
-    fits.sort(key=lambda fit: fit.best.cost)
+            fits.append((_fit(final, region, image, beam if refined else PENCIL, refined), final))
+    fits.sort(key=lambda found: found[0].best.cost)
+    told = [fit for fit, _ in fits]
+    if told and told[0].refined:
+        told[0] = msgspec.structs.replace(told[0], sigma=_sigma(fits[0][1], beam, region, image))
     flags = ("clutter",) if clutter else ()
-    return ShapeFits(fits=tuple(fits), contour_cost=contour_cost, n_hypotheses=n_tried, flags=flags)
+    return ShapeFits(fits=tuple(told), contour_cost=contour_cost, n_hypotheses=n_tried, flags=flags)
 
 
 def plausibility(solid: Solid, sizes: Array) -> float:
@@ -243,7 +246,6 @@ def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: boo
     optima = [_optimum(entry.solid, row, cost, region, image) for row, cost in zip(hypotheses, found.cost.tolist(), strict=True)]
     best = optima[0]
     second = optima[1] if len(optima) > 1 and found.cost[1] < FORBIDDEN else None
-    sigma = _sigma(entry, points[0], hypotheses[0], beam, region, image) if refined else {}
     mean = shape_costs(entry.solid, hypotheses[:1], image, beam).mean[0]
     ends = intervals(entry.solid, hypotheses[:1], image, PENCIL)[0, :, 0]
     highlight = _highlight(ends, mean, image)
@@ -265,7 +267,7 @@ def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: boo
         solid=entry.solid,
         best=best,
         second=second,
-        sigma=sigma,
+        sigma={},
         ends=tuple(map(tuple, ends.tolist())),
         plausibility=plausibility(entry.solid, points[0, 2:]),
         contrast=(float(mean[0] / mean[2]), float(mean[1] / mean[2])),
@@ -295,8 +297,10 @@ def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image
     )
 
 
-def _sigma(entry: _Class, point: Array, hypothesis: Array, beam: Beam, region: Region, image: RowSums) -> dict[str, float]:
+def _sigma(entry: _Class, beam: Beam, region: Region, image: RowSums) -> dict[str, float]:
     """Of place and fields: what speckle leaves open, doubled for what the model leaves out, and what resolution and altitude do."""
+    point = entry.box.points(entry.found.unit[:1])[0]
+    hypothesis = hypotheses_of(entry.solid, point[np.newaxis])[0]
     covariance = curvature_covariance(lambda points: costs_at(entry.chart, points, image, beam), entry.box, point)
     there = point.copy()
     if entry.solid != "truncated_cone":

@@ -13,9 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.kernels.speckle import half_differences
+
 Plane = NDArray[np.float64]
 
-_FURTHEST_LAG: Final = 4  # pixels; grains of well processed images are 1 to 4 pixels
+_NEAR_LAGS: Final = range(1, 5)  # pixels; grains of well processed images are 1 to 4 pixels
 _PLATEAU_LAGS: Final = range(7, 10)
 _NO_CORRELATION: Final = 0.05
 _LEAST_PAIRS: Final = 200
@@ -50,8 +52,8 @@ def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Corr
     are left out. From half the mean squared difference at each lag over that at lags no grain spans: what varies slowly (texture,
     a gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count as uncorrelated.
     """
-    clipped = np.minimum(intensity, _CLIP)
-    return Correlation(_grain(clipped.T, background.T), _grain(clipped, background))
+    halves = half_differences(np.minimum(intensity, _CLIP), background, (*_NEAR_LAGS, *_PLATEAU_LAGS), _LEAST_PAIRS)
+    return Correlation(*(_grain(along) for along in halves.tolist()))
 
 
 def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
@@ -112,27 +114,15 @@ def _spread(length: float) -> float:
     return length / (2.0 * math.sqrt(math.pi)) if length > _UNCORRELATED else 0.0
 
 
-def _grain(plane: Plane, background: NDArray[np.bool_]) -> float:
-    """Along the second axis."""
-    plateau = [half for lag in _PLATEAU_LAGS if (half := _half_difference(plane, background, lag)) is not None]
+def _grain(halves: list[float]) -> float:
+    """From half the mean squared differences at _NEAR_LAGS and _PLATEAU_LAGS, NaN where not known."""
+    plateau = [half for half in halves[len(_NEAR_LAGS) :] if not math.isnan(half)]
     if not plateau or max(plateau) <= 0.0:
         return 1.0
     far = sum(plateau) / len(plateau)
     length = 1.0
-    for lag in range(1, _FURTHEST_LAG + 1):
-        near = _half_difference(plane, background, lag)
-        if near is None or 1.0 - near / far < _NO_CORRELATION:
+    for near in halves[: len(_NEAR_LAGS)]:
+        if math.isnan(near) or 1.0 - near / far < _NO_CORRELATION:
             break
         length += 2.0 * (1.0 - near / far)
     return length
-
-
-def _half_difference(plane: Plane, background: NDArray[np.bool_], lag: int) -> float | None:
-    if plane.shape[1] <= lag:
-        return None
-    both = background[:, lag:] & background[:, :-lag]
-    number = int(both.sum())
-    if number < _LEAST_PAIRS:
-        return None
-    difference = np.where(both, plane[:, lag:] - plane[:, :-lag], 0.0)
-    return float(0.5 * (difference**2).sum() / number)

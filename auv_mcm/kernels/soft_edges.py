@@ -45,12 +45,22 @@ def point_spread(sigma: float) -> Plane:
 
 def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
     """plane (n_rows, n_columns) smeared along both axes; beyond its edges it goes on as at the edge."""
-    for axis, spread in enumerate((spread_rows, spread_columns)):
-        reach = len(spread) // 2
-        padded = np.pad(plane, [(reach, reach) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
-        length = plane.shape[axis]
-        plane = sum(value * padded.take(range(k, k + length), axis=axis) for k, value in enumerate(spread))
-    return plane
+    n_rows, n_columns = plane.shape
+    rows, columns = (
+        np.arange(-(len(spread) // 2), n + len(spread) // 2) for n, spread in ((n_rows, spread_rows), (n_columns, spread_columns))
+    )
+    padded = plane.take(rows, axis=0, mode="clip")
+    plane = _added_up([padded[k : k + n_rows] for k in range(len(spread_rows))], spread_rows)
+    padded = plane.take(columns, axis=1, mode="clip")
+    return _added_up([padded[:, k : k + n_columns] for k in range(len(spread_columns))], spread_columns)
+
+
+def _added_up(planes: list[Plane], shares: Plane) -> Plane:
+    total: Plane = shares[0] * planes[0]
+    part = np.empty_like(total)
+    for plane, share in zip(planes[1:], shares[1:], strict=True):
+        total += np.multiply(plane, share, out=part)
+    return total
 
 
 def soft_edges(

@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.speckle import Correlation, block_means, grain_area, looks_of_blocks, measure_correlation, nyquist_factors
+from auv_mcm.kernels.speckle import half_differences, half_differences_numpy
 from sim_replay.benches.drawn_regions import Drawing, draw_region
 
 
@@ -116,3 +119,26 @@ def test_blocks_hold_one_grain_but_stay_small_against_a_mine() -> None:
     assert nyquist_factors(Correlation(3.4, 1.2), 0.03, 0.03) == (3, 1)
     assert nyquist_factors(Correlation(3.4, 3.4), 0.12, 0.06) == (2, 3)
     assert nyquist_factors(Correlation(9.0, 9.0), 0.5, 0.5) == (1, 1)
+
+
+@given(seed=st.integers(0, 10**6), n_rows=st.integers(1, 9), n_columns=st.integers(1, 14), share=st.sampled_from([0.0, 0.5, 1.0]))
+@settings(max_examples=60, deadline=None)
+def test_half_differences_are_those_of_pairs_taken_one_by_one(seed: int, n_rows: int, n_columns: int, share: float) -> None:
+    random = np.random.default_rng(seed)
+    usable = random.uniform(size=(n_rows, n_columns)) < share
+    plane = np.where(usable, random.exponential(1.0, (n_rows, n_columns)), np.nan)
+    lags = (1, 2, 7)
+    wanted = np.full((2, len(lags)), np.nan)
+    for axis, (down, right) in enumerate(((1, 0), (0, 1))):
+        for k, lag in enumerate(lags):
+            ends = [(r, c, r + lag * down, c + lag * right) for r in range(n_rows) for c in range(n_columns)]
+            pairs = [(plane[r, c], plane[s, d]) for r, c, s, d in ends if s < n_rows and d < n_columns and usable[r, c] and usable[s, d]]
+            if len(pairs) >= 3:
+                wanted[axis, k] = 0.5 * sum((a - b) ** 2 for a, b in pairs) / len(pairs)
+    for function in (half_differences, half_differences_numpy):
+        np.testing.assert_allclose(function(plane, usable, lags, 3), wanted, rtol=1e-12)
+
+
+def test_planes_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="one 2-d shape"):
+        half_differences(np.ones((3, 4)), np.ones((4, 3), dtype=np.bool_), (1,), 1)

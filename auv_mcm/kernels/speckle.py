@@ -1,0 +1,55 @@
+"""How much pixels differ from others some lags away: half the mean squared difference, the variogram of geostatistics.
+
+Pairs with a pixel that is not usable are left out. C and numpy agree to 1e-12, relative: they add up in different orders.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+
+Plane = NDArray[np.float64]
+
+
+def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], least_pairs: int) -> Plane:
+    """Along rows and along columns, (2, n_lags) float64; NaN where there are fewer than least_pairs pairs (>= 1).
+
+    plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first of the two is
+    from one row to those after it. Raises ValueError if the shapes differ.
+    """
+    if plane.ndim != 2 or plane.shape != usable.shape:
+        raise ValueError(f"plane and usable must have one 2-d shape, not {plane.shape} and {usable.shape}")
+    function = _function()
+    if function is None:
+        return half_differences_numpy(plane, usable, lags, least_pairs)
+    plane, usable = np.ascontiguousarray(plane, dtype=np.float64), np.ascontiguousarray(usable, dtype=np.bool_)
+    wanted = np.array(lags, dtype=np.int64)
+    squares, numbers = np.zeros((2, len(lags))), np.zeros((2, len(lags)), dtype=np.int64)
+    at = [array.ctypes.data for array in (plane, usable, wanted, squares, numbers)]
+    function(*plane.shape, *at[:2], len(lags), *at[2:])
+    return np.where(numbers >= least_pairs, 0.5 * squares / np.maximum(numbers, 1), np.nan)
+
+
+def half_differences_numpy(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], least_pairs: int) -> Plane:
+    """half_differences in numpy alone."""
+    halves = np.full((2, len(lags)), np.nan)
+    for axis, (values, counted) in enumerate(((plane.T, usable.T), (plane, usable))):
+        for k, lag in enumerate(lags):
+            both = counted[:, lag:] & counted[:, :-lag]
+            number = int(both.sum())
+            if number >= least_pairs:
+                difference = np.where(both, values[:, lag:] - values[:, :-lag], 0.0)
+                halves[axis, k] = 0.5 * float((difference**2).sum()) / number
+    return halves
+
+
+@functools.cache
+def _function() -> Callable[..., None] | None:
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    return kernels.c_function("speckle_lags", integer, integer, pointer, pointer, integer, pointer, pointer, pointer)
