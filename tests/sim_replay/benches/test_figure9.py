@@ -95,7 +95,7 @@ def test_objects_never_seen_have_no_threshold_that_finds_them() -> None:
 def test_the_table_counts_objects_and_false_alarms_of_all_images() -> None:
     seen = (Sighting("wedge", 2.0), Sighting("cylinder", -0.5), Sighting("rock", 1.0), Sighting("floor", 0.1), Sighting("surface", -2.0))
     image = Image({"central filters": seen, "all features": seen}, {"wedge": 1, "cylinder": 1, "rock": 1, "truncated_cone": 1}, 0.01)
-    even, _, every = [line.split() for line in table(EXPERIMENTS[0], [image, image]).splitlines()[2:5]]
+    even, _, _, every = [line.split() for line in table(EXPERIMENTS[0], [image, image]).splitlines()[2:6]]
     assert " ".join(even) == "central filters even odds 0 of 2 2 of 2 0 of 2 2 of 2 0 2 2.0 200"
     assert " ".join(every) == "central filters all learned 0 of 2 2 of 2 2 of 2 2 of 2 0 2 2.0 200"
 
