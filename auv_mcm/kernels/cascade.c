@@ -341,7 +341,8 @@ void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t
     memset(n_alive, 0, (size_t)last * sizeof *n_alive);
     for (int64_t band = 0; band < n_bands; band++) {
         const int64_t stop = band_stop[band];
-        const int64_t n = run_list(sums, stumps + band * n_stumps, groups, first, last, restart, stop - begin, at + begin, score + begin, n_alive);
+        const int64_t n = run_list(sums, stumps + band * n_stumps, groups, first, last, restart, stop - begin, at + begin, score + begin,
+                                   n_alive);
         memmove(at + kept, at + begin, (size_t)n * sizeof *at);
         memmove(score + kept, score + begin, (size_t)n * sizeof *score);
         kept += n;
