@@ -7,10 +7,22 @@ from typing import Final
 
 from auv_mcm.commands import Commands, command
 
-_BENCHES: Final = (
-    *("waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes", "beliefs", "images"),
-    *("cascade", "inversion", "augment", "figure9"),
-)
+_BENCHES: Final = {
+    "waterfall": "the whole chain, cost per stage",
+    "detect": "the detector's cost per tile",
+    "simulate": "the simulator's cost",
+    "scenes": "what is found in the named scenes, and what each step of the close look adds",
+    "froc": "every detector and each step after it, on missions held out from all training",
+    "segmentation": "Markov-field segmentation, error beside time",
+    "snakes": "contours, error beside time",
+    "shapes": "classification by shape, error beside time",
+    "beliefs": "what views make one believe",
+    "images": "outlines and calls on real pictures",
+    "cascade": "the trained cascade's speed and budgets",
+    "inversion": "relief recovered from images, error beside time",
+    "augment": "whether embedded targets can be told from simulated ones",
+    "figure9": "the source paper's examples of classical detection",
+}
 
 
 def add(commands: Commands) -> None:
@@ -18,14 +30,10 @@ def add(commands: Commands) -> None:
         commands,
         "bench",
         "measure speed, memory and what is found",
-        "waterfall: the whole chain, cost per stage; detect: the detector's cost per tile; simulate: the simulator's cost;\n"
-        "scenes: what is found in the named scenes; segmentation, snakes, shapes: parts of confirmation and classification,\n"
-        "error beside time; beliefs: what views make one believe; images: outlines and calls on\n"
-        "real pictures; cascade: speed and budgets; inversion, augment: targets put into recorded sea floors; figure9: the\n"
-        "source paper's examples of classical detection. Further arguments go to the bench.",
+        "\n".join(f"{name + ':':14}{does}" for name, does in _BENCHES.items()) + "\n\nFurther arguments go to the bench.",
         ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
     )
-    parser.add_argument("bench", metavar="BENCH", choices=_BENCHES, help="what to measure: " + ", ".join(_BENCHES))
+    parser.add_argument("bench", metavar="BENCH", choices=list(_BENCHES), help="what to measure")
     parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
     parser.set_defaults(command=_run)
 

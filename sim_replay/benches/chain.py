@@ -7,6 +7,7 @@ auv-mcm bench scenes            what the chain finds in the named scenes
 auv-mcm bench segmentation, snakes, shapes   parts of confirmation and classification: error beside time
 auv-mcm bench beliefs           what one and two views make one believe, beside what the source paper prints
 auv-mcm bench images            outlines and false confirmations on real pictures
+auv-mcm bench froc              every detector, and the steps after it, on missions held out
 auv-mcm bench cascade           speed and budgets of the trained cascade
 auv-mcm bench inversion, augment   relief recovered from images, and targets put into it
 auv-mcm bench figure9           the source paper's examples of classical detection
@@ -53,6 +54,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "beliefs": ("sim_replay.benches.beliefs", "beliefs in the classes of single objects, beside the source paper's"),
     "images": ("sim_replay.benches.real_images", "outlines and false confirmations on real pictures"),
     "cascade": ("sim_replay.benches.cascade", "the trained cascade: windows per second beside OpenCV's, budgets, equality of kernels"),
+    "froc": ("sim_replay.benches.froc", "what each detector and each step finds on missions held out, at given rates of false alarms"),
     "inversion": ("sim_replay.benches.inversion", "relief and reflectivity recovered from images: error beside time"),
     "augment": ("sim_replay.benches.augment", "whether embedded targets can be told from simulated ones"),
     "figure9": ("sim_replay.benches.figure9", "the source paper's examples of classical detection, flown many times"),

@@ -25,9 +25,10 @@ from auv_mcm.errors import UsageError
 from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, LookStep, NavSample, Ping
+from sim_replay.benches.layout import NOTHING, columns, density_cell, markdown, share_cell
 from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
-from sim_replay.scoring.intervals import Density, Proportion, density
+from sim_replay.scoring.intervals import density
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -35,7 +36,6 @@ from sim_replay.simulator.scene_file import named_scenes, read_scene
 SCENES: Final = ("flat", "ripple", "mixed", "rough", "boulders", "seagrass", "slope", "shallow", "deep", "sas")
 FIRST_SEED: Final = 9100  # neither scenes nor constants were ever tried on seeds from here on
 _LIMIT_PER_KM2: Final = 100.0
-_NOTHING: Final = "-"
 
 System: TypeAlias = Literal["chain", "detector", "rival"]
 SYSTEMS: Final[tuple[System, ...]] = get_args(System)
@@ -127,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(f"{len(seeds)} missions per scene, seeds {seeds.start} to {seeds.stop - 1}")
     print("intervals are 95 %: Wilson's for Pd, exact Poisson for FA; rocks called and errors at p_mine 0.5\n")
-    laid_out = _markdown if arguments.markdown else _columns
+    laid_out = markdown if arguments.markdown else columns
     print(laid_out(_HEADER, [_row(name, system, score) for (name, system), score in scores.items()]))
     *_, last = pooled
     print()
@@ -239,11 +239,11 @@ def _row(name: str, system: str, score: Score) -> list[str]:
         system,
         str(score.n_targets),
         f"{score.area_km2:.3f}",
-        _share(headline.pd),
-        _share(score.at_threshold.pd),
-        _density(score.at_threshold.false_alarms),
+        share_cell(headline.pd),
+        share_cell(score.at_threshold.pd),
+        density_cell(score.at_threshold.false_alarms),
         f"{rocks.count} of {rocks.of}",
-        _NOTHING if error is None else f"{error:.2f}",
+        NOTHING if error is None else f"{error:.2f}",
     ]
 
 
@@ -252,9 +252,9 @@ def _seabed_rows(scores: dict[System, Score]) -> Iterator[list[str]]:
         for system, score in scores.items():
             for group in score.seabeds:
                 if group.name == name:
-                    area = group.false_alarms.area_km2
-                    area_text = _NOTHING if area is None else f"{area:.3f}"
-                    yield [name.replace("_", " "), system, str(group.pd.of), area_text, _share(group.pd), _density(group.false_alarms)]
+                    alarms = group.false_alarms
+                    area_text = NOTHING if alarms.area_km2 is None else f"{alarms.area_km2:.3f}"
+                    yield [name.replace("_", " "), system, str(group.pd.of), area_text, share_cell(group.pd), density_cell(alarms)]
 
 
 def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
@@ -271,31 +271,11 @@ def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
         seconds = sum(mission.costs_s[cost] for mission in missions) / hours
         yield [
             words,
-            _share(headline.pd),
-            _share(score.at_threshold.pd),
-            _density(score.at_threshold.false_alarms),
-            _NOTHING if enough is None else _density(enough.false_alarms),
-            _NOTHING if enough is None else _density(density(enough.false_alarms.count - enough.on_known_clutter, score.area_km2)),
+            share_cell(headline.pd),
+            share_cell(score.at_threshold.pd),
+            density_cell(score.at_threshold.false_alarms),
+            NOTHING if enough is None else density_cell(enough.false_alarms),
+            NOTHING if enough is None else density_cell(density(enough.false_alarms.count - enough.on_known_clutter, score.area_km2)),
             n_looks,
             f"{seconds:.0f}",
         ]
-
-
-def _share(share: Proportion) -> str:
-    return _NOTHING if share.value is None else f"{share.value:.2f} ({share.low:.2f}-{share.high:.2f})"
-
-
-def _density(density: Density) -> str:
-    if density.per_km2 is None or density.low is None or density.high is None:
-        return _NOTHING
-    return f"{density.per_km2:.0f} ({density.low:.0f}-{density.high:.0f})"
-
-
-def _columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in (header, *rows)]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
-
-
-def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *rows))

@@ -1,0 +1,272 @@
+"""What each detector and each step after it finds at a given rate of false alarms, on missions that nothing was trained or tuned on.
+
+Simulated missions with seeds of their own, one scene of which shows a sea floor that no model was trained on, and recorded lines with
+embedded targets, none of which any model was trained on. All systems see the same pings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib import resources
+from itertools import chain as joined
+from pathlib import Path
+from typing import Final, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+
+from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.config import Config
+from auv_mcm.contacts.export import contacts_geojson
+from auv_mcm.detect.cascade.model import CascadeModel, parse_model
+from auv_mcm.detect.stage import TileDetections, detect_tile
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.outputs import write_file
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Tile
+from sim_replay.augment.command import augment
+from sim_replay.augment.targets import Scatter, TargetSpec
+from sim_replay.benches.arguments import count
+from sim_replay.benches.layout import columns, density_cell, markdown, share_cell
+from sim_replay.benches.scenes import SCENES, as_after, config_for
+from sim_replay.recorded import RecordedMission
+from sim_replay.rival import rival_contacts
+from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.matching import gates_m
+from sim_replay.simulator import mission as simulated
+from sim_replay.simulator.scene_file import read_scene
+from sim_replay.training.classical.detect import detect_classical
+from sim_replay.training.classical.model import parse_model as parse_classical
+from sim_replay.training.farm import Farm, run_tasks
+
+FIRST_SEED: Final = 9200  # on seeds from here on nothing was ever trained, fitted or tried
+HELD_OUT: Final = frozenset({"seagrass"})
+"""Scenes whose sea floor no model was trained on."""
+LIMITS_PER_KM2: Final = (10.0, 50.0, 100.0)
+
+_ROCKS_P: Final = 0.5
+_GATE_M: Final = 2.0
+_TARGETS_PER_LINE: Final = 12
+_STEPS: Final[dict[str, LookStep]] = {"confirmation": "contours", "chain": "shape"}
+SYSTEMS: Final = {
+    "rival": "plain threshold",
+    "contrast": "contrasts, nothing trained",
+    "classical": "classical features",
+    "stages": "stage cascade",
+    "soft": "soft cascade",
+    "confirmation": "+ confirmation",
+    "chain": "+ classification: the chain",
+}
+_HEADER: Final = (
+    *("missions", "system", "targets", "km²"),
+    *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
+    *("Pd at p_mine 0.5", "FA/km² at p_mine 0.5"),
+)
+_ROCK_HEADER: Final = ("mine-sized rocks of the chain", "called", "share")
+
+
+class SimulatedLine(NamedTuple):
+    """A named scene with a seed."""
+
+    name: str
+    seed: int
+
+    @property
+    def group(self) -> str:
+        return self.name
+
+
+class AugmentedLine(NamedTuple):
+    """A recorded log into which targets and rocks are embedded, drawn by a seed."""
+
+    log: Path
+    seed: int
+
+    @property
+    def group(self) -> str:
+        return self.log.stem
+
+
+Line: TypeAlias = SimulatedLine | AugmentedLine
+
+
+class Rock(NamedTuple):
+    """A rock that the chain has a contact for, or has not (n_views 0): whether it is called, and from how many views."""
+
+    n_views: int
+    called: bool
+
+
+class Flown(NamedTuple):
+    """What every system of SYSTEMS reports of one line."""
+
+    group: str
+    reported: dict[str, Mission]
+    rocks: tuple[Rock, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})")
+    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to augment, XTF; repeatable")
+    parser.add_argument("--log-seeds", type=count, default=4, help="draws of targets per recorded line (default 4)")
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once on this computer (default 2)")
+    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="fly on the cluster of this dask scheduler instead")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
+    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, score and print; returns the exit code. Raises UsageError for scenes that are not there."""
+    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
+    for name in names:
+        read_scene(name)
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
+    first = arguments.first_seed
+    lines: list[Line] = [SimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)]
+    lines += [AugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)]
+
+    def progress(done: int) -> None:
+        print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
+
+    flown = list(run_tasks(fly, lines, Farm(arguments.workers, arguments.scheduler), progress))
+    print(file=sys.stderr)
+    scores = {
+        (group, system): score_missions([one.reported[system] for one in some]) for group, some in _groups(flown) for system in SYSTEMS
+    }
+    print(
+        f"{arguments.seeds} missions per scene, seeds {first} to {first + arguments.seeds - 1}; intervals are 95 %: Wilson's for Pd, exact"
+    )
+    print("Poisson for FA\n")
+    laid_out = markdown if arguments.markdown else columns
+    print(laid_out(_HEADER, [_row(group, SYSTEMS[system], score) for (group, system), score in scores.items()]))
+    print()
+    print(laid_out(_ROCK_HEADER, list(_rock_rows(list(joined.from_iterable(one.rocks for one in flown))))))
+    if arguments.json is not None:
+        told = {f"{group} {system}": json.loads(to_json(score)) for (group, system), score in scores.items()}
+        try:
+            write_file(arguments.json, json.dumps(told, indent=1).encode())
+        except OSError as error:
+            raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
+    return 0
+
+
+def fly(line: Line) -> Flown:
+    """One line as all systems report it."""
+    gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
+    if isinstance(line, SimulatedLine):
+        scene = msgspec.structs.replace(read_scene(line.name), seed=line.seed)
+        mission = simulated.Mission(scene)
+        return _seen(line, config_for(scene), mission.events(), mission.truth)
+    with tempfile.TemporaryDirectory() as folder:
+        written = augment(line.log, _scattered(line.seed), Path(folder), Config())
+        recorded = RecordedMission([written.log], Config().sonar)
+        return _seen(line, Config(), recorded.events(), lambda: json.loads(written.truth.read_bytes()))
+
+
+def best_pd(score: Score, limit_per_km2: float) -> str:
+    """The best Pd with at most so many false alarms, with its interval."""
+    allowed = [point for point in score.froc if point.false_alarms.per_km2 is not None and point.false_alarms.per_km2 <= limit_per_km2]
+    best = max((point.pd for point in allowed), key=lambda pd: pd.count, default=proportion(0, score.n_targets))
+    return share_cell(best)
+
+
+def comparison_model(name: str) -> bytes:
+    """A model that is there to be compared with, by its name in this package."""
+    return resources.files("sim_replay.benches").joinpath("models", f"{name}.json").read_bytes()
+
+
+def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]) -> Flown:
+    place = f"{line.group}, seed {line.seed}"
+    alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
+    untrained = msgspec.structs.replace(alone, detect=msgspec.structs.replace(alone.detect, model="none"))
+    stages = parse_model(comparison_model("stages"), "stages.json")
+    classical = parse_classical(comparison_model("classical"), "classical.json")
+    pipelines = {
+        "contrast": Pipeline(untrained),
+        "classical": Pipeline(untrained, detect=partial(detect_classical, config=untrained, model=classical)),
+        "stages": Pipeline(alone, detect=partial(_by_stages, config=alone, model=stages)),
+        "soft": Pipeline(alone),
+        "chain": Pipeline(config),
+    }
+    kept: list[NavSample | Ping] = []
+    for event in events:
+        if isinstance(event, NavSample | Ping):
+            kept.append(event)
+        for pipeline in pipelines.values():
+            pipeline.feed(event)
+    for pipeline in pipelines.values():
+        pipeline.finish()
+    told = truth_of()
+    truth = parse_truth(told, place)
+    contacts: dict[str, Sequence[Contact]] = {name: pipeline.contacts for name, pipeline in pipelines.items()}
+    prior = shipped_odds("cascade").prior
+    for system, step in _STEPS.items():
+        contacts[system] = [as_after(contact, step, prior) for contact in pipelines["chain"].contacts]
+    reported = {name: Mission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()}
+    reported["rival"] = Mission(tuple(rival_contacts(kept)), truth, place)
+    return Flown(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
+
+
+def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetections:
+    return detect_tile(tile, config, model)
+
+
+def _scattered(seed: int) -> TargetSpec:
+    targets = Scatter(kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, is_target=True)
+    rocks = Scatter(kinds=("rock",), count=_TARGETS_PER_LINE, is_target=False)
+    return TargetSpec(seed=seed, scatter=(targets, rocks))
+
+
+def _rocks(contacts: Sequence[Contact], mission: Mission) -> Iterator[Rock]:
+    """Every rock, with the most mine-like contact within the gate of it."""
+    for thing in mission.truth.objects:
+        if thing.kind != "rock" or thing.looks == ():
+            continue
+        frame = LocalFrame(latitude_deg=thing.latitude_deg, longitude_deg=thing.longitude_deg)
+        near = []
+        for contact in contacts:
+            east_m, north_m, _ = frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0)
+            sigma_m = np.sqrt([max(float(np.linalg.eigvalsh(contact.covariance_m2)[-1]), 0.0)])
+            if float(np.hypot(east_m, north_m)) <= gates_m(_GATE_M, sigma_m)[0]:
+                near.append(contact)
+        best = max(near, key=lambda contact: contact.p_mine, default=None)
+        yield Rock(0, False) if best is None else Rock(len(best.views), best.p_mine >= _ROCKS_P)
+
+
+def _groups(flown: Sequence[Flown]) -> Iterator[tuple[str, list[Flown]]]:
+    """Missions by scene or log, then pooled: simulated ones on sea floors like those trained on, and recorded ones."""
+    names = list(dict.fromkeys(one.group for one in flown))
+    for name in names:
+        yield name, [one for one in flown if one.group == name]
+    pooled = {
+        "all simulated but held-out sea floors": [one for one in flown if one.group in SCENES and one.group not in HELD_OUT],
+        "all recorded": [one for one in flown if one.group not in SCENES],
+    }
+    for title, some in pooled.items():
+        if len({one.group for one in some}) > 1:
+            yield title, some
+
+
+def _row(group: str, system: str, score: Score) -> list[str]:
+    pds = [best_pd(score, limit) for limit in LIMITS_PER_KM2]
+    title = f"{group} (held out)" if group in HELD_OUT else group
+    at = score.at_threshold
+    return [title, system, str(score.n_targets), f"{score.area_km2:.3f}", *pds, share_cell(at.pd), density_cell(at.false_alarms)]
+
+
+def _rock_rows(rocks: Sequence[Rock]) -> Iterator[list[str]]:
+    for words, views in (("seen once", range(1, 2)), ("seen twice or more", range(2, 1000)), ("not detected", range(1))):
+        some = [rock for rock in rocks if rock.n_views in views]
+        called = sum(rock.called for rock in some)
+        yield [words, f"{called} of {len(some)}", share_cell(proportion(called, len(some)))]
