@@ -113,7 +113,7 @@ def embed(
             stretch_number, index = int(track.stretch[ping]), int(track.row[ping])
             stretch = survey.stretches[stretch_number]
             if (stretch_number, side) not in lines:
-                lines[stretch_number, side] = measure_line(stretch, side, survey.transfer, config.sonar.blank_m)
+                lines[stretch_number, side] = measure_line(stretch, side, survey.transfer, config.sonar.blank_m, survey.absorption_per_m)
             window = _Window(data, places, stretch, index, side, ground_range_m, ahead_m, lines[stretch_number, side])
             looks.append(_embed_look(window, survey, placement.thing, config, recover, seed, 64 * number + pass_number))
             looks[-1] = looks[-1]._replace(ping=int(track.number[ping]))

@@ -24,15 +24,17 @@ from sim_replay.simulator.speckle import WHITE, Float32s, band_limited_rows, gau
 
 _BLOCK_PINGS: Final = 64
 _MAX_BLOCKS: Final = 24
-_BOX_M: Final = 0.3
+_BOX_M: Final = 0.4
 _LEVEL_M: Final = 4.0
 _BIN_M: Final = 4.0
 _MIN_SHADOW_SAMPLES: Final = 100
-_WHOLE_SHADOW: Final = 0.35
+_WHOLE_SHADOW: Final = 0.15  # quantile
+_SURE_SHARE: Final = 0.25  # quantile over range
 _DARKEST_OF_SPECKLE: Final = 0.65  # of the mean: one box in twenty of speckle alone
 _WATER_SHARE: Final = 0.85  # of the first return: nearer there is water only
 _LEAST_SPAN: Final = 0.5  # of ln r in the water column, that a gain can be told from
 _STEEPEST_GAIN: Final = 4.0  # 40 log r
+_LEAST_GAIN: Final = 1.5  # a gain that makes up for spreading
 _LOG_WINDOW: Final = 64
 _FAR_LAGS: Final = (9, 13)  # correlation left there is texture, not speckle
 _N_QUANTILES: Final = 513
@@ -59,8 +61,11 @@ class Line(NamedTuple):
     floor: Floats
 
 
-def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: float) -> Line:
-    """The statistics of one side of a stretch, from up to 24 blocks of 64 pings spread over it."""
+def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: float, absorption_per_m: float) -> Line:
+    """The statistics of one side of a stretch, from up to 24 blocks of 64 pings spread over it.
+
+    absorption_per_m: two-way, nepers of power, that a recorder whose gain makes up for spreading makes up for as well; 0 if not known.
+    """
     trace = next(trace for k in range(stretch.n_pings) if (trace := stretch.trace(k, side)) is not None)
     spacing_m = trace.spacing_m
     range_m = np.asarray(trace.first_range_m + spacing_m * np.arange(trace.samples.shape[0]), dtype=np.float64)
@@ -74,7 +79,7 @@ def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: floa
         blocks.append(_Block(np.where(valid, intensity, 0.0).astype(np.float64), stretch.first_return_m[pings], max(way_m, 1e-3)))
     sea_floor = [block.intensity[:, _floor_from(block, range_m) :] for block in blocks]
     level = _floor_level(blocks, range_m, spacing_m)
-    noise, quantiles = _noise(blocks, range_m, spacing_m, level, blank_m)
+    noise, quantiles = _noise(blocks, range_m, spacing_m, level, blank_m, absorption_per_m)
     return Line(
         range_taps=gaussian_taps(_speckle_width(sea_floor, axis=1)),
         ping_taps=gaussian_taps(_speckle_width(sea_floor, axis=0)),
@@ -116,13 +121,15 @@ def _floor_level(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) ->
     return np.asarray(np.maximum(uniform_filter1d(level, max(3, round(_LEVEL_M / spacing_m)), mode="nearest"), 1e-30))
 
 
-def _noise(blocks: Sequence[_Block], range_m: Floats, spacing_m: float, level: Floats, blank_m: float) -> tuple[Floats, Floats]:
+def _noise(
+    blocks: Sequence[_Block], range_m: Floats, spacing_m: float, level: Floats, blank_m: float, absorption_per_m: float
+) -> tuple[Floats, Floats]:
     """Mean intensity of noise over range and the quantiles of its unit distribution.
 
     What is heard in a shadow is the recorder's noise, which the water column shows, and a share of the floor's level: side lobes, other
     paths. The share is measured in real shadows and 0 where the log has none.
     """
-    water, water_samples = _water_column(blocks, range_m, blank_m)
+    water, water_samples = _water_column(blocks, range_m, blank_m, absorption_per_m)
     water = np.minimum(water, _darkest(blocks, range_m, spacing_m))
     which = (range_m / _BIN_M).astype(np.int64)
     n_bins = int(which[-1]) + 1
@@ -138,13 +145,14 @@ def _noise(blocks: Sequence[_Block], range_m: Floats, spacing_m: float, level: F
     enough = np.flatnonzero(np.bincount(bins, minlength=n_bins) >= _MIN_SHADOW_SAMPLES)
     if not enough.size:
         return np.clip(water, 1e-6 * level, 0.9 * level), _quantiles(water_samples)
-    # Pings at either end of a shadow hear some floor beside it: boxes a little below the middle one are whole shadow.
+    # Edges of shadows, and dark floor taken for one, are brighter than whole shadow: what is darkest is believed.
     heard = np.array([np.quantile(boxes[bins == one], _WHOLE_SHADOW) for one in enough])
     centre = np.minimum(np.searchsorted(which, enough) + int(0.5 * _BIN_M / spacing_m), level.size - 1)
-    share = np.maximum(heard - water[centre], 0.0) / level[centre]
-    noise = water + np.interp(range_m, range_m[centre], share) * level
-    dark = [samples[(bins == one) & (boxes < 2.0 * mean)] / mean for one, mean in zip(enough, heard, strict=True)]
-    return np.clip(noise, 1e-6 * level, 0.9 * level), _quantiles(dark, water_samples)
+    share = float(np.quantile(np.maximum(heard - water[centre], 0.0) / level[centre], _SURE_SHARE))
+    noise = np.clip(water + share * level, 1e-6 * level, 0.9 * level)
+    means = noise[centre]
+    chosen = [samples[(bins == one) & (boxes < 2.0 * mean)] for one, mean in zip(enough, means, strict=True)]
+    return noise, _quantiles([some / max(float(some.mean()), 1e-30) for some in chosen if some.size], water_samples)
 
 
 def _darkest(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Floats:
@@ -161,8 +169,11 @@ def _darkest(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Flo
     return np.interp(np.arange(range_m.size), known, np.nanquantile(joined[:, known], 0.05, axis=0) / _DARKEST_OF_SPECKLE)
 
 
-def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float) -> tuple[Floats, list[Floats]]:
-    """Noise that the water column shows, ln N = a + b ln r as a recorder's gain makes of it, and its samples over their mean."""
+def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float, absorption_per_m: float) -> tuple[Floats, list[Floats]]:
+    """Noise that the water column shows, ln N = a + b ln r + c r as a recorder's gain makes of it, and its samples over their mean.
+
+    A water column of a few metres does not tell c: it is the absorption where b is that of a gain that makes up for spreading.
+    """
     places: list[float] = []
     levels: list[float] = []
     samples: list[Floats] = []
@@ -178,13 +189,22 @@ def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float) -> 
             levels.append(math.log(max(float(heard[:, part].mean()), 1e-30)))
     if not places:
         return np.zeros(range_m.size), samples
-    log_range, log_level = np.log(places), np.array(levels)
+    at_m = np.maximum(range_m, min(places))
+    for made_up_per_m in (absorption_per_m, 0.0):
+        level, slope = _gain_law(np.array(places), np.array(levels), made_up_per_m)
+        if slope > _LEAST_GAIN:
+            break
+    return np.asarray(np.exp(level + slope * np.log(at_m) + made_up_per_m * at_m)), samples
+
+
+def _gain_law(range_m: Floats, log_level: Floats, absorption_per_m: float) -> tuple[float, float]:
+    """a and b of ln N = a + b ln r + absorption r; b is 0 where ranges span too little to tell."""
+    log_range, rest = np.log(range_m), log_level - absorption_per_m * range_m
     slope = 0.0
     if log_range.max() - log_range.min() > _LEAST_SPAN:
         centred = log_range - log_range.mean()
-        slope = float(np.clip(centred @ log_level / (centred @ centred), 0.0, _STEEPEST_GAIN))
-    beyond = np.log(np.maximum(range_m, math.exp(log_range.min()))) - log_range.mean()
-    return np.asarray(np.exp(log_level.mean() + slope * beyond)), samples
+        slope = float(np.clip(centred @ rest / (centred @ centred), 0.0, _STEEPEST_GAIN))
+    return float(rest.mean() - slope * log_range.mean()), slope
 
 
 def _quantiles(*sources: Sequence[Floats]) -> Floats:

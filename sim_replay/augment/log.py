@@ -6,6 +6,7 @@ file, so that everything else in it stays as it was recorded, to the last bit.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,13 +25,18 @@ from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.transfer import Transfer, resolve_transfer, to_intensity
+from sim_replay.simulator.echo import absorption_db_per_km
+from sim_replay.simulator.scene import Sonar
 from sim_replay.xtf import XtfLog
+from sim_replay.xtf_header import SIDE_SCAN, channels
 from sim_replay.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
 
 _PROBE_PINGS: Final = 64  # that decide what samples mean, as in the pipeline
 _SONAR_PACKET: Final = 0
 _PING_HEADER: Final = 256
 _CHANNEL_HEADER: Final = 64
+_NEPERS_PER_DB: Final = 0.1 * math.log(10.0)  # of power
+_DEPTH_M: Final = 20.0  # absorption hardly depends on it
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -60,12 +66,16 @@ class Stretch(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """A log with the geometry of its pings. full_scale: stored number at which each side clips, None if it does not."""
+    """A log with the geometry of its pings. full_scale: stored number at which each side clips, None if it does not.
+
+    absorption_per_m: of sea water at the frequency that the log states, two-way, nepers of power; 0 if it states none.
+    """
 
     path: Path
     stretches: tuple[Stretch, ...]
     transfer: Transfer
     full_scale: dict[Side, float | None]
+    absorption_per_m: float
 
 
 class SamplePlace(NamedTuple):
@@ -96,7 +106,21 @@ def read_survey(path: Path, config: Config) -> Survey:
     stretches = tuple(_stretches(released, intake, transfer, config))
     if not stretches:
         raise BadInputError(f"{path} has no pings that can be placed along a track. Give a log with time stamps and navigation.")
-    return Survey(path, stretches, transfer, full_scale)
+    return Survey(path, stretches, transfer, full_scale, _absorption_per_m(path))
+
+
+def _absorption_per_m(path: Path) -> float:
+    with path.open("rb") as file:
+        data = file.read(HEADER_BLOCK)
+    header = pyxtf.XTFFileHeader.from_buffer_copy(data)
+    stated = [c.frequency for c in channels(header, data) if c.kind in SIDE_SCAN and c.frequency > 0.0]
+    if not stated:
+        return 0.0
+    # Some recorders state kilohertz, others hertz.
+    frequency_khz = stated[0] if stated[0] < 1e4 else 1e-3 * stated[0]
+    if not 10.0 <= frequency_khz <= 3000.0:
+        return 0.0
+    return 2e-3 * _NEPERS_PER_DB * absorption_db_per_km(Sonar(frequency_khz=frequency_khz), _DEPTH_M)
 
 
 def _full_scale(pings: Sequence[Ping], side: Side, configured: float | None) -> float | None:

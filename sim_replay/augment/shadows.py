@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-BOX_M: Final = 0.3  # echoes are averaged over this range and BOX_PINGS to tell shadow from speckle
+BOX_M: Final = 0.5  # echoes are averaged over this range and BOX_PINGS to tell shadow from speckle
 BOX_PINGS: Final = 3
-MIN_SHADOW_M: Final = 0.4
+MIN_SHADOW_M: Final = 0.3
 _AROUND_M: Final = 6.0
 _BEFORE_M: Final = 0.8  # nearer than the shadow, where its cause shows
-_CAUSE: Final = 1.6  # of the floor's level, at its brightest
+_CAUSE: Final = 2.0  # of the floor's level, at its brightest; sand beside mud is less
 _DARK: Final = 0.25  # of the floor's level, where the noise is not known
 _DARKEST, _BRIGHTEST = 0.1, 0.35  # bounds of the same where it is
 _ABOVE_NOISE: Final = 2.0
@@ -58,7 +58,7 @@ def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, c
     row, start = np.nonzero(edge == 1)
     stop = np.nonzero(edge == -1)[1]
     reach = max(2, round(_BEFORE_M / column_spacing_m))
-    bright = _brightest_before(box / np.maximum(level, 1e-30), reach)
+    bright = _brightest_before(box / np.maximum(np.maximum(level, typical), 1e-30), reach)
     caused = (stop - start >= max(3, round(MIN_SHADOW_M / column_spacing_m))) & (bright[row, start] > _CAUSE)
     return Runs(row[caused], start[caused], stop[caused])
 
