@@ -1,7 +1,8 @@
 """Fits the weights with which a close look turns what it measures into the odds of a mine: `python -m sim_replay.calibrate`.
 
-Simulated missions over the ten named scenes, with seeds that nothing is scored on, give detections whose truth is known. Every step of
-the look is taken for all of them, whatever the odds. A target is the most mine-like detection within the gate of one, per side and
+Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector has
+weights of its own, those of the trained cascade without the scenes that are held out from its training. Every step of the look is taken
+for all detections, whatever the odds. A target is the most mine-like detection within the gate of one, per side and
 passage; further detections of it count for nothing, and all else is what mines must be told from.
 """
 
@@ -14,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, get_args
 
 import msgspec
 import numpy as np
@@ -24,13 +25,14 @@ from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Weights
 from auv_mcm.classify.stage import region_of, take
 from auv_mcm.config import Config
+from auv_mcm.detect.cascade.choose import NONE, SHIPPED
 from auv_mcm.errors import AuvMcmError, UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.outputs import make_directory, write_file
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, LookStep
+from auv_mcm.records import Detection, Detector, LookStep
 from sim_replay.benches.arguments import count
-from sim_replay.benches.scenes import SCENES, config_for
+from sim_replay.benches.scenes import HELD_OUT, SCENES, config_for
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
@@ -65,10 +67,10 @@ class _Seen(NamedTuple):
     shape: Features
 
 
-def examples_of(name: str, seed: int) -> list[Example]:
-    """All detections of one mission through a named scene."""
+def examples_of(name: str, seed: int, detector: Detector) -> list[Example]:
+    """All detections of one mission through a named scene by one of the detectors."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
-    config = _looking_at_everything(config_for(scene))
+    config = _looking_at_everything(config_for(scene), detector)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
     passed_over: list[Detection] = []
@@ -103,6 +105,8 @@ def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m sim_replay.calibrate", description=__doc__)
+    detectors: tuple[Detector, ...] = get_args(Detector)
+    parser.add_argument("--detector", choices=detectors, default="cascade", help="whose detections to weigh (default cascade)")
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
@@ -114,14 +118,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise UsageError(f"--out {chosen.out} cannot be written: it is a folder. Name a file")
     make_directory(chosen.out.parent)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
-    tasks = [(name, seed) for seed in seeds for name in SCENES]
+    scenes = [name for name in SCENES if chosen.detector == "contrast" or name not in HELD_OUT]
+    tasks = [(name, seed, chosen.detector) for seed in seeds for name in scenes]
     examples: list[Example] = []
     with ProcessPoolExecutor(min(chosen.workers, len(tasks)), mp_context=get_context("spawn")) as pool:
         for done, found in enumerate(pool.map(examples_of, *zip(*tasks, strict=True)), 1):
             examples += found
             print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    odds = fit(examples, f"{len(examples)} detections of simulated missions: {', '.join(SCENES)}; seeds {seeds.start} to {seeds.stop - 1}")
+    odds = fit(examples, f"{len(examples)} detections of simulated missions: {', '.join(scenes)}; seeds {seeds.start} to {seeds.stop - 1}")
     _report(examples)
     data = msgspec.json.format(msgspec.json.encode(odds, order="deterministic"), indent=1) + b"\n"
     try:
@@ -134,8 +139,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 _STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 
 
-def _looking_at_everything(config: Config) -> Config:
-    return msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000))
+def _looking_at_everything(config: Config, detector: Detector) -> Config:
+    return msgspec.structs.replace(
+        config,
+        detect=msgspec.structs.replace(config.detect, model=SHIPPED if detector == "cascade" else NONE),
+        confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000),
+    )
 
 
 def _labelled(scene: str, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]) -> list[Example]:

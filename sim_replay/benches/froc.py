@@ -35,7 +35,7 @@ from sim_replay.augment.command import augment
 from sim_replay.augment.targets import Scatter, TargetSpec
 from sim_replay.benches.arguments import count
 from sim_replay.benches.layout import columns, density_cell, markdown, share_cell
-from sim_replay.benches.scenes import SCENES, as_after, config_for
+from sim_replay.benches.scenes import HELD_OUT, SCENES, as_after, config_for
 from sim_replay.recorded import RecordedMission
 from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
@@ -48,8 +48,6 @@ from sim_replay.training.classical.model import parse_model as parse_classical
 from sim_replay.training.farm import Farm, run_tasks
 
 FIRST_SEED: Final = 9200  # on seeds from here on nothing was ever trained, fitted or tried
-HELD_OUT: Final = frozenset({"seagrass"})
-"""Scenes whose sea floor no model was trained on."""
 LIMITS_PER_KM2: Final = (10.0, 50.0, 100.0)
 
 _ROCKS_P: Final = 0.5

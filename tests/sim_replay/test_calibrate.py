@@ -18,9 +18,9 @@ import pytest
 from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.records import Detection, Surroundings
+from auv_mcm.records import Detection, Detector, Surroundings
 from sim_replay import calibrate
-from sim_replay.benches.scenes import SCENES
+from sim_replay.benches.scenes import HELD_OUT, SCENES
 from sim_replay.calibrate import Example, examples_of, fit, main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -228,7 +228,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "take", lambda *_: measured)
-        return examples_of("flat", 500)
+        return examples_of("flat", 500, "contrast")
 
     return flown
 
@@ -297,10 +297,10 @@ class Flown:
     """Stands in for flying: examples of the logistic model, other ones for every mission."""
 
     def __init__(self) -> None:
-        self.missions: list[tuple[str, int]] = []
+        self.missions: list[tuple[str, int, Detector]] = []
 
-    def __call__(self, name: str, seed: int) -> list[Example]:
-        self.missions.append((name, seed))
+    def __call__(self, name: str, seed: int, detector: Detector) -> list[Example]:
+        self.missions.append((name, seed, detector))
         return [item._replace(scene=name) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
 
 
@@ -316,17 +316,20 @@ def written(path: Path) -> MineOdds:
     return parse_odds(path.read_bytes(), path.name)
 
 
+@pytest.mark.parametrize(
+    ("detector", "scenes"), [("contrast", SCENES), ("cascade", tuple(name for name in SCENES if name not in HELD_OUT))]
+)
 def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], detector: Detector, scenes: tuple[str, ...]
 ) -> None:
     out = tmp_path / "odds.json"
-    assert main(["--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
-    assert flown.missions == [(name, seed) for seed in (7, 8) for name in SCENES]
+    assert main(["--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    assert flown.missions == [(name, seed, detector) for seed in (7, 8) for name in scenes]
     odds = written(out)
-    assert odds.fitted_on == f"1200 detections of simulated missions: {', '.join(SCENES)}; seeds 7 to 8"
+    assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
     assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
     told = capsys.readouterr()
-    assert "20 of 20 missions flown" in told.err
+    assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in told.err
     rows = [line.split("  ")[0] for line in told.out.splitlines()[-4:]]
     assert rows == ["detector as it is", "detector", "contours", "shape"]
     assert "nan" not in told.out
@@ -390,8 +393,8 @@ def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None
 
 
 def test_too_few_targets_end_the_command_with_advice(monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path) -> None:
-    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed: [example({"a": 1.0}, False, scene=name)])
-    with pytest.raises(UsageError, match="0 targets in 10 detections"):
+    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed, detector: [example({"a": 1.0}, False, scene=name)])
+    with pytest.raises(UsageError, match="0 targets in 9 detections"):
         main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
     assert not (tmp_path / "odds.json").exists()
     assert flown.missions == []
