@@ -1,0 +1,196 @@
+"""From a stream of bytes, however damaged and however cut up, to the messages in it.
+
+A grammar knows one wire format; a framer looks for its messages. A candidate that is refused costs one byte: the search goes on right
+behind its first byte, because only a message that was proven may be skipped. So after any damage the next intact message is found.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+
+from drivers.stamps import Stamp
+
+M = TypeVar("M")
+M_co = TypeVar("M_co", covariant=True)
+
+_SLICE_BYTES: Final = 1 << 16  # of what is fed at once, so that a large chunk does not make a large buffer
+
+
+class Framed(NamedTuple, Generic[M]):
+    """A message and the bytes [offset, offset + n_bytes) of the stream that it was read from."""
+
+    message: M
+    offset: int
+    n_bytes: int
+
+
+class Grammar(Protocol[M_co]):
+    """One wire format. It keeps no state and never raises, whatever the bytes.
+
+    name: prefix of the counters. head_bytes: as many must be there before `find` can tell a candidate; 1 or more. max_message_bytes: more
+    are never waited for. proven: a message is told from damage by its own bytes (a checksum). If it is not, one whose end is missing may
+    have swallowed the beginning of the next; unless another follows at once, the search then goes back over its last bytes.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def head_bytes(self) -> int: ...
+    @property
+    def max_message_bytes(self) -> int: ...
+    @property
+    def proven(self) -> bool: ...
+
+    def find(self, buffer: bytearray, start: int) -> int:
+        """Index of the first candidate in buffer[start:], -1 if there is none."""
+        ...
+
+    def read(self, buffer: bytearray, at: int) -> tuple[M_co, int] | int | str:
+        """The candidate at `at`: the message and its length in bytes; or how many bytes, counted from `at`, must be there to tell; or
+        why it is refused, in one word for a counter."""
+        ...
+
+
+class Framer(Generic[M]):
+    """Messages of one stream. What comes out depends on the bytes alone, not on how they were cut into chunks.
+
+    Holds max_message_bytes and one slice of a chunk at most. `counters`: NAME.messages, NAME.bytes_skipped (outside messages), and
+    NAME.refused.REASON.
+    """
+
+    def __init__(self, grammar: Grammar[M]) -> None:
+        self.counters: Counter[str] = Counter()
+        self.n_fed = 0  # bytes
+        self._grammar = grammar
+        self._buffer = bytearray()
+        self._start = 0  # where in the buffer the search goes on
+        self._done = 0  # up to here every byte was in a message or is counted as skipped
+        self._after_message = False
+        self._needed = 1  # bytes in the buffer before it is worth looking again
+
+    @property
+    def held_from(self) -> int:
+        """Stream offset of the first byte that may still become part of a message."""
+        return self.n_fed - len(self._buffer)
+
+    def feed(self, data: bytes | bytearray | memoryview) -> list[Framed[M]]:
+        """The messages that these bytes complete, in order."""
+        if len(data) <= _SLICE_BYTES:
+            return self._feed(data)
+        view = memoryview(data)
+        return [framed for start in range(0, len(data), _SLICE_BYTES) for framed in self._feed(view[start : start + _SLICE_BYTES])]
+
+    def finish(self) -> list[Framed[M]]:
+        """The stream has ended: what waits for more bytes is refused, and searched for messages in it. Starts anew."""
+        found = self._search(final=True)
+        self._forget(len(self._buffer))
+        self._start, self._needed, self._after_message = 0, 1, False
+        return found
+
+    def _feed(self, data: bytes | bytearray | memoryview) -> list[Framed[M]]:
+        self._buffer += data
+        self.n_fed += len(data)
+        return self._search(final=False) if len(self._buffer) >= self._needed else []
+
+    def _search(self, *, final: bool) -> list[Framed[M]]:
+        grammar, buffer = self._grammar, self._buffer
+        origin = self.held_from
+        found: list[Framed[M]] = []
+        while True:
+            at = self._candidate(final=final)
+            if at < 0:
+                break
+            read = grammar.read(buffer, at)
+            if isinstance(read, int):
+                if not final and read <= grammar.max_message_bytes:
+                    self._start, self._needed = at, at + read
+                    break
+                read = "truncated" if final else "oversize"
+            if isinstance(read, str):
+                self.counters[f"{grammar.name}.refused.{read}"] += 1
+                self._start = at + 1
+                continue
+            message, n_bytes = read
+            found.append(Framed(message, origin + at, n_bytes))
+            self.counters[f"{grammar.name}.messages"] += 1
+            self._skip_to(at)
+            self._start = self._done = at + n_bytes
+            self._after_message = not grammar.proven
+        keep = self._start - (grammar.head_bytes - 1 if self._after_message else 0)
+        self._forget(max(keep, 0))
+        return found
+
+    def _candidate(self, *, final: bool) -> int:
+        """Index of the next candidate, or -1 with `_start` and `_needed` set for when more bytes come."""
+        grammar, buffer, start = self._grammar, self._buffer, self._start
+        n_ahead = len(buffer) - start
+        if n_ahead < grammar.head_bytes and not final:
+            self._needed = start + grammar.head_bytes
+            return -1
+        at = grammar.find(buffer, start)
+        if self._after_message:
+            self._after_message = False
+            if at != start:
+                at = grammar.find(buffer, max(start - grammar.head_bytes + 1, 0))
+        if at < 0:
+            self._start = max(len(buffer) - grammar.head_bytes + 1, 0)
+            self._needed = self._start + grammar.head_bytes
+        return at
+
+    def _skip_to(self, index: int) -> None:
+        if index > self._done:
+            self.counters[f"{self._grammar.name}.bytes_skipped"] += index - self._done
+            self._done = index
+
+    def _forget(self, n_bytes: int) -> None:
+        """Drop the first bytes of the buffer; whatever counts them as skipped does so only once."""
+        self._skip_to(n_bytes)
+        del self._buffer[:n_bytes]
+        self._start -= n_bytes
+        self._done -= n_bytes
+        self._needed -= n_bytes
+
+
+class Arrived(NamedTuple, Generic[M]):
+    """A message, when the chunk with its last byte was read, and the bytes on the wire from its first to the end of that chunk."""
+
+    message: M
+    received: Stamp
+    n_bytes: int
+
+
+class StampedFramer(Generic[M]):
+    """A framer whose messages say when they arrived, even those that were proven only later."""
+
+    def __init__(self, grammar: Grammar[M]) -> None:
+        self._framer = Framer(grammar)
+        self._chunks: deque[tuple[int, Stamp]] = deque()  # stream offset of the end of each chunk that is still needed
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Arrived[M]]:
+        """The messages that a chunk completes, in order. stamp: when the chunk was read."""
+        if not data:
+            return []
+        self._chunks.append((self._framer.n_fed + len(data), stamp))
+        return self._stamped(self._framer.feed(data))
+
+    def finish(self) -> list[Arrived[M]]:
+        """What the end of the stream leaves to be had."""
+        return self._stamped(self._framer.finish())
+
+    def _stamped(self, found: list[Framed[M]]) -> list[Arrived[M]]:
+        arrived = []
+        for message, offset, n_bytes in found:
+            self._forget_before(offset + n_bytes)
+            chunk_end, stamp = self._chunks[0]
+            arrived.append(Arrived(message, stamp, chunk_end - offset))
+        self._forget_before(self._framer.held_from + 1)
+        return arrived
+
+    def _forget_before(self, end: int) -> None:
+        while self._chunks and self._chunks[0][0] < end:
+            self._chunks.popleft()
