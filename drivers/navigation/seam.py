@@ -1,0 +1,46 @@
+"""What every navigation unit is turned into, whatever it speaks."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, TypeAlias, get_args
+
+import msgspec
+
+from auv_mcm.records import NAN
+from drivers.stamps import Stamp
+
+Quantity: TypeAlias = Literal["position", "heading", "attitude", "depth", "altitude", "speed"]
+QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
+
+
+class NavFix(msgspec.Struct, frozen=True, kw_only=True):
+    """What one sentence, burst or message of one unit told, with the signs of its wire format. Whatever it did not tell is NaN.
+
+    source: the unit, as the configuration names it; units on one bus are SOURCE.ADDRESS. received: when the chunk with its first byte, or
+    of a burst with its first sentence, was read. time_utc_s: the unit's own time of the measurement, UTC seconds since 1970, if it told.
+    valid: False where the unit itself says that something is not good; that is NaN then. estimated: the position is the unit's own
+    dead reckoning. course_rad: direction of motion over ground, clockwise from true north; drift_rad: the same against the bow, positive to
+    starboard. water_speed_mps: through the water, where speed_mps is over ground. *_sigma_*: 1-sigma as the unit told, position per axis.
+    """
+
+    source: str
+    received: Stamp
+    time_utc_s: float | None = None
+    valid: bool = True
+    estimated: bool = False
+    latitude_deg: float = NAN
+    longitude_deg: float = NAN
+    heading_rad: float = NAN
+    pitch_rad: float = NAN
+    roll_rad: float = NAN
+    depth_m: float = NAN
+    altitude_m: float = NAN
+    speed_mps: float = NAN
+    course_rad: float = NAN
+    drift_rad: float = NAN
+    water_speed_mps: float = NAN
+    position_sigma_m: float = NAN
+    heading_sigma_rad: float = NAN
+    attitude_sigma_rad: float = NAN
+    depth_sigma_m: float = NAN
+    speed_sigma_mps: float = NAN
