@@ -232,22 +232,7 @@ def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
 
 def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Rows a polygon reaches, and its columns [near, far) in each; three (n,) int64."""
-    # As kernels.snake_twin.crossings has it, all edges at once.
-    after = np.concatenate([nodes[1:], nodes[:1]])
-    falls = after[:, 0] > nodes[:, 0]
-    upper, lower = np.where(falls[:, None], nodes, after), np.where(falls[:, None], after, nodes)
-    height = lower[:, 0] - upper[:, 0]
-    slope = np.divide(lower[:, 1] - upper[:, 1], height, out=np.zeros(len(nodes)), where=height > 0.0)
-    start, stop = np.ceil(upper[:, 0] - 0.5), np.ceil(lower[:, 0] - 0.5)
-    row = np.arange(shape[0])
-    column = np.ceil(upper[:, 1:] + (row + 0.5 - upper[:, :1]) * slope[:, None] - 0.5)
-    column = np.clip(column, 0, shape[1]).astype(np.int64)
-    crossed = (row >= start[:, None]) & (row < stop[:, None])
-    # A polygon that is not sound may cross a row more than twice: then the last edge counts.
-    near, far = (np.full(shape[0], -1, dtype=np.int64) for _ in range(2))
-    for side, way in ((near, ~falls), (far, falls)):
-        edge, there = np.nonzero(crossed & way[:, None])
-        side[there] = column[edge, there]
+    near, far = snake.sides(nodes, shape[0], shape[1])
     rows = np.flatnonzero((near >= 0) & (far > near))
     return rows, near[rows], far[rows]
 

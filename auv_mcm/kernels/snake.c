@@ -535,6 +535,25 @@ void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const
     out[2] = (double)pair.n_evaluated;
 }
 
+/* The columns at which a polygon's edges that run up, and those that run down, cross each row; the last one counts.
+ *
+ * node (n, 2). sides (2, n_rows): -1 where there is none.
+ */
+void auv_mcm_snake_sides(int64_t n_rows, int64_t n_columns, int64_t n, const double *node, int64_t *sides)
+{
+    const pair window = {.n_rows = n_rows, .n_columns = n_columns};
+
+    for (int64_t i = 0; i < 2 * n_rows; i++)
+        sides[i] = -1;
+    for (int64_t i = 0; i < n; i++) {
+        const double *a = node + 2 * i, *b = node + 2 * ((i + 1) % n);
+        const crossing edge = crossed(&window, a, b);
+        int64_t *side = sides + (b[0] > a[0] ? n_rows : 0);
+        for (int64_t row = edge.start; row < edge.stop; row++)
+            side[row] = column_at(&edge, row, n_columns);
+    }
+}
+
 /* Sums of the table over intervals of rows, shifted. rows, near, far (n); shifts (n_shifts, 2) by rows and columns, all within the table.
  * sums (n_shifts, 2): in, zeros.
  */

@@ -133,6 +133,32 @@ def fault_of(table: NDArray[np.float64], settings: Settings, nodes: NDArray[np.f
     )
 
 
+def sides(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np.int64]:
+    """The columns at which a polygon's near and its far side cross each row, (2, n_rows) int64; -1 where they do not.
+
+    nodes: (n, 2) float64, finite. The near side is what runs up; of a polygon that crosses a row more than twice the last edge counts.
+    Raises ValueError for nodes of another shape.
+    """
+    nodes = np.ascontiguousarray(nodes, dtype=np.float64)
+    if nodes.ndim != 2 or nodes.shape[1] != 2:
+        raise ValueError(f"nodes must have shape (n, 2), not {nodes.shape}")
+    function = _c_sides()
+    if function is None:
+        return sides_numpy(nodes, n_rows, n_columns)
+    found = np.empty((2, n_rows), dtype=np.int64)
+    function(n_rows, n_columns, len(nodes), nodes.ctypes.data, found.ctypes.data)
+    return found
+
+
+def sides_numpy(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np.int64]:
+    """sides in numpy alone."""
+    found = np.full((2, n_rows), -1, dtype=np.int64)
+    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
+        rows, columns = snake_twin.crossings(a, b, n_rows, n_columns)
+        found[int(b[0] > a[0]), rows] = columns
+    return found
+
+
 def shifted_sums(
     table: NDArray[np.float64],
     rows: NDArray[np.int64],
@@ -211,6 +237,12 @@ def _run(
         faults.ctypes.data,
     )
     return _Ran(room, n_nodes.tolist(), out.tolist(), faults.tolist())
+
+
+@functools.cache
+def _c_sides() -> Callable[..., None] | None:
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    return kernels.c_function("snake_sides", integer, integer, integer, pointer, pointer)
 
 
 @functools.cache

@@ -7,9 +7,10 @@
 #define NEIGHBOURS 8
 
 /* What the data lose when every mean under the point spread at `at` changes by `change` times the spread. One logarithm per row
- * of the spread: a product over all of it could overflow. */
-static double data_change(const double *data, const double *mean, int64_t stride, const double *spread, int64_t n_rows, int64_t n_columns,
-                          double change)
+ * of the spread: a product over all of it could overflow. quotient (2, n_columns): overwritten; divisions by themselves go two at a time.
+ */
+static double data_change(const double *restrict data, const double *restrict mean, int64_t stride, const double *restrict spread,
+                          int64_t n_rows, int64_t n_columns, double change, double *restrict quotient)
 {
     double total = 0.0;
     for (int64_t row = 0; row < n_rows; row++) {
@@ -17,8 +18,12 @@ static double data_change(const double *data, const double *mean, int64_t stride
         for (int64_t column = 0; column < n_columns; column++) {
             const double before = mean[row * stride + column];
             const double after = before + change * spread[row * n_columns + column];
-            product *= after / before;
-            linear += data[row * stride + column] * (1.0 / after - 1.0 / before);
+            quotient[column] = after / before;
+            quotient[n_columns + column] = data[row * stride + column] * (1.0 / after - 1.0 / before);
+        }
+        for (int64_t column = 0; column < n_columns; column++) {
+            product *= quotient[column];
+            linear += quotient[n_columns + column];
         }
         total += log(product) + linear;
     }
@@ -28,7 +33,7 @@ static double data_change(const double *data, const double *mean, int64_t stride
 /* label (n_rows, n_columns): in, the start; out, the result. spread (2 * reach_rows + 1, 2 * reach_columns + 1). data, mean
  * (n_rows + 2 * reach_rows, n_columns + 2 * reach_columns): mean is kept up with the labels. measured, same shape: 0 where there is
  * no data, else 1. level (3): mean of each label. weight (4): of the edges right, down-left, down, down-right.
- * done (1): out, the sweeps made.
+ * scratch (2 * reach_rows + 3, 2 * reach_columns + 1): overwritten. done (1): out, the sweeps made.
  */
 void auv_mcm_soft_edges(int64_t n_rows, int64_t n_columns, int64_t reach_rows, int64_t reach_columns, int64_t n_sweeps, double information,
                         const double *restrict data, const double *restrict measured, double *restrict mean,
@@ -65,7 +70,8 @@ void auv_mcm_soft_edges(int64_t n_rows, int64_t n_columns, int64_t reach_rows, i
                 if (k == own || alike[k] == 0.0)
                     continue;
                 const double change = alike[own] - alike[k]
-                                      + information * data_change(data + corner, mean + corner, stride, scratch, high, wide, level[k] - level[own]);
+                                      + information * data_change(data + corner, mean + corner, stride, scratch, high, wide, level[k] - level[own],
+                                                              scratch + high * wide);
                 if (change < best) {
                     best = change;
                     best_label = k;

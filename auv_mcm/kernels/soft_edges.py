@@ -86,7 +86,7 @@ def soft_edges(
     function = _c_soft_edges()
     if function is None:
         return _soft_edges_in_place(start, level, weight, information, n_sweeps)
-    scratch, done = np.empty_like(start.spread), np.zeros(1, dtype=np.int64)
+    scratch, done = np.empty((len(spread_rows) + 2, len(spread_columns))), np.zeros(1, dtype=np.int64)
     level, weight = np.ascontiguousarray(level), np.ascontiguousarray(weight)
     planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, done)
     reach = len(spread_rows) // 2, len(spread_columns) // 2

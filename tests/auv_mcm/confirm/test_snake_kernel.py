@@ -290,10 +290,8 @@ def test_row_sums_leave_out_what_was_not_measured() -> None:
 @settings(max_examples=60, deadline=None)
 def test_row_intervals_are_those_of_edges_taken_one_by_one(nodes: Floats, as_drawn: bool) -> None:
     nodes = nodes if as_drawn else nodes[::-1]
-    sides = np.full((2, SHAPE[0]), -1)
-    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
-        rows, columns = snake_twin.crossings(a, b, *SHAPE)
-        sides[int(b[0] > a[0]), rows] = columns
+    sides = snake.sides_numpy(nodes, *SHAPE)
+    np.testing.assert_array_equal(snake.sides(nodes, *SHAPE), sides)
     wanted = np.flatnonzero((sides[0] >= 0) & (sides[1] > sides[0]))
     rows, near, far = row_intervals(nodes, SHAPE)
     np.testing.assert_array_equal(rows, wanted)
@@ -306,6 +304,8 @@ def test_row_intervals_are_those_of_edges_taken_one_by_one(nodes: Floats, as_dra
 
 def test_no_nodes_reach_no_rows() -> None:
     assert all(len(part) == 0 for part in row_intervals(NONE, SHAPE))
+    with pytest.raises(ValueError, match="nodes must have shape"):
+        snake.sides(np.zeros((4, 3)), *SHAPE)
     assert not contour_mask(NONE, SHAPE).any()
 
 
