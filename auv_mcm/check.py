@@ -26,7 +26,7 @@ _PACKAGES: Final = {
     "pyyaml": "yaml",
     "msgspec": "msgspec",
 }
-_BENCH_PACKAGES: Final = {"pyxtf": "pyxtf", "rich": "rich", "matplotlib": "matplotlib", "jinja2": "jinja2", "dask": "dask", "distributed": "distributed"}
+_BENCH_PACKAGES: Final = {name: name for name in ("pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed")}
 _LEAST_FREE_BYTES: Final = 1 << 30
 
 
@@ -69,8 +69,20 @@ def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
         yield Finding("configuration", "ok", "valid")
     except AuvMcmError as error:
         yield Finding("configuration", "FAILED", str(error))
+    yield _detector(config)
     yield _output(Path(config.service.output_directory))
     yield _perception(config)
+
+
+def _detector(config: Config) -> Finding:
+    from auv_mcm.detect.cascade.choose import configured_model, fitting
+
+    try:
+        model, notice = fitting(configured_model(config), config)
+        wanted = model is not None or notice.code == "detect.contrast"
+        return Finding("detector", "ok" if wanted else "warning", notice.text)
+    except (AuvMcmError, OSError) as error:
+        return Finding("detector", "FAILED", str(error))
 
 
 def _package(package: str, module: str, otherwise: str, remedy: str) -> Finding:

@@ -1,0 +1,55 @@
+"""Which cascade serves: by configuration, by pixel size, and what is told when none does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from drawn_cascade import MODEL
+
+from auv_mcm.config import Config, DetectConfig, WaterfallConfig
+from auv_mcm.detect.cascade.choose import configured_model, fitting
+from auv_mcm.detect.cascade.model import encode_model
+from auv_mcm.errors import BadInputError
+
+
+def with_model(name: str) -> Config:
+    return Config(detect=DetectConfig(model=name))
+
+
+def test_a_model_file_is_read_as_it_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    path.write_bytes(encode_model(MODEL))
+    assert configured_model(with_model(str(path))) == MODEL
+
+
+def test_none_means_contrasts_alone() -> None:
+    assert configured_model(with_model("none")) is None
+    model, notice = fitting(None, Config())
+    assert model is None
+    assert notice.code == "detect.contrast"
+
+
+@pytest.mark.parametrize("data", [None, b"", b"{}", b'{"format_version": 99}', b"\xff\xfe", encode_model(MODEL)[:-200]])
+def test_a_file_that_is_no_model_is_refused_by_name(tmp_path: Path, data: bytes | None) -> None:
+    path = tmp_path / "model.json"
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(BadInputError, match=r"model\.json"):
+        configured_model(with_model(str(path)))
+
+
+def test_a_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="or 'shipped' for the one of the package"):
+        configured_model(with_model(str(tmp_path)))
+
+
+def test_the_model_serves_for_pixels_that_it_was_trained_for_and_for_no_others() -> None:
+    model, notice = fitting(MODEL, Config())
+    assert model is MODEL
+    assert notice.code == "detect.cascade"
+    model, notice = fitting(MODEL, Config(waterfall=WaterfallConfig(column_spacing_m=0.5)))
+    assert model is None
+    assert notice.code == "detect.model_does_not_fit"
+    assert "0.12 x 0.5 m" in notice.text
+    assert "train a model" in notice.text
