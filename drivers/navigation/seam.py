@@ -16,16 +16,20 @@ QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
 class NavFix(msgspec.Struct, frozen=True, kw_only=True):
     """What one sentence, burst or message of one unit told, with the signs of its wire format. Whatever it did not tell is NaN.
 
-    source: the unit, as the configuration names it; units on one bus are SOURCE.ADDRESS. received: when the chunk with its first byte, or
-    of a burst with its first sentence, was read. time_utc_s: the unit's own time of the measurement, UTC seconds since 1970, if it told.
-    valid: False where the unit itself says that something is not good; that is NaN then. estimated: the position is the unit's own
-    dead reckoning. course_rad: direction of motion over ground, clockwise from true north; drift_rad: the same against the bow, positive to
-    starboard. water_speed_mps: through the water, where speed_mps is over ground. *_sigma_*: 1-sigma as the unit told, position per axis.
+    source: the unit, as the configuration names it; units on one bus are SOURCE.ADDRESS. received: when the chunk with its last byte, or
+    of a burst with the last byte of its first sentence, was read; n_bytes: bytes on the wire from its first byte to the end of that chunk,
+    0 on a bus. time_utc_s: the unit's own time of the measurement, UTC seconds since 1970, if it told; age_s: how old the measurement was
+    when the unit sent it, as it told. valid: False where the unit itself says that something is not good; that is NaN then. estimated:
+    the position is the unit's own dead reckoning. course_rad: direction of motion over ground, clockwise from true north; drift_rad: the
+    same against the bow, positive to starboard. water_speed_mps: through the water, where speed_mps is over ground.
+    *_sigma_*: 1-sigma as the unit told, position per axis.
     """
 
     source: str
     received: Stamp
+    n_bytes: int = 0
     time_utc_s: float | None = None
+    age_s: float = 0.0
     valid: bool = True
     estimated: bool = False
     latitude_deg: float = NAN

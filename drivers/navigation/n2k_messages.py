@@ -1,0 +1,278 @@
+"""NMEA 2000 messages as typed records, both ways, from one table of bit fields.
+
+The layouts are those that canboat's analyser and other open decoders agree on. Bits count from the least significant one of byte 0, which
+makes a message one little-endian number. A field whose bits are all ones (signed: the largest number) is not available, one less is an
+error of the sender; both are NaN here. Angles are radians, speeds m/s, temperatures K, pressures Pa; sid is a number, NaN if absent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
+
+from auv_mcm.records import NAN
+
+ADDRESS_CLAIM: Final = 60928
+GLOBAL: Final = 255
+
+
+class Field(NamedTuple):
+    """One number: n_bits from start_bit on, times resolution."""
+
+    start_bit: int
+    n_bits: int
+    signed: bool = False
+    resolution: float = 1.0
+
+
+class SystemTime(NamedTuple):
+    """source: 0 GPS, 1 GLONASS, 2 radio station, 3 caesium clock, 4 rubidium clock, 5 crystal clock."""
+
+    sid: float
+    source: float
+    date_days: float
+    time_of_day_s: float
+
+
+class Heading(NamedTuple):
+    """reference: 0 true north, 1 magnetic north."""
+
+    sid: float
+    heading_rad: float
+    deviation_rad: float
+    variation_rad: float
+    reference: float
+
+
+class RateOfTurn(NamedTuple):
+    sid: float
+    rate_rad_s: float
+
+
+class Heave(NamedTuple):
+    sid: float
+    heave_m: float
+
+
+class Attitude(NamedTuple):
+    sid: float
+    yaw_rad: float
+    pitch_rad: float
+    roll_rad: float
+
+
+class MagneticVariation(NamedTuple):
+    sid: float
+    source: float
+    date_days: float
+    variation_rad: float
+
+
+class Speed(NamedTuple):
+    sid: float
+    water_mps: float
+    ground_mps: float
+    water_type: float
+
+
+class WaterDepth(NamedTuple):
+    """Depth below the transducer. offset_m: to the waterline if positive, to the keel if negative."""
+
+    sid: float
+    depth_m: float
+    offset_m: float
+    max_range_m: float
+
+
+class RapidPosition(NamedTuple):
+    latitude_deg: float
+    longitude_deg: float
+
+
+class RapidCourse(NamedTuple):
+    """reference: 0 true north, 1 magnetic north."""
+
+    sid: float
+    reference: float
+    course_rad: float
+    speed_mps: float
+
+
+class GnssPosition(NamedTuple):
+    """method: 0 no fix, 1 GNSS, 2 differential, 3 precise, 4 and 5 RTK, 6 dead reckoning, 7 by hand, 8 simulated."""
+
+    sid: float
+    date_days: float
+    time_of_day_s: float
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    system: float
+    method: float
+    integrity: float
+    n_satellites: float
+    hdop: float
+    pdop: float
+    geoid_m: float
+    n_stations: float
+
+
+class Temperature(NamedTuple):
+    sid: float
+    instance: float
+    source: float
+    temperature_k: float
+
+
+class Pressure(NamedTuple):
+    sid: float
+    instance: float
+    source: float
+    pressure_pa: float
+
+
+Record: TypeAlias = (
+    SystemTime
+    | Heading
+    | RateOfTurn
+    | Heave
+    | Attitude
+    | MagneticVariation
+    | Speed
+    | WaterDepth
+    | RapidPosition
+    | RapidCourse
+    | GnssPosition
+    | Temperature
+    | Pressure
+)
+R = TypeVar("R", bound=tuple[Any, ...])
+
+
+class Message(NamedTuple, Generic[R]):
+    """n_bytes: what a whole message has at least; a longer one goes on with repeated groups."""
+
+    pgn: int
+    priority: int
+    n_bytes: int
+    make: Callable[..., R]
+    fields: tuple[Field, ...]
+
+    @property
+    def fast_packet(self) -> bool:
+        return self.n_bytes > 8
+
+
+class Identifier(NamedTuple):
+    """What a 29-bit CAN identifier says. destination: GLOBAL unless the message is addressed."""
+
+    priority: int
+    pgn: int
+    destination: int
+    source: int
+
+
+def identifier_of(can_id: int) -> Identifier:
+    """SAE J1939-21: below 240 the middle byte of the group number is a destination."""
+    pgn = can_id >> 8 & 0x3FFFF
+    if pgn >> 8 & 0xFF < 240:
+        return Identifier(can_id >> 26 & 7, pgn & 0x3FF00, pgn & 0xFF, can_id & 0xFF)
+    return Identifier(can_id >> 26 & 7, pgn, GLOBAL, can_id & 0xFF)
+
+
+def can_id_of(identifier: Identifier) -> int:
+    priority, pgn, destination, source = identifier
+    middle = destination if pgn >> 8 & 0xFF < 240 else 0
+    return priority << 26 | (pgn | middle) << 8 | source
+
+
+def decode(pgn: int, data: bytes) -> Record | None:
+    """The record of a message's bytes; None for a group not known here. Raises ValueError for one that is too short."""
+    message = MESSAGES.get(pgn)
+    if message is None:
+        return None
+    if len(data) < message.n_bytes:
+        raise ValueError(f"{len(data)} bytes where PGN {pgn} has {message.n_bytes}")
+    bits = int.from_bytes(data, "little")
+    record: Record = message.make(*[_read(bits, field) for field in message.fields])
+    return record
+
+
+def encode(record: Record) -> tuple[int, bytes]:
+    """PGN and bytes of a record; what it does not know, and every reserved bit, is all ones. Raises ValueError for one without room."""
+    message = _BY_RECORD[type(record)]
+    bits = (1 << 8 * message.n_bytes) - 1
+    for (start_bit, n_bits, signed, resolution), value in zip(message.fields, record, strict=True):
+        if math.isnan(value):
+            raw = (1 << n_bits - signed) - 1
+        else:
+            raw = round(value / resolution)
+            if not -(1 << n_bits - 1) * signed <= raw < (1 << n_bits - signed) - (2 if n_bits > 2 else 1):
+                raise ValueError(f"PGN {message.pgn}: {value} does not fit its field")
+        mask = (1 << n_bits) - 1
+        bits = bits & ~(mask << start_bit) | (raw & mask) << start_bit
+    return message.pgn, bits.to_bytes(message.n_bytes, "little")
+
+
+def _read(bits: int, field: Field) -> float:
+    start_bit, n_bits, signed, resolution = field
+    raw = bits >> start_bit & (1 << n_bits) - 1
+    unavailable = (1 << n_bits - signed) - 1
+    if raw == unavailable or (raw == unavailable - 1 and n_bits > 2):
+        return NAN
+    if signed and raw > unavailable:
+        raw -= 1 << n_bits
+    return raw * resolution
+
+
+_SID: Final = Field(0, 8)
+_DATE: Final = Field(16, 16)
+_ANGLE: Final = 1e-4
+
+MESSAGES: Final[dict[int, Message[Any]]] = {
+    message.pgn: message
+    for message in (
+        Message(126992, 3, 8, SystemTime, (_SID, Field(8, 4), _DATE, Field(32, 32, False, 1e-4))),
+        Message(
+            127250,
+            2,
+            8,
+            Heading,
+            (_SID, Field(8, 16, False, _ANGLE), Field(24, 16, True, _ANGLE), Field(40, 16, True, _ANGLE), Field(56, 2)),
+        ),
+        Message(127251, 2, 8, RateOfTurn, (_SID, Field(8, 32, True, 3.125e-8))),
+        Message(127252, 3, 8, Heave, (_SID, Field(8, 16, True, 0.01))),
+        Message(127257, 3, 8, Attitude, (_SID, *(Field(start, 16, True, _ANGLE) for start in (8, 24, 40)))),
+        Message(127258, 7, 8, MagneticVariation, (_SID, Field(8, 4), _DATE, Field(32, 16, True, _ANGLE))),
+        Message(128259, 2, 8, Speed, (_SID, Field(8, 16, False, 0.01), Field(24, 16, False, 0.01), Field(40, 8))),
+        Message(128267, 3, 8, WaterDepth, (_SID, Field(8, 32, False, 0.01), Field(40, 16, True, 1e-3), Field(56, 8, False, 10.0))),
+        Message(129025, 2, 8, RapidPosition, (Field(0, 32, True, 1e-7), Field(32, 32, True, 1e-7))),
+        Message(129026, 2, 8, RapidCourse, (_SID, Field(8, 2), Field(16, 16, False, _ANGLE), Field(32, 16, False, 0.01))),
+        Message(
+            129029,
+            3,
+            43,
+            GnssPosition,
+            (
+                _SID,
+                Field(8, 16),
+                Field(24, 32, False, 1e-4),
+                Field(56, 64, True, 1e-16),
+                Field(120, 64, True, 1e-16),
+                Field(184, 64, True, 1e-6),
+                Field(248, 4),
+                Field(252, 4),
+                Field(256, 2),
+                Field(264, 8),
+                Field(272, 16, True, 0.01),
+                Field(288, 16, True, 0.01),
+                Field(304, 32, True, 0.01),
+                Field(336, 8),
+            ),
+        ),
+        Message(130312, 5, 8, Temperature, (_SID, Field(8, 8), Field(16, 8), Field(24, 16, False, 0.01))),
+        Message(130314, 5, 8, Pressure, (_SID, Field(8, 8), Field(16, 8), Field(24, 32, True, 0.1))),
+    )
+}
+_BY_RECORD: Final[dict[Any, Message[Any]]] = {message.make: message for message in MESSAGES.values()}

@@ -1,0 +1,120 @@
+"""A unit that sends NMEA 0183: GNSS receivers, compasses, echo sounders, attitude sensors, and PHINS bursts."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Final
+
+from auv_mcm.records import NAN
+from drivers.framing import Arrived, StampedFramer
+from drivers.navigation.device_date import DeviceDate
+from drivers.navigation.nmea0183 import NmeaGrammar
+from drivers.navigation.pixse import PIXSE_RECORDS, Burst
+from drivers.navigation.seam import NavFix
+from drivers.navigation.sentences import Dbt, Dpt, Gga, Gll, Hdt, Pashr, Prdid, Rmc, Vtg, Zda, parse
+from drivers.stamps import Stamp
+
+# How many sentences of other kinds may pass before a heading is taken not to belong to an inertial unit's bursts.
+_BURST_SENTENCES: Final = 32
+_GGA_NOT_MEASURED: Final = (0.0, 7.0, 8.0)
+_GGA_ESTIMATED: Final = 6.0
+_MODES_NOT_MEASURED: Final = frozenset("NMS")
+
+
+class NmeaUnit:
+    """One link's sentences to fixes. Never raises, whatever the bytes.
+
+    `counters`: those of the framer (`nmea.*`), `nmea.malformed` (checksum right, fields impossible), `nmea.ignored` (kinds not known here).
+    """
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._framer = StampedFramer(NmeaGrammar())
+        self._own: Counter[str] = Counter()
+        self._date = DeviceDate()
+        self._burst = Burst(source, self._date)
+        self._since_burst = _BURST_SENTENCES
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters + self._own
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
+        """What a chunk completes, in order. stamp: when its last byte was read."""
+        return [fix for arrived in self._framer.feed(data, stamp) for fix in self._fixes(arrived)]
+
+    def finish(self) -> list[NavFix]:
+        """What waits for more, at the end of a log or link."""
+        return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)] + self._burst.end()
+
+    def _fixes(self, arrived: Arrived[str]) -> list[NavFix]:
+        try:
+            record = parse(arrived.message)
+        except ValueError:
+            self._own["nmea.malformed"] += 1
+            return []
+        self._since_burst += 1
+        if record is None:
+            self._own["nmea.ignored"] += 1
+            return []
+        if isinstance(record, PIXSE_RECORDS):
+            self._since_burst = 0
+        if self._since_burst == 0 or (isinstance(record, Hdt) and self._since_burst < _BURST_SENTENCES):
+            return self._burst.add(record, arrived)
+        return [NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **self._told(record, arrived.received))]
+
+    def _told(self, record: Any, stamp: Stamp) -> dict[str, Any]:
+        """The fields of a fix that a sentence fills."""
+        match record:
+            case Gga():
+                time_utc_s = self._date.nearest(record.time_of_day_s, stamp)
+                if record.quality in _GGA_NOT_MEASURED or math.isnan(record.quality):
+                    return {"time_utc_s": time_utc_s, "valid": False}
+                place = _place(record.latitude_deg, record.longitude_deg)
+                return {"time_utc_s": time_utc_s, "estimated": record.quality == _GGA_ESTIMATED, **place}
+            case Rmc():
+                told = _judged(record.status, record.mode)
+                told["time_utc_s"] = self._date.dated(record.date_days, record.time_of_day_s, stamp)
+                if told["valid"]:
+                    told.update(_place(record.latitude_deg, record.longitude_deg), speed_mps=record.speed_mps, course_rad=record.course_rad)
+                return told
+            case Gll():
+                told = _judged(record.status, record.mode)
+                told["time_utc_s"] = self._date.nearest(record.time_of_day_s, stamp)
+                if told["valid"]:
+                    told.update(_place(record.latitude_deg, record.longitude_deg))
+                return told
+            case Hdt():
+                return {"heading_rad": record.heading_rad, "valid": not math.isnan(record.heading_rad)}
+            case Vtg():
+                told = _judged("A", record.mode)
+                if told["valid"]:
+                    told.update(speed_mps=record.speed_mps, course_rad=record.course_rad)
+                return told
+            case Zda():
+                return {"time_utc_s": self._date.dated(record.date_days, record.time_of_day_s, stamp)}
+            case Dpt() | Dbt():
+                return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
+            case Pashr():
+                return {
+                    "time_utc_s": self._date.nearest(record.time_of_day_s, stamp),
+                    "heading_rad": record.heading_rad,
+                    "pitch_rad": record.pitch_rad,
+                    "roll_rad": record.roll_rad,
+                    "heading_sigma_rad": record.heading_sigma_rad,
+                    "attitude_sigma_rad": max(record.roll_sigma_rad, record.pitch_sigma_rad),
+                }
+            case Prdid():
+                return {"heading_rad": record.heading_rad, "pitch_rad": record.pitch_rad, "roll_rad": record.roll_rad}
+        raise AssertionError(f"no rule for {type(record).__name__}")
+
+
+def _judged(status: str, mode: str) -> dict[str, Any]:
+    return {"valid": status == "A" and mode not in _MODES_NOT_MEASURED, "estimated": mode == "E"}
+
+
+def _place(latitude_deg: float, longitude_deg: float) -> dict[str, Any]:
+    """A position; without one the unit had none."""
+    known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
+    return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg} if known else {"valid": False}
