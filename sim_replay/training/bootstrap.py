@@ -132,9 +132,9 @@ def trace(plane: Plane, model: CascadeModel, rows: NDArray[np.intp], columns: ND
     groups[:, 1] = np.iinfo(np.int32).min
     tables = tables._replace(groups=groups)
     bands = bands_at(band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m), rows, columns)
-    by_band = np.argsort(bands, kind="stable")
-    place = ((rows + plane.margin_rows) * stride + columns + plane.margin_near).astype(np.int32)[by_band]
-    windows = Windows(place, np.zeros_like(place), np.cumsum(np.bincount(bands, minlength=N_BANDS)).astype(np.int64))
+    place = ((rows + plane.margin_rows) * stride + columns + plane.margin_near).astype(np.int32)
+    by_band = np.lexsort((place, bands))
+    windows = Windows(place[by_band], np.zeros_like(place), np.cumsum(np.bincount(bands, minlength=N_BANDS)).astype(np.int64))
     scores = np.empty((rows.size, len(groups)), dtype=np.int32)
     for group in range(len(groups)):
         windows, _ = run_groups(plane.sums, tables, windows, group, group + 1)

@@ -32,7 +32,7 @@ _SHARES: Final = {
 }
 _CHUNK: Final = 2048
 _WINDOWS_AT_ONCE: Final = 256
-_LARGEST: Final = 1e4  # of a threshold, and one over it the least of a ratio
+_LARGEST: Final = 1e3  # of a threshold, and one over it the least of a ratio
 
 
 class Feature(NamedTuple):

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.detect.cascade.bands import areas, band_edges, bands_at, box_fault, pixel_boxes
-from auv_mcm.detect.cascade.codes import CODE_OF_MEAN, Plane, box_sums, codes_of, make_plane
+from auv_mcm.detect.cascade.codes import Plane, box_sums, codes_of, make_plane
+from auv_mcm.kernels.cascade import CODE_OF_MEAN
 from sim_replay.training.boost import BoostedStump
 from sim_replay.training.pool import Feature, Pool, bin_edges, box_means, feature_pool, feature_values, model_stump, quantise
 
@@ -107,3 +108,13 @@ def test_a_boosted_stump_decides_as_the_model_s_comparison_of_sums_does() -> Non
 def test_quantiles_of_no_windows_are_refused() -> None:
     with pytest.raises(ValueError, match="no windows"):
         bin_edges(POOL, np.empty((len(POOL.boxes), 0), dtype=np.float32))
+
+
+@pytest.mark.parametrize("level", [0, 1, 16384])
+def test_thresholds_stay_within_what_a_model_may_hold_however_dark_or_bright_the_tile(level: int) -> None:
+    means = box_means(_plane(np.full((40, 300), level, dtype=np.uint16)), POOL.boxes, *_windows(20, 5))
+    edges = bin_edges(POOL, means)
+    for feature in range(0, len(POOL.features), 23):
+        for last_below in (0, 254):
+            threshold = model_stump(POOL, edges, BoostedStump(feature, last_below, 1, -1)).threshold
+            assert 1e-4 <= threshold <= 1e4 if POOL.features[feature].is_ratio else abs(threshold) <= 1e4

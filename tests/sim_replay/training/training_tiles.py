@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -74,7 +74,9 @@ def drawn_tile(seed: int, background: str = "drawn/0") -> LabelledTile:
     return labelled_tile(tuple(thing(places[k][0] + 0.5, places[k][1] + 0.5, k < 3) for k in order), seed, background)
 
 
-def write_drawn_set(folder: Path, n_train: int = 6, n_validate: int = 2, tiles: int = 2) -> Manifest:
+def write_drawn_set(
+    folder: Path, n_train: int = 6, n_validate: int = 2, tiles: int = 2, made_from: dict[str, Any] | None = None
+) -> Manifest:
     """A training set of missions with `tiles` tiles each."""
     folder.mkdir(exist_ok=True)
     packed = []
@@ -82,4 +84,4 @@ def write_drawn_set(folder: Path, n_train: int = 6, n_validate: int = 2, tiles: 
         split: Split = "train" if number < n_train else "validate"
         background = f"drawn/{number}"
         packed.append(pack([drawn_tile(100 * number + k, background) for k in range(tiles)], split, background, "simulated"))
-    return write_set(folder, packed, {})
+    return write_set(folder, packed, made_from or {})
