@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import yaml
 
 from auv_mcm.errors import UsageError
+
+
+def read_text(path: Path, what: str) -> str:
+    """The text of a file; `what` it should be, for messages. Raises UsageError if it cannot be read or is no UTF-8."""
+    try:
+        return path.read_text("utf-8")
+    except OSError as error:
+        raise UsageError(f"{what} {path} cannot be read: {error.strerror}. Check the path") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{what} {path} is no UTF-8 text (byte {error.start})") from error
 
 
 def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:

@@ -51,16 +51,11 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 def read_config(path: Path | None) -> Config:
     """The configuration in a file, or the defaults. Raises UsageError for one that cannot be read or is not valid."""
     from auv_mcm.config import Config, parse_config
+    from auv_mcm.strict_yaml import read_text
 
     if path is None:
         return Config()
-    try:
-        text = path.read_text("utf-8")
-    except OSError as error:
-        raise UsageError(f"configuration {path} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"configuration {path} is no UTF-8 text (byte {error.start})") from error
-    return parse_config(text, str(path))
+    return parse_config(read_text(path, "configuration"), str(path))
 
 
 def write_new(path: Path, text: str) -> None:

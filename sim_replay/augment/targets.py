@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
-from auv_mcm.strict_yaml import keyed, load_mapping
+from auv_mcm.strict_yaml import keyed, load_mapping, read_text
 from sim_replay.augment.track import Track
 from sim_replay.simulator.objects import USUAL, Placed
 from sim_replay.simulator.scene import TARGET_KINDS
@@ -112,13 +112,7 @@ class TargetSpec(_Section, frozen=True, kw_only=True):
 
 def read_spec(path: Path) -> TargetSpec:
     """The spec in a YAML file. Raises UsageError if it cannot be read, and as parse_spec does."""
-    try:
-        text = path.read_text("utf-8")
-    except OSError as error:
-        raise UsageError(f"target spec {path} cannot be read: {error.strerror}. Check the path") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"target spec {path} is no UTF-8 text (byte {error.start})") from error
-    return parse_spec(text, str(path))
+    return parse_spec(read_text(path, "target spec"), str(path))
 
 
 def parse_spec(text: str, place: str) -> TargetSpec:

@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import keyed, load_mapping
+from auv_mcm.strict_yaml import keyed, load_mapping, read_text
 from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
 from sim_replay.simulator.scene import Scene, SceneObject
 from sim_replay.simulator.vehicle import STRONGEST_CURRENT
@@ -34,15 +34,9 @@ def read_scene(name_or_path: str) -> Scene:
     path = Path(name_or_path)
     if name_or_path in named_scenes() and not path.is_file():
         return parse_scene((_SHIPPED / f"{name_or_path}.yaml").read_text("utf-8"), f"scene {name_or_path}")
-    try:
-        text = path.read_text("utf-8")
-    except FileNotFoundError as error:
-        raise UsageError(f"{path}: no such scene file, and the scenes with names are {', '.join(named_scenes())}") from error
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is no UTF-8 text (byte {error.start})") from error
-    return parse_scene(text, str(path))
+    if not path.exists():
+        raise UsageError(f"{path}: no such scene file, and the scenes with names are {', '.join(named_scenes())}")
+    return parse_scene(read_text(path, "scene"), str(path))
 
 
 def parse_scene(text: str, place: str) -> Scene:

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import keyed, load_mapping
+from auv_mcm.strict_yaml import keyed, load_mapping, read_text
 from sim_replay.benches.scenes import FIRST_SEED, config_for
 from sim_replay.simulator.objects import USUAL
 from sim_replay.simulator.plan import swath_m
@@ -146,13 +146,7 @@ def read_spec(path: Path | None = None) -> tuple[Spec, Path]:
     """
     if path is None:
         return parse_spec(_DEFAULT.read_text("utf-8"), "the default spec"), Path()
-    try:
-        text = path.read_text("utf-8")
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read: {error.strerror}. Name the YAML file of a training set") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is no UTF-8 text (byte {error.start})") from error
-    return parse_spec(text, str(path)), path.parent
+    return parse_spec(read_text(path, "training set"), str(path)), path.parent
 
 
 def parse_spec(text: str, place: str) -> Spec:
