@@ -1,0 +1,187 @@
+"""Imagenex SportScan and its like: a side-scan on a serial line that answers every switch command with one ping.
+
+Layouts (Imagenex, "SportScan" and "852" interface descriptions): the command is 27 bytes from FE 44 to FD, and no other byte may be FD;
+the answer is 'IGX', 9 more bytes of header, 400 echo bytes of 0..127 and FC, 413 bytes in all.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.errors import UsageError
+from auv_mcm.records import EchoTrace
+from drivers.framing import Arrived, StampedFramer
+from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.settings import check_settings
+from drivers.stamps import Stamp
+
+COMMAND_BYTES: Final = 27
+RETURN_BYTES: Final = 413
+RANGES_M: Final = (15, 30, 60, 90, 120)
+MAX_GAIN: Final = 40  # dB
+STARBOARD, PORT, BOTH = 1, 2, 3  # channel
+
+_SYNC: Final = b"IGX"
+_HEADER_BYTES: Final = 12
+_N_ECHO: Final = 400
+_HEAD_ID: Final = 0x10
+_TERMINATOR: Final = 0xFC
+_COMMAND_START: Final = b"\xfe\x44"
+_COMMAND_END: Final = 0xFD
+_MAX_ECHO: Final = 127
+_SOUND_SPEED_MPS: Final = 1500.0
+_OVERRUN: Final = 0x80  # of the serial status
+_ACCEPTED: Final = 0x40
+
+
+class SwitchCommand(NamedTuple):
+    """What the head is told with every ping. gain_db: 0..40. absorption: hundredths of dB/m. pulse_us: transmit pulse."""
+
+    range_m: int
+    gain_db: int = 20
+    absorption: int = 20
+    pulse_us: int = 100
+    data_points: int = 50
+    frequency: int = 0
+
+
+class IgxReturn(NamedTuple):
+    """One ping. channel: 1 starboard, 2 port, 3 both, starboard and port in turn. echo: (400,) uint8 of 0..127."""
+
+    range_m: int
+    channel: int
+    echo: NDArray[np.uint8]
+    dual_frequency: bool = False
+    status: int = _ACCEPTED
+
+
+def encode_command(command: SwitchCommand) -> bytes:
+    """The 27 bytes of a switch command. Raises UsageError for a value that would be taken for the end of the command."""
+    frame = bytearray(COMMAND_BYTES)
+    frame[:3] = (*_COMMAND_START, _HEAD_ID)
+    frame[3] = command.range_m
+    frame[8] = command.gain_db
+    frame[10] = command.absorption
+    frame[14] = command.pulse_us
+    frame[19] = command.data_points
+    frame[25] = command.frequency
+    if _COMMAND_END in frame:
+        raise UsageError(f"sportscan: {command} has a value of {_COMMAND_END}, which ends the command. Give one more or less.")
+    frame[26] = _COMMAND_END
+    return bytes(frame)
+
+
+def decode_command(frame: bytes) -> SwitchCommand | None:
+    """A switch command from its 27 bytes, None if they are none."""
+    if len(frame) != COMMAND_BYTES or not frame.startswith(_COMMAND_START) or frame.index(_COMMAND_END) != COMMAND_BYTES - 1:
+        return None
+    return SwitchCommand(frame[3], frame[8], frame[10], frame[14], frame[19], frame[25])
+
+
+def encode_return(ping: IgxReturn) -> bytes:
+    """The 413 bytes of one ping."""
+    count = _HEADER_BYTES + _N_ECHO
+    head = bytes(
+        (
+            *_SYNC,
+            _HEAD_ID,
+            ping.status,
+            int(ping.dual_frequency),
+            ping.channel,
+            ping.range_m,
+            0,
+            0,
+            count & 0x7F,
+            count >> 7 & 0x7F,
+        )
+    )
+    return head + np.minimum(ping.echo, _MAX_ECHO).astype(np.uint8).tobytes() + bytes((_TERMINATOR,))
+
+
+class IgxGrammar:
+    """Echo bytes have seven bits, so that the terminator stands in its place only if nothing was lost or inserted."""
+
+    name = "sportscan"
+    head_bytes = len(_SYNC)
+    max_message_bytes = RETURN_BYTES
+    proven = True
+
+    def find(self, buffer: bytearray, start: int) -> int:
+        return buffer.find(_SYNC, start)
+
+    def read(self, buffer: bytearray, at: int) -> tuple[IgxReturn, int] | int | str:
+        n_there = len(buffer) - at
+        if n_there < _HEADER_BYTES:
+            return _HEADER_BYTES
+        head_id, status, kind, channel, range_m, _, _, low, high = buffer[at + 3 : at + _HEADER_BYTES]
+        if head_id != _HEAD_ID or kind > 1 or channel not in (STARBOARD, PORT, BOTH) or range_m not in RANGES_M:
+            return "header"
+        # Descriptions differ in whether the count includes the header.
+        if (high << 7 | low) not in (_N_ECHO, _HEADER_BYTES + _N_ECHO):
+            return "length"
+        if n_there < RETURN_BYTES:
+            return RETURN_BYTES
+        start = at + _HEADER_BYTES
+        if buffer[start + _N_ECHO] != _TERMINATOR:
+            return "terminator"
+        echo = np.frombuffer(bytes(buffer[start : start + _N_ECHO]), np.uint8)
+        if int(echo.max()) > _MAX_ECHO:
+            return "echo"
+        return IgxReturn(range_m, channel, echo, kind == 1, status), RETURN_BYTES
+
+
+class SportScanDecoder:
+    """Each return becomes a frame. The device tells neither number nor time nor what its numbers mean; frames are counted from 0."""
+
+    def __init__(self) -> None:
+        self._framer = StampedFramer(IgxGrammar())
+        self._number = 0
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
+        return [self._frame(arrived) for arrived in self._framer.feed(data, stamp)]
+
+    def finish(self) -> list[SonarFrame | SonarReply]:
+        return [self._frame(arrived) for arrived in self._framer.finish()]
+
+    def _frame(self, arrived: Arrived[IgxReturn]) -> SonarFrame:
+        ping = arrived.message
+        if ping.status & _OVERRUN:
+            self.counters["sportscan.command_overrun"] += 1
+        both = ping.channel == BOTH
+        starboard = ping.echo[0::2] if both else ping.echo
+        port = ping.echo[1::2] if both else ping.echo
+        number, self._number = self._number, self._number + 1
+        return SonarFrame(
+            number=number,
+            port=_trace(port, ping.range_m) if ping.channel != STARBOARD else None,
+            starboard=_trace(starboard, ping.range_m) if ping.channel != PORT else None,
+            transfer=None,
+            received=arrived.received,
+            n_bytes=arrived.n_bytes,
+            sound_speed_mps=_SOUND_SPEED_MPS,
+        )
+
+
+def commands(settings: SonarSettings) -> tuple[bytes, ...]:
+    """The command to send for every ping; none while not enabled. Raises UsageError for what the head cannot do."""
+    check_settings(settings, "sportscan", max_range_m=float(RANGES_M[-1]), max_gain=MAX_GAIN)
+    if settings.range_m not in RANGES_M:
+        known = ", ".join(map(str, RANGES_M))
+        raise UsageError(f"sportscan: a range of {settings.range_m:g} m cannot be set. Give one of {known} m.")
+    command = SwitchCommand(round(settings.range_m))
+    if settings.gain is not None:
+        command = command._replace(gain_db=settings.gain)
+    return (encode_command(command),) if settings.enabled else ()
+
+
+def _trace(echo: NDArray[np.uint8], range_m: int) -> EchoTrace:
+    spacing_m = range_m / echo.shape[0]
+    return EchoTrace(samples=echo, first_range_m=0.5 * spacing_m, spacing_m=spacing_m)

@@ -1,0 +1,250 @@
+"""EdgeTech side-scan sonars: framing of JSF, decoding into frames, commands."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from typing import Final
+
+from auv_mcm.records import NAN, EchoTrace, NavSample
+from drivers.framing import Arrived, StampedFramer
+from drivers.sonar.jsf_messages import (
+    DATA_HEADER_BYTES,
+    HEADER,
+    HEADER_BYTES,
+    PING_ENABLE,
+    PING_GAIN,
+    PING_RANGE,
+    PORT,
+    SIDE_SCAN,
+    STARBOARD,
+    SYSTEM_TIME,
+    Command,
+    DataFormat,
+    JsfMessage,
+    SideScanData,
+    SideScanHeader,
+    Units,
+    Validity,
+    amplitude,
+    decode_data,
+    read_time,
+    set_value,
+    told_data_bytes,
+)
+from drivers.sonar.pairing import SidePairer
+from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.settings import check_settings
+from drivers.stamps import Stamp
+
+HIGH_FREQUENCY: Final = 21  # subsystem
+MAX_RANGE_M: Final = 500.0
+MAX_GAIN: Final = 100
+NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
+
+_MAX_BODY_BYTES: Final = (1 << 18) - 1  # 32 times the samples that side-scans of AUVs send
+_MAX_OTHER_BYTES: Final = 1 << 14  # nothing but its size tells the length of other messages: a wrong one costs little waiting
+_PADDING_BYTES: Final = 64  # that a data message may have behind its samples
+_TOLD_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
+_MAX_WEIGHTING: Final = 40
+_MAX_RANGE_TOLD_M: Final = 2000.0
+_SIDE_SCANS: Final = (20, 21, 22)
+_NAVIGATION: Final = Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
+_KNOT_MPS: Final = 1852.0 / 3600.0
+_SAME_SPEED_MPS: Final = 0.5
+
+# Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below _MAX_BODY_BYTES.
+_HEADER: Final = re.compile(
+    rb"\x01\x16[\x00-\x20][\x00-\xff](?:[\x01-\xff]\x00|[\x00-\xff][\x01-\x26]|[\x00-\x0f]\x27)"
+    rb"[\x00-\x03][\x00-\xff][\x00-\x0f][\x00-\xff]{5}[\x00-\x03]\x00",
+)
+
+
+class JsfGrammar:
+    """Without a checksum, a message is believed for its plausible header and because no other begins inside it.
+
+    If one seems to begin inside, either the outer lost its end and swallowed the beginning of the next, or samples look like a header by
+    chance. The inner is believed if another follows it inside or it ends where the outer does; else the outer, if a header follows it.
+    """
+
+    name = "jsf"
+    head_bytes = HEADER_BYTES
+    max_message_bytes = HEADER_BYTES + _MAX_BODY_BYTES + HEADER_BYTES  # with the header that follows
+    proven = False
+
+    def find(self, buffer: bytearray, start: int) -> int:
+        match = _HEADER.search(buffer, start)
+        return -1 if match is None else match.start()
+
+    def read(self, buffer: bytearray, at: int) -> tuple[JsfMessage, int] | int | str:
+        n_there = len(buffer) - at
+        _, version, session, kind, command, subsystem, channel, sequence, reserved, n_body = HEADER.unpack_from(buffer, at)
+        if kind == SIDE_SCAN:
+            if n_body < DATA_HEADER_BYTES:
+                return "length"
+            if n_there < _TOLD_BYTES:
+                return _TOLD_BYTES
+            if not 0 <= n_body - told_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
+                return "length"
+        elif n_body > _MAX_OTHER_BYTES:
+            return "length"
+        n_bytes: int = HEADER_BYTES + n_body
+        if n_there < n_bytes:
+            return n_bytes
+        end = at + n_bytes
+        inner = _HEADER.search(buffer, at + HEADER_BYTES, end)
+        if inner is not None:
+            if _is_followed(buffer, inner.start(), end):
+                return "swallowed_others"
+            if n_there < n_bytes + HEADER_BYTES:
+                return n_bytes + HEADER_BYTES
+            if not _HEADER.match(buffer, end):
+                return "swallowed_others"
+        body = bytes(buffer[at + HEADER_BYTES : end])
+        return JsfMessage(kind, body, command, subsystem, channel, sequence, session, version, reserved), n_bytes
+
+
+class JsfDecoder:
+    """Data messages of one subsystem become frames of amplitude, both sides joined; answers become replies; others are counted.
+
+    Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second, so that
+    consecutive pings keep one sample layout; 1500 m/s where it tells none.
+    """
+
+    def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
+        """subsystem: 20, 21 or 22, as one sonar may send several frequencies at once."""
+        self._framer = StampedFramer(JsfGrammar())
+        self._pairer = SidePairer(self._framer.counters)
+        self._subsystem = subsystem
+        self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
+        return self._decoded(self._framer.feed(data, stamp))
+
+    def finish(self) -> list[SonarFrame | SonarReply]:
+        return [*self._decoded(self._framer.finish()), *self._pairer.finish()]
+
+    def _decoded(self, messages: list[Arrived[JsfMessage]]) -> list[SonarFrame | SonarReply]:
+        found: list[SonarFrame | SonarReply] = []
+        for arrived in messages:
+            message = arrived.message
+            if message.command in (Command.REPLY, Command.ERROR):
+                found.append(_reply(arrived))
+            elif message.message_type != SIDE_SCAN:
+                self.counters["jsf.other_messages"] += 1
+            elif message.subsystem != self._subsystem or message.channel not in (PORT, STARBOARD):
+                name = f"subsystem_{message.subsystem}" if message.subsystem in _SIDE_SCANS else "other_subsystem"
+                self.counters[f"jsf.not_used.{name}"] += 1
+            else:
+                found += self._frames(arrived)
+        return found
+
+    def _frames(self, arrived: Arrived[JsfMessage]) -> list[SonarFrame]:
+        data = decode_data(arrived.message.body)
+        assert data is not None, "the framer lets no shorter body pass"
+        header = data.header
+        sound_speed_mps = self._range_speed_mps(header)
+        spacing_m = 0.5 * sound_speed_mps * header.sample_interval_s
+        reason = _unusable(data, spacing_m)
+        if reason is not None:
+            self.counters[f"jsf.refused.{reason}"] += 1
+            return []
+        trace = EchoTrace(samples=amplitude(data), first_range_m=header.start_depth_samples * spacing_m, spacing_m=spacing_m)
+        to_port = arrived.message.channel == PORT
+        time_s = header.utc_s if header.time_s > 0 else None
+        altitude_m = _valued(header, Validity.ALTITUDE, 1e-3 * header.altitude_mm)
+        frame = SonarFrame(
+            number=header.ping_number,
+            port=trace if to_port else None,
+            starboard=None if to_port else trace,
+            transfer="amplitude",
+            received=arrived.received,
+            n_bytes=arrived.n_bytes,
+            sound_speed_mps=sound_speed_mps,
+            altitude_m=altitude_m if altitude_m > 0.0 else NAN,
+            device_time_s=time_s,
+            device_time_is_utc=time_s is not None,
+            navigation=_navigation(header, NAN if time_s is None else time_s),
+        )
+        return self._pairer.add(frame)
+
+    def _range_speed_mps(self, header: SideScanHeader) -> float:
+        told = header.sound_speed_mps
+        if not (header.validity & Validity.SOUND_SPEED and 1300.0 <= told <= 1700.0):
+            self.counters["jsf.sound_speed_not_told"] += 1
+        elif abs(told - self._sound_speed_mps) >= _SAME_SPEED_MPS:
+            self._sound_speed_mps = told
+        return self._sound_speed_mps
+
+
+def commands(settings: SonarSettings, subsystem: int = HIGH_FREQUENCY) -> tuple[bytes, ...]:
+    """What to send on the command link so that the subsystem pings like this; without a gain, its own is kept.
+
+    The number of samples and the sound speed are the sonar's own affair. Raises UsageError for what it cannot do.
+    """
+    check_settings(settings, "jsf", max_range_m=MAX_RANGE_M, max_gain=MAX_GAIN)
+    parts = [set_value(PING_RANGE, round(1e3 * settings.range_m), subsystem)]
+    if settings.gain is not None:
+        parts.append(set_value(PING_GAIN, settings.gain, subsystem))
+    return *parts, set_value(PING_ENABLE, int(settings.enabled), subsystem)
+
+
+def _is_followed(buffer: bytearray, at: int, end: int) -> bool:
+    """Whether the message at `at` ends at `end`, or before it where another begins."""
+    stop = at + HEADER_BYTES + int.from_bytes(buffer[at + HEADER_BYTES - 4 : at + HEADER_BYTES], "little")
+    return stop == end or (stop < end and _HEADER.match(buffer, stop) is not None)
+
+
+def _unusable(data: SideScanData, spacing_m: float) -> str | None:
+    """Why no trace can be made of it, in one word."""
+    header = data.header
+    if header.data_format not in (DataFormat.ENVELOPE, DataFormat.ANALYTIC):
+        return "data_format"
+    if header.n_samples == 0 or spacing_m <= 0.0 or (header.start_depth_samples + header.n_samples) * spacing_m > _MAX_RANGE_TOLD_M:
+        return "range"
+    if abs(header.weighting) > _MAX_WEIGHTING:
+        return "weighting"
+    return None
+
+
+def _valued(header: SideScanHeader, field: int, value: float) -> float:
+    return value if header.validity & field else NAN
+
+
+def _navigation(header: SideScanHeader, time_s: float) -> NavSample | None:
+    """What the message tells about the vehicle; None if nothing. Pitch is bow up, roll port up."""
+    if not header.validity & _NAVIGATION:
+        return None
+    latitude_deg = longitude_deg = NAN
+    if header.validity & Validity.POSITION and header.units == Units.ARC_MINUTES_1E_4:
+        latitude_deg, longitude_deg = header.latitude / 600_000.0, header.longitude / 600_000.0
+        if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
+            latitude_deg = longitude_deg = NAN
+    return NavSample(
+        time_s=time_s,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_rad=_valued(header, Validity.HEADING, math.radians(0.01 * header.heading_cdeg)),
+        pitch_rad=_valued(header, Validity.PITCH_ROLL, math.pi * header.pitch_counts / 32768.0),
+        roll_rad=_valued(header, Validity.PITCH_ROLL, math.pi * header.roll_counts / 32768.0),
+        depth_m=_valued(header, Validity.DEPTH, 1e-3 * header.depth_mm),
+        altitude_m=_valued(header, Validity.ALTITUDE, 1e-3 * header.altitude_mm),
+        speed_mps=_valued(header, Validity.SPEED, 0.1 * _KNOT_MPS * header.speed_dkn),
+    )
+
+
+def _reply(arrived: Arrived[JsfMessage]) -> SonarReply:
+    message = arrived.message
+    accepted = message.command == Command.REPLY
+    return SonarReply(
+        request=message.message_type,
+        accepted=accepted,
+        received=arrived.received,
+        n_bytes=arrived.n_bytes,
+        utc_s=read_time(message.body) if accepted and message.message_type == SYSTEM_TIME else None,
+    )

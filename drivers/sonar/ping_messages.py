@@ -1,0 +1,247 @@
+"""Messages of the Ping Protocol that side-scan sonars of the Omniscan 450 kind send and take.
+
+Layout (Blue Robotics, "Ping Protocol", MIT licence), little-endian: 'B' 'R', u16 payload length, u16 message id, u8 source, u8 destination,
+payload, u16 sum of all bytes before it.
+"""
+
+from __future__ import annotations
+
+import json
+from struct import Struct
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+SYNC: Final = b"BR"
+HEADER: Final = Struct("<2sHHBB")
+HEADER_BYTES: Final = HEADER.size
+CHECKSUM_BYTES: Final = 2
+
+ACK, NACK, ASCII_TEXT, DEVICE_INFORMATION, PROTOCOL_VERSION, GENERAL_REQUEST, JSON_WRAPPER = 1, 2, 3, 4, 5, 6, 10
+SET_SPEED_OF_SOUND, OLD_SET_SPEED_OF_SOUND = 116, 1002  # devices made before the spring of 2026 know the old number
+OS_PING_PARAMS, OS_MONO_PROFILE = 2197, 2198
+
+PROFILE_HEADER: Final = Struct("<5I3HBB6f")
+N_RESULTS_OFFSET: Final = 22  # of the profile's payload, u16
+MAX_RESULTS: Final = 12_000  # ten times what the devices send
+_FULL_SCALE: Final = 65535.0
+
+
+class PingMessage(NamedTuple):
+    """A message as it travels. source, destination: device numbers, 0 where there is but one."""
+
+    message_id: int
+    payload: bytes
+    source: int = 0
+    destination: int = 0
+
+
+class Ack(NamedTuple):
+    acked_id: int
+
+
+class Nack(NamedTuple):
+    nacked_id: int
+    text: str
+
+
+class AsciiText(NamedTuple):
+    text: str
+
+
+class DeviceInformation(NamedTuple):
+    device_type: int
+    device_revision: int
+    firmware_major: int
+    firmware_minor: int
+    firmware_patch: int
+    reserved: int = 0
+
+
+class ProtocolVersion(NamedTuple):
+    major: int
+    minor: int
+    patch: int
+    reserved: int = 0
+
+
+class GeneralRequest(NamedTuple):
+    """Asks for one message of this id."""
+
+    requested_id: int
+
+
+class JsonWrapper(NamedTuple):
+    """What the first message of a log says about it: any JSON value, None if it is not JSON."""
+
+    content: Any
+
+
+class SetSpeedOfSound(NamedTuple):
+    sound_speed_mmps: int
+
+
+class OsPingParams(NamedTuple):
+    """How to ping. msec_per_ping: 0 for as fast as the range permits. gain_index: 0..7, -1 for automatic. num_results: 200..1200."""
+
+    start_mm: int
+    length_mm: int
+    msec_per_ping: int = 0
+    reserved_1: float = 0.0
+    reserved_2: float = 0.0
+    pulse_len_percent: float = 0.002
+    filter_duration_percent: float = 0.0015
+    gain_index: int = -1
+    num_results: int = 600
+    enable: int = 1
+    reserved_3: int = 0
+    reserved_4: int = 0
+    reserved_5: int = 0
+
+
+class OsMonoProfile(NamedTuple):
+    """One side of one ping. timestamp_ms: since power-up, modulo 2^32. pwr_results: (n,) uint16, near to far, on a scale of decibels."""
+
+    ping_number: int
+    start_mm: int
+    length_mm: int
+    timestamp_ms: int
+    ping_hz: int
+    gain_index: int
+    sound_speed_dmps: int
+    channel_number: int
+    pulse_duration_sec: float
+    analog_gain: float
+    max_pwr_db: float
+    min_pwr_db: float
+    transducer_heading_deg: float
+    vehicle_heading_deg: float
+    pwr_results: NDArray[np.uint16]
+    reserved: int = 0
+
+
+Payload: TypeAlias = (
+    Ack
+    | Nack
+    | AsciiText
+    | DeviceInformation
+    | ProtocolVersion
+    | GeneralRequest
+    | JsonWrapper
+    | SetSpeedOfSound
+    | OsPingParams
+    | OsMonoProfile
+)
+
+_FIXED: Final[dict[int, tuple[Any, Struct]]] = {
+    ACK: (Ack, Struct("<H")),
+    DEVICE_INFORMATION: (DeviceInformation, Struct("<6B")),
+    PROTOCOL_VERSION: (ProtocolVersion, Struct("<4B")),
+    GENERAL_REQUEST: (GeneralRequest, Struct("<H")),
+    SET_SPEED_OF_SOUND: (SetSpeedOfSound, Struct("<I")),
+    OLD_SET_SPEED_OF_SOUND: (SetSpeedOfSound, Struct("<I")),
+    OS_PING_PARAMS: (OsPingParams, Struct("<3I4fhH4B")),
+}
+_ID_OF: Final[dict[type, int]] = {kind: number for number, (kind, _) in _FIXED.items() if number != OLD_SET_SPEED_OF_SOUND}
+_MAX_TEXT_BYTES: Final = 1024
+_MAX_OTHER_BYTES: Final = 4096
+
+_LENGTHS: Final[dict[int, tuple[int, int]]] = {
+    **{number: (layout.size, layout.size) for number, (_, layout) in _FIXED.items()},
+    NACK: (2, 2 + _MAX_TEXT_BYTES),
+    ASCII_TEXT: (0, _MAX_TEXT_BYTES),
+    JSON_WRAPPER: (0, PROFILE_HEADER.size + 2 * MAX_RESULTS),
+    OS_MONO_PROFILE: (PROFILE_HEADER.size, PROFILE_HEADER.size + 2 * MAX_RESULTS),
+}
+MAX_MESSAGE_BYTES: Final = HEADER_BYTES + max(most for _, most in _LENGTHS.values()) + CHECKSUM_BYTES
+
+
+def payload_limits(message_id: int) -> tuple[int, int]:
+    """Fewest and most bytes of payload that a message of this id is believed to have."""
+    return _LENGTHS.get(message_id, (0, _MAX_OTHER_BYTES))
+
+
+def to_wire(message: PingMessage) -> bytes:
+    """The message as bytes, checksum included."""
+    body = HEADER.pack(SYNC, len(message.payload), message.message_id, message.source, message.destination) + message.payload
+    return body + (sum(body) & 0xFFFF).to_bytes(2, "little")
+
+
+def encode(payload: Payload, source: int = 0, destination: int = 0) -> bytes:
+    """A message with this payload, as bytes. Raises struct.error for numbers that do not fit their field."""
+    if isinstance(payload, OsMonoProfile):
+        message_id, content = OS_MONO_PROFILE, _encode_profile(payload)
+    elif isinstance(payload, Nack):
+        message_id, content = NACK, payload.nacked_id.to_bytes(2, "little") + payload.text.encode("ascii", "replace")
+    elif isinstance(payload, AsciiText):
+        message_id, content = ASCII_TEXT, payload.text.encode("ascii", "replace")
+    elif isinstance(payload, JsonWrapper):
+        message_id, content = JSON_WRAPPER, json.dumps(payload.content).encode()
+    else:
+        message_id = _ID_OF[type(payload)]
+        content = _FIXED[message_id][1].pack(*payload)
+    return to_wire(PingMessage(message_id, content, source, destination))
+
+
+def decode(message: PingMessage) -> Payload | None:
+    """What the message says; None for an id that is not known here, or if its payload has not the length it should."""
+    message_id, payload = message.message_id, message.payload
+    if not in_limits(message_id, len(payload)):
+        return None
+    if message_id == OS_MONO_PROFILE:
+        return _decode_profile(payload)
+    if message_id in _FIXED:
+        kind, layout = _FIXED[message_id]
+        made: Payload = kind(*layout.unpack(payload))
+        return made
+    if message_id == NACK:
+        return Nack(int.from_bytes(payload[:2], "little"), _text(payload[2:]))
+    if message_id == ASCII_TEXT:
+        return AsciiText(_text(payload))
+    if message_id == JSON_WRAPPER:
+        return JsonWrapper(_json(payload))
+    return None
+
+
+def in_limits(message_id: int, n_bytes: int) -> bool:
+    """Whether a payload of this length is believed of this message."""
+    least, most = payload_limits(message_id)
+    return least <= n_bytes <= most
+
+
+def linear_power(profile: OsMonoProfile) -> NDArray[np.float32]:
+    """(n,) float32 power, proportional to intensity: 10^(dB / 10) of dB = min + result / 65535 * (max - min)."""
+    neper = np.log(10.0) / 10.0
+    slope = np.float32(neper * (profile.max_pwr_db - profile.min_pwr_db) / _FULL_SCALE)
+    exponent = profile.pwr_results.astype(np.float32)
+    exponent *= slope
+    exponent += np.float32(neper * profile.min_pwr_db)
+    return np.exp(exponent, out=exponent)
+
+
+def _encode_profile(profile: OsMonoProfile) -> bytes:
+    head = PROFILE_HEADER.pack(
+        *profile[:6], profile.pwr_results.shape[0], profile.sound_speed_dmps, profile.channel_number, profile.reserved, *profile[8:14]
+    )
+    return head + profile.pwr_results.astype("<u2", copy=False).tobytes()
+
+
+def _decode_profile(payload: bytes) -> OsMonoProfile | None:
+    fields = PROFILE_HEADER.unpack_from(payload)
+    n_results, sound_speed, channel, reserved = fields[6:10]
+    if len(payload) != PROFILE_HEADER.size + 2 * n_results:
+        return None
+    results = np.frombuffer(payload, dtype="<u2", offset=PROFILE_HEADER.size)
+    return OsMonoProfile._make((*fields[:6], sound_speed, channel, *fields[10:], results, reserved))
+
+
+def _text(content: bytes) -> str:
+    return content.rstrip(b"\0").decode("ascii", "replace")
+
+
+def _json(content: bytes) -> Any:
+    try:
+        return json.loads(content.rstrip(b"\0"))
+    except (ValueError, RecursionError):
+        return None

@@ -1,0 +1,192 @@
+"""Omniscan 450 and others that speak the Ping Protocol: framing, decoding into frames, commands.
+
+A log (.svlog) is the same stream, stored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Final
+
+import numpy as np
+
+from auv_mcm.errors import UsageError
+from auv_mcm.records import EchoTrace
+from drivers.framing import Arrived, StampedFramer
+from drivers.sonar.pairing import SidePairer
+from drivers.sonar.ping_messages import (
+    ACK,
+    CHECKSUM_BYTES,
+    DEVICE_INFORMATION,
+    HEADER,
+    HEADER_BYTES,
+    MAX_MESSAGE_BYTES,
+    N_RESULTS_OFFSET,
+    NACK,
+    OS_MONO_PROFILE,
+    PROFILE_HEADER,
+    PROTOCOL_VERSION,
+    SYNC,
+    Ack,
+    DeviceInformation,
+    Nack,
+    OsMonoProfile,
+    OsPingParams,
+    PingMessage,
+    ProtocolVersion,
+    SetSpeedOfSound,
+    decode,
+    encode,
+    in_limits,
+    linear_power,
+)
+from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.settings import check_settings
+from drivers.stamps import Stamp
+
+COUNTER_PERIOD_S: Final = 2**32 / 1000.0
+MAX_GAIN: Final = 7
+MAX_RANGE_M: Final = 200.0
+_RESULTS: Final = (200, 1200)  # that the device takes
+_MAX_TRACE_MM: Final = 2_000_000
+_MAX_DB: Final = 300.0
+_ANSWERS: Final = frozenset({ACK, NACK, DEVICE_INFORMATION, PROTOCOL_VERSION})
+
+
+class PingGrammar:
+    """Length believed only if it is plausible for its message id, and for a profile if it agrees with the number of its results."""
+
+    name = "ping_protocol"
+    head_bytes = len(SYNC)
+    max_message_bytes = MAX_MESSAGE_BYTES
+    proven = True
+
+    def find(self, buffer: bytearray, start: int) -> int:
+        return buffer.find(SYNC, start)
+
+    def read(self, buffer: bytearray, at: int) -> tuple[PingMessage, int] | int | str:
+        n_there = len(buffer) - at
+        if n_there < HEADER_BYTES:
+            return HEADER_BYTES
+        _, n_payload, message_id, source, destination = HEADER.unpack_from(buffer, at)
+        if not in_limits(message_id, n_payload):
+            return "length"
+        start = at + HEADER_BYTES
+        if message_id == OS_MONO_PROFILE:
+            if n_there < HEADER_BYTES + PROFILE_HEADER.size:
+                return HEADER_BYTES + PROFILE_HEADER.size
+            n_results = int.from_bytes(buffer[start + N_RESULTS_OFFSET : start + N_RESULTS_OFFSET + 2], "little")
+            if n_payload != PROFILE_HEADER.size + 2 * n_results:
+                return "length"
+        n_bytes: int = HEADER_BYTES + n_payload + CHECKSUM_BYTES
+        if n_there < n_bytes:
+            return n_bytes
+        stop = start + n_payload
+        told = int.from_bytes(buffer[stop : stop + CHECKSUM_BYTES], "little")
+        if told != int(np.frombuffer(buffer, np.uint8, stop - at, at).sum(dtype=np.uint32)) & 0xFFFF:
+            return "checksum"
+        return PingMessage(message_id, bytes(buffer[start:stop]), source, destination), n_bytes
+
+
+class PingDecoder:
+    """Profiles become frames of linear power, both sides joined; answers become replies; other messages are counted.
+
+    The compass headings in a profile are not used: devices leave them zero.
+    """
+
+    def __init__(self, *, port_channel: int = 0) -> None:
+        """port_channel: channel number of the head that looks to port, 0 or 1; the other looks to starboard."""
+        self._framer = StampedFramer(PingGrammar())
+        self._pairer = SidePairer(self._framer.counters)
+        self._port_channel = port_channel
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
+        return self._decoded(self._framer.feed(data, stamp))
+
+    def finish(self) -> list[SonarFrame | SonarReply]:
+        return [*self._decoded(self._framer.finish()), *self._pairer.finish()]
+
+    def _decoded(self, messages: list[Arrived[PingMessage]]) -> list[SonarFrame | SonarReply]:
+        found: list[SonarFrame | SonarReply] = []
+        for arrived in messages:
+            message_id = arrived.message.message_id
+            if message_id == OS_MONO_PROFILE:
+                found += self._frames(arrived)
+            elif message_id in _ANSWERS:
+                found.append(_reply(arrived))
+            else:
+                self.counters["ping_protocol.other_messages"] += 1
+        return found
+
+    def _frames(self, arrived: Arrived[PingMessage]) -> list[SonarFrame]:
+        profile = decode(arrived.message)
+        assert isinstance(profile, OsMonoProfile), "the framer lets no other length pass"
+        reason = _unusable(profile)
+        if reason is not None:
+            self.counters[f"ping_protocol.refused.{reason}"] += 1
+            return []
+        n_samples = profile.pwr_results.shape[0]
+        spacing_m = 1e-3 * profile.length_mm / n_samples
+        trace = EchoTrace(samples=linear_power(profile), first_range_m=1e-3 * profile.start_mm + 0.5 * spacing_m, spacing_m=spacing_m)
+        to_port = profile.channel_number == self._port_channel
+        frame = SonarFrame(
+            number=profile.ping_number,
+            port=trace if to_port else None,
+            starboard=None if to_port else trace,
+            transfer="intensity",
+            received=arrived.received,
+            n_bytes=arrived.n_bytes,
+            sound_speed_mps=0.1 * profile.sound_speed_dmps,
+            device_time_s=1e-3 * profile.timestamp_ms,
+        )
+        return self._pairer.add(frame)
+
+
+def commands(settings: SonarSettings) -> tuple[bytes, ...]:
+    """What to send so that the sonar pings like this. Raises UsageError for what it cannot do."""
+    check_settings(settings, "ping_protocol", max_range_m=MAX_RANGE_M, max_gain=MAX_GAIN)
+    least, most = _RESULTS
+    if not least <= settings.n_samples <= most:
+        raise UsageError(f"ping_protocol: {settings.n_samples} samples per side cannot be set. Give {least} to {most}.")
+    parameters = OsPingParams(
+        start_mm=0,
+        length_mm=round(1e3 * settings.range_m),
+        gain_index=-1 if settings.gain is None else settings.gain,
+        num_results=settings.n_samples,
+        enable=int(settings.enabled),
+    )
+    return encode(SetSpeedOfSound(round(1e3 * settings.sound_speed_mps))), encode(parameters)
+
+
+def _unusable(profile: OsMonoProfile) -> str | None:
+    """Why no trace can be made of it, in one word."""
+    if profile.channel_number > 1:
+        return "channel"
+    if profile.pwr_results.shape[0] == 0 or profile.length_mm == 0 or profile.start_mm + profile.length_mm > _MAX_TRACE_MM:
+        return "range"
+    if not 1300.0 <= 0.1 * profile.sound_speed_dmps <= 1700.0:
+        return "sound_speed"
+    low, high = profile.min_pwr_db, profile.max_pwr_db
+    if not (math.isfinite(low) and math.isfinite(high) and -_MAX_DB <= low < high <= _MAX_DB):
+        return "power_scale"
+    return None
+
+
+def _reply(arrived: Arrived[PingMessage]) -> SonarReply:
+    content = decode(arrived.message)
+    request, text = arrived.message.message_id, ""
+    if isinstance(content, Ack):
+        request = content.acked_id
+    elif isinstance(content, Nack):
+        request, text = content.nacked_id, content.text
+    elif isinstance(content, DeviceInformation):
+        text = f"device type {content.device_type} revision {content.device_revision}, firmware " + ".".join(map(str, content[2:5]))
+    elif isinstance(content, ProtocolVersion):
+        text = "protocol " + ".".join(map(str, content[:3]))
+    accepted = not isinstance(content, Nack)
+    return SonarReply(request=request, accepted=accepted, received=arrived.received, n_bytes=arrived.n_bytes, text=text)

@@ -1,0 +1,353 @@
+"""How fast messages are found in a stream of bytes, what garbage costs, and whether damage ever costs more than what it hit.
+
+auv-mcm bench framers [--faults N] [--pings N] [--seed N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, Final, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from drivers.framing import Framer, Grammar
+from drivers.sonar import imagenex, jsf_messages, ping_messages
+from drivers.sonar.imagenex import IgxGrammar, IgxReturn
+from drivers.sonar.jsf import JsfDecoder, JsfGrammar
+from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader
+from drivers.sonar.ping_messages import AsciiText, OsMonoProfile
+from drivers.sonar.ping_protocol import PingDecoder, PingGrammar
+from drivers.stamps import Stamp
+from sim_replay.benches.arguments import count
+
+FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
+FAULT_KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
+
+_MESSAGES_PER_STREAM: Final = 200
+_FAULTS_PER_STREAM: Final = 50
+_LONGEST_FAULT_BYTES: Final = 64
+_MAX_CHUNK_BYTES: Final = 400
+_CHUNK_BYTES: Final = 4096
+_GARBAGE_BYTES: Final = 1 << 20
+_N_SAMPLES: Final = 1200
+_ARRIVED: Final = Stamp(0, 0)
+
+
+class Wire(NamedTuple):
+    """One wire format, as the fault campaign sees it.
+
+    messages: n intact messages as bytes, no two alike. read: runs a new framer over the chunks, to the end of the stream, and gives an
+    equal item for equal messages.
+    """
+
+    name: str
+    messages: Callable[[np.random.Generator, int], list[bytes]]
+    read: Callable[[Iterable[bytes]], list[Hashable]]
+
+
+class Damaged(NamedTuple):
+    """A stream after faults. intact: which of the messages it was made of are still in it, unbroken. n_faults: by kind."""
+
+    stream: bytes
+    intact: list[bool]
+    n_faults: dict[FaultKind, int]
+
+
+class CampaignRow(NamedTuple):
+    """Messages of all streams of one wire. n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes."""
+
+    name: str
+    n_faults: int
+    n_messages: int
+    n_intact: int
+    n_lost: int
+    n_other: int
+
+
+def damaged(messages: list[bytes], n_faults: int, random: np.random.Generator) -> Damaged:
+    """Faults at random places of the joined messages, as cables and drivers make them.
+
+    Bits flip, bytes get lost, are repeated or come from nowhere (at random, or as a piece of a message), and messages lose their end.
+    """
+    stream = b"".join(messages)
+    ends = np.cumsum([len(message) for message in messages])
+    starts = ends - [len(message) for message in messages]
+    intact = np.ones(len(messages), dtype=np.bool_)
+    n_by_kind: dict[FaultKind, int] = dict.fromkeys(FAULT_KINDS, 0)
+    parts: list[bytes] = []
+    done = 0
+    for place in np.sort(random.integers(0, len(stream), n_faults)).tolist():
+        if place < done:
+            continue  # what is gone already
+        kind = FAULT_KINDS[random.integers(len(FAULT_KINDS))]
+        n_by_kind[kind] += 1
+        parts.append(stream[done:place])
+        stop = min(place + int(random.integers(1, _LONGEST_FAULT_BYTES + 1)), len(stream))
+        piece = np.frombuffer(stream[place:stop], np.uint8)
+        if kind == "truncate":
+            stop = int(ends[np.searchsorted(ends, place, side="right")])
+        if kind == "insert":
+            inserted = stream[stop : 2 * stop - place] if random.random() < 0.5 else random.bytes(stop - place)
+            parts.append(inserted)
+            stop = place
+            hit = (starts < place) & (place < ends)
+        elif kind == "duplicate":
+            parts.append(2 * piece.tobytes())
+            hit = (starts < place) & (stop < ends)  # else one of its two copies is whole
+        else:
+            if kind == "flip":
+                masks = np.left_shift(1, random.integers(0, 8, piece.shape)).astype(np.uint8)
+                masks[1:] *= random.random(piece.shape[0] - 1) < 4.0 / _LONGEST_FAULT_BYTES
+                parts.append((piece ^ masks).tobytes())
+            hit = (starts < stop) & (place < ends)
+        intact &= ~hit
+        done = stop
+    parts.append(stream[done:])
+    return Damaged(b"".join(parts), intact.tolist(), n_by_kind)
+
+
+def cut(stream: bytes, random: np.random.Generator) -> Iterator[bytes]:
+    """The stream in chunks of any length."""
+    start = 0
+    while start < len(stream):
+        stop = start + int(random.integers(1, _MAX_CHUNK_BYTES + 1))
+        yield stream[start:stop]
+        start = stop
+
+
+def n_missing(wanted: list[Hashable], found: list[Hashable]) -> int:
+    """How many of `wanted` do not come in `found` in this order; what else comes between does not matter."""
+    n_lost, position = 0, 0
+    for item in wanted:
+        try:
+            position = found.index(item, position) + 1
+        except ValueError:
+            n_lost += 1
+    return n_lost
+
+
+def campaign(wire: Wire, n_faults: int, seed: int) -> CampaignRow:
+    """At least so many faults on streams of the wire's messages. The same seed makes the same faults."""
+    n_done = n_messages = n_intact = n_lost = n_other = 0
+    stream_seed = 0
+    while n_done < n_faults:
+        random = np.random.Generator(np.random.PCG64([seed, stream_seed]))
+        stream_seed += 1
+        messages = wire.messages(random, _MESSAGES_PER_STREAM)
+        keys = wire.read(messages)
+        assert len(keys) == len(messages), f"{wire.name}: not every intact message of a clean stream is read"
+        result = damaged(messages, _FAULTS_PER_STREAM, random)
+        found = wire.read(cut(result.stream, random))
+        wanted = [key for key, whole in zip(keys, result.intact, strict=True) if whole]
+        n_missed = n_missing(wanted, found)
+        n_done += sum(result.n_faults.values())
+        n_messages += len(messages)
+        n_intact += len(wanted)
+        n_lost += n_missed
+        n_other += len(found) - (len(wanted) - n_missed)
+    return CampaignRow(wire.name, n_done, n_messages, n_intact, n_lost, n_other)
+
+
+def read_with(grammar: Grammar[Any], key: Callable[[Any], Hashable]) -> Callable[[Iterable[bytes]], list[Hashable]]:
+    """`Wire.read` of a grammar of drivers.framing. key: of a message, equal for equal messages."""
+
+    def read(chunks: Iterable[bytes]) -> list[Hashable]:
+        framer = Framer(grammar)
+        found = [framed for chunk in chunks for framed in framer.feed(chunk)]
+        return [key(framed.message) for framed in found + framer.finish()]
+
+    return read
+
+
+def _ping_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    wired = []
+    for number in range(n):
+        if random.random() < 0.2:
+            wired.append(ping_messages.encode(AsciiText(f"message {number} " + "BR" * int(random.integers(20)))))
+        else:
+            wired.append(ping_messages.encode(made_profile(number, int(random.integers(20, 200)), random)))
+    return wired
+
+
+def _jsf_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    wired = []
+    for number in range(n):
+        if random.random() < 0.2:
+            body = number.to_bytes(4, "little") + random.bytes(int(random.integers(80)))
+            wired.append(jsf_messages.to_wire(JsfMessage(2002, body, session=number & 0xFF)))
+        else:
+            wired.append(jsf_messages.encode_data(made_side(number, int(random.integers(20, 200)), random), 21, number & 1))
+    return wired
+
+
+def _igx_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    return [imagenex.encode_return(IgxReturn(30, 3, random.integers(0, 128, 400).astype(np.uint8))) for _ in range(n)]
+
+
+WIRES: Final = (
+    Wire("ping_protocol", _ping_messages, read_with(PingGrammar(), tuple)),
+    Wire("jsf", _jsf_messages, read_with(JsfGrammar(), tuple)),
+    Wire("sportscan", _igx_messages, read_with(IgxGrammar(), lambda ping: ping.echo.tobytes())),
+)
+
+
+def made_profile(number: int, n_results: int, random: np.random.Generator) -> OsMonoProfile:
+    """One side of a ping of an Omniscan 450, speckle on a scale of 80 dB; channels alternate."""
+    power_db = -30.0 + 10.0 * np.log10(random.standard_exponential(n_results) + 1e-6)
+    results = np.clip((power_db + 90.0) / 80.0 * 65535.0, 0.0, 65535.0).astype(np.uint16)
+    return OsMonoProfile(
+        ping_number=number // 2,
+        start_mm=0,
+        length_mm=50_000,
+        timestamp_ms=number // 2 * 67,
+        ping_hz=450_000,
+        gain_index=3,
+        sound_speed_dmps=15_000,
+        channel_number=number & 1,
+        pulse_duration_sec=1e-4,
+        analog_gain=8.0,
+        max_pwr_db=-10.0,
+        min_pwr_db=-90.0,
+        transducer_heading_deg=0.0,
+        vehicle_heading_deg=0.0,
+        pwr_results=results,
+    )
+
+
+def made_side(number: int, n_samples: int, random: np.random.Generator) -> SideScanData:
+    """One side of a ping of an EdgeTech sonar, speckle of amplitude; its two sides have consecutive numbers."""
+    header = SideScanHeader(
+        time_s=1_700_000_000 + number // 2 // 15,
+        ping_number=number // 2,
+        milliseconds_today=number // 2 * 67 % 1000,
+        interval_ns=20_000,
+        weighting=4,
+        sound_speed_mps=1500.0,
+        validity=jsf_messages.Validity.SOUND_SPEED,
+    )
+    return SideScanData(header, (3000.0 * np.sqrt(random.standard_exponential(n_samples))).astype(np.uint16))
+
+
+def _seconds(step: Callable[[], object]) -> float:
+    """Of this thread, the least of three runs."""
+    times = []
+    for _ in range(3):
+        began = time.thread_time()
+        step()
+        times.append(time.thread_time() - began)
+    return min(times)
+
+
+def speed_lines(n_pings: int) -> list[str]:
+    """Messages per second, framed alone and decoded to samples, for pings of 1200 samples a side in chunks of 4 KiB."""
+    random = np.random.Generator(np.random.PCG64(1))
+    ping = b"".join(ping_messages.encode(made_profile(i, _N_SAMPLES, random)) for i in range(2 * n_pings))
+    jsf = b"".join(jsf_messages.encode_data(made_side(i, _N_SAMPLES, random), 21, i & 1) for i in range(2 * n_pings))
+    igx = b"".join(_igx_messages(random, 2 * n_pings))
+
+    def feed(make: Callable[[], Any], stream: bytes, *stamp: Stamp) -> Callable[[], object]:
+        def run() -> None:
+            taker = make()
+            for start in range(0, len(stream), _CHUNK_BYTES):
+                taker.feed(stream[start : start + _CHUNK_BYTES], *stamp)
+
+        return run
+
+    n = 2 * n_pings
+    rows: dict[str, tuple[Callable[[], object], int, int]] = {
+        "ping_protocol": (feed(lambda: Framer(PingGrammar()), ping), n, len(ping)),
+        "ping_protocol, to linear power": (feed(PingDecoder, ping, _ARRIVED), n, len(ping)),
+        "jsf": (feed(lambda: Framer(JsfGrammar()), jsf), n, len(jsf)),
+        "jsf, to amplitude": (feed(JsfDecoder, jsf, _ARRIVED), n, len(jsf)),
+        "sportscan": (feed(lambda: Framer(IgxGrammar()), igx), n, len(igx)),
+        "sportscan, to samples": (feed(imagenex.SportScanDecoder, igx, _ARRIVED), n, len(igx)),
+    }
+    if find_spec("brping") is not None:
+        rows["ping_protocol, brping's PingParser"] = (_brping(ping), n, len(ping))
+    lines = [f"{'found in chunks of 4096 bytes':<38}{'messages/s':>12}{'MB/s':>9}{'us each':>10}"]
+    seconds = {name: _seconds(step) for name, (step, _, _) in rows.items()}
+    for name, (_, n_messages, n_bytes) in rows.items():
+        took = seconds[name]
+        lines.append(f"{name:<38}{n_messages / took:>12.0f}{1e-6 * n_bytes / took:>9.1f}{1e6 * took / n_messages:>10.2f}")
+    if "ping_protocol, brping's PingParser" in rows:
+        brping = seconds["ping_protocol, brping's PingParser"]
+        framed, decoded = brping / seconds["ping_protocol"], brping / seconds["ping_protocol, to linear power"]
+        lines.append(f"brping takes {framed:.0f} times as long as framing alone, {decoded:.0f} times as long as all the way to power")
+    else:
+        lines.append("brping is not installed: pip install bluerobotics-ping to compare")
+    return lines
+
+
+def _brping(stream: bytes) -> Callable[[], object]:
+    make = import_module("brping").PingParser
+
+    def run() -> None:
+        parser = make()
+        for byte in stream:
+            parser.parse_byte(byte)
+
+    return run
+
+
+def garbage_lines() -> list[str]:
+    """MB/s through each framer of what is no message: noise, silence, nothing but beginnings, and the longest false promises."""
+    random = np.random.Generator(np.random.PCG64(2))
+    grammars: tuple[Grammar[Any], ...] = (PingGrammar(), JsfGrammar(), IgxGrammar())
+    promise = {
+        "ping_protocol": ping_messages.HEADER.pack(b"BR", 1000, ping_messages.ASCII_TEXT, 0, 0),
+        "jsf": jsf_messages.to_wire(JsfMessage(2002, b""))[:-4] + (1 << 14).to_bytes(4, "little"),
+        "sportscan": imagenex.encode_return(IgxReturn(30, 3, np.zeros(400, np.uint8)))[:12],
+    }
+    sync = {"ping_protocol": b"BR", "jsf": b"\x01\x16", "sportscan": b"IGX"}
+    lines = [f"{'garbage, MB/s':<16}{'noise':>10}{'zeros':>10}{'syncs':>10}{'promises':>10}"]
+    for grammar in grammars:
+        kinds = (
+            random.bytes(_GARBAGE_BYTES),
+            bytes(_GARBAGE_BYTES),
+            _repeated(sync[grammar.name], _GARBAGE_BYTES),
+            _repeated(promise[grammar.name], _GARBAGE_BYTES // 16),
+        )
+        cells = []
+        for stream in kinds:
+            took = _seconds(lambda stream=stream, grammar=grammar: _fed(grammar, stream))  # type: ignore[misc]
+            cells.append(f"{1e-6 * len(stream) / took:>10.1f}")
+        lines.append(f"{grammar.name:<16}" + "".join(cells))
+    return lines
+
+
+def _fed(grammar: Grammar[Any], stream: bytes) -> Framer[Any]:
+    framer = Framer(grammar)
+    for start in range(0, len(stream), _CHUNK_BYTES):
+        framer.feed(stream[start : start + _CHUNK_BYTES])
+    return framer
+
+
+def _repeated(piece: bytes, n_bytes: int) -> bytes:
+    return piece * (n_bytes // len(piece))
+
+
+def campaign_lines(rows: list[CampaignRow]) -> list[str]:
+    """A row per wire; nothing may be lost."""
+    heads = ("faults", "messages", "intact", "lost", "other")
+    lines = [f"{'damaged streams':<16}" + "".join(f"{head:>10}" for head in heads)]
+    lines += [f"{row.name:<16}" + "".join(f"{cell:>10}" for cell in row[1:]) for row in rows]
+    return [*lines, "lost: intact messages that were not read. other: read once more, or from damaged bytes that no checksum tells"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `auv-mcm bench framers`."""
+    parser.add_argument("--faults", type=count, default=10_000, help="faults per wire format")
+    parser.add_argument("--pings", type=count, default=200, help="pings of the speed measurement")
+    parser.add_argument("--seed", type=count, default=1, help="of the faults")
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Print the tables; returns the exit code, 1 if an intact message was lost."""
+    print("\n".join([*speed_lines(chosen.pings), "", *garbage_lines(), ""]))
+    rows = [campaign(wire, chosen.faults, chosen.seed) for wire in WIRES]
+    print("\n".join(campaign_lines(rows)))
+    return int(any(row.n_lost for row in rows))
