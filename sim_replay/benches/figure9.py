@@ -23,6 +23,7 @@ import numpy as np
 
 from auv_mcm.config import Config
 from sim_replay.benches.arguments import count
+from sim_replay.benches.layout import columns
 from sim_replay.benches.scenes import FIRST_SEED, config_for
 from sim_replay.simulator.scene import EXACT, Lawnmower, ObjectKind, Scatter, Scene, TargetKind
 from sim_replay.simulator.scene_file import read_scene
@@ -249,7 +250,7 @@ def table(experiment: Experiment, images: Sequence[Image]) -> str:
             others = (str(called["surface"]), str(called["floor"]), f"{n_false / len(images):.1f}", f"{n_false / area_km2:.0f}")
             rows.append((features, words, *found, *others) if math.isfinite(threshold) else (features, words, "not found at any"))
     header = ("features", "called from", *TYPES, *sorted(experiment.not_targets), "surface", "floor", "FA per image", "FA/km²")
-    return _columns(header, [(*row, *[""] * (len(header) - len(row))) for row in rows])
+    return columns(header, [(*row, *[""] * (len(header) - len(row))) for row in rows])
 
 
 def odds_of_share(falling: Sequence[float], n_objects: int, share: float) -> float:
@@ -287,9 +288,3 @@ def _progress(what: str, total: int) -> Callable[[int], None]:
         print(f"\r{done} of {total} {what}", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
     return told
-
-
-def _columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in (header, *rows)]
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])

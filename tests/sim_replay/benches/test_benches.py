@@ -14,7 +14,13 @@ from auv_mcm.cli import main
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize("bench", ["waterfall", "detect", "simulate", "scenes", "segmentation", "snakes", "shapes", "beliefs", "images"])
+@pytest.mark.parametrize(
+    "bench",
+    [
+        *("waterfall", "detect", "simulate", "scenes", "froc", "segmentation", "snakes", "shapes", "beliefs", "images"),
+        *("cascade", "inversion", "augment", "pfa", "figure9"),
+    ],
+)
 def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["bench", bench, "--help"])
