@@ -17,7 +17,7 @@ _CANDUMP_SCREEN: Final = re.compile(r"<0x([0-9a-f]{8})> \[(\d)\]((?: [0-9a-f]{2}
 _CANBOAT: Final = re.compile(
     r"(\d{4}-\d\d-\d\d[T-]\d\d:\d\d:\d\d\.\d{1,6})Z?,(\d),(\d+),(\d+),(\d+),(\d+)((?:,[0-9a-f]{2})+)", re.IGNORECASE
 )
-_PCAN_VIEW: Final = re.compile(r"\s*\d+\)\s+(\d+\.\d)\s+Rx\s+([0-9A-F]{8})\s+(\d)((?: [0-9A-F]{2})*) ?")
+_PCAN_VIEW: Final = re.compile(r"\s*\d+\)\s+(\d+\.\d)\s+Rx\s+([0-9A-F]{8})\s+(\d) ((?: [0-9A-F]{2})*) ?")
 _PCAN_START: Final = re.compile(r";\$STARTTIME=(\d+\.\d+)")
 _PCAN_EPOCH_DAYS: Final = 25_569.0  # days from 1899-12-30, where PCAN counts from, to 1970
 _MAX_LINE_CHARS: Final = 4096

@@ -11,7 +11,7 @@ from drivers.navigation.device_date import DAY_S
 from drivers.navigation.n2k_fast_packet import FastPackets
 from drivers.navigation.n2k_messages import (
     ADDRESS_CLAIM,
-    MESSAGES,
+    FAST_PACKET_GROUPS,
     Attitude,
     GnssPosition,
     Heading,
@@ -65,8 +65,7 @@ class N2kBus:
     def feed(self, can_id: int, data: bytes, stamp: Stamp) -> list[NavFix]:
         """The fixes that a frame completes. can_id: 29 bits. stamp: when it was read."""
         _, pgn, _, source = identifier_of(can_id)
-        message = MESSAGES.get(pgn)
-        if message is not None and message.fast_packet:
+        if pgn in FAST_PACKET_GROUPS:
             whole = self._packets.add(pgn, source, data)
             return [] if whole is None else self.feed_message(pgn, source, whole, stamp)
         return self.feed_message(pgn, source, data, stamp)

@@ -159,10 +159,6 @@ class Message(NamedTuple, Generic[R]):
     make: Callable[..., R]
     fields: tuple[Field, ...]
 
-    @property
-    def fast_packet(self) -> bool:
-        return self.n_bytes > 8
-
 
 class Identifier(NamedTuple):
     """What a 29-bit CAN identifier says. destination: GLOBAL unless the message is addressed."""
@@ -195,7 +191,17 @@ def decode(pgn: int, data: bytes) -> Record | None:
     if len(data) < message.n_bytes:
         raise ValueError(f"{len(data)} bytes where PGN {pgn} has {message.n_bytes}")
     bits = int.from_bytes(data, "little")
-    record: Record = message.make(*[_read(bits, field) for field in message.fields])
+    values = []
+    for start_bit, n_bits, signed, resolution in message.fields:
+        raw = bits >> start_bit & (1 << n_bits) - 1
+        unavailable = (1 << n_bits - signed) - 1
+        if raw < unavailable - (n_bits > 2):
+            values.append(raw * resolution)
+        elif raw > unavailable:
+            values.append((raw - (1 << n_bits)) * resolution)
+        else:
+            values.append(NAN)
+    record: Record = message.make(*values)
     return record
 
 
@@ -213,17 +219,6 @@ def encode(record: Record) -> tuple[int, bytes]:
         mask = (1 << n_bits) - 1
         bits = bits & ~(mask << start_bit) | (raw & mask) << start_bit
     return message.pgn, bits.to_bytes(message.n_bytes, "little")
-
-
-def _read(bits: int, field: Field) -> float:
-    start_bit, n_bits, signed, resolution = field
-    raw = bits >> start_bit & (1 << n_bits) - 1
-    unavailable = (1 << n_bits - signed) - 1
-    if raw == unavailable or (raw == unavailable - 1 and n_bits > 2):
-        return NAN
-    if signed and raw > unavailable:
-        raw -= 1 << n_bits
-    return raw * resolution
 
 
 _SID: Final = Field(0, 8)
@@ -244,7 +239,7 @@ MESSAGES: Final[dict[int, Message[Any]]] = {
         Message(127251, 2, 8, RateOfTurn, (_SID, Field(8, 32, True, 3.125e-8))),
         Message(127252, 3, 8, Heave, (_SID, Field(8, 16, True, 0.01))),
         Message(127257, 3, 8, Attitude, (_SID, *(Field(start, 16, True, _ANGLE) for start in (8, 24, 40)))),
-        Message(127258, 7, 8, MagneticVariation, (_SID, Field(8, 4), _DATE, Field(32, 16, True, _ANGLE))),
+        Message(127258, 7, 6, MagneticVariation, (_SID, Field(8, 4), _DATE, Field(32, 16, True, _ANGLE))),
         Message(128259, 2, 8, Speed, (_SID, Field(8, 16, False, 0.01), Field(24, 16, False, 0.01), Field(40, 8))),
         Message(128267, 3, 8, WaterDepth, (_SID, Field(8, 32, False, 0.01), Field(40, 16, True, 1e-3), Field(56, 8, False, 10.0))),
         Message(129025, 2, 8, RapidPosition, (Field(0, 32, True, 1e-7), Field(32, 32, True, 1e-7))),
@@ -275,4 +270,5 @@ MESSAGES: Final[dict[int, Message[Any]]] = {
         Message(130314, 5, 8, Pressure, (_SID, Field(8, 8), Field(16, 8), Field(24, 32, True, 0.1))),
     )
 }
+FAST_PACKET_GROUPS: Final = frozenset(pgn for pgn, message in MESSAGES.items() if message.n_bytes > 8)
 _BY_RECORD: Final[dict[Any, Message[Any]]] = {message.make: message for message in MESSAGES.values()}

@@ -12,12 +12,12 @@ from typing import Final
 MAX_SENTENCE_BYTES: Final = 255
 _BODY: Final = rb"[\x20\x22\x23\x25-\x29\x2b-\x7e]"
 _START: Final = re.compile(rb"[$!]")
-_SENTENCE: Final = re.compile(rb"[$!](%b{4,%d})\*([0-9A-Fa-f]{2})" % (_BODY, MAX_SENTENCE_BYTES - 4))
+_SENTENCE: Final = re.compile(rb"[$!](%b{4,%d})\*([0-9A-Fa-f]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 6))
 _RUN: Final = re.compile(rb"[$!]%b*" % _BODY)
 
 
 class NmeaGrammar:
-    """A message is a sentence's body, such as `GPHDT,123.4,T`."""
+    """A message is a sentence's body, such as `GPHDT,123.4,T`. Its line end is not waited for; one that comes later counts as skipped."""
 
     name = "nmea"
     head_bytes = 1
@@ -41,7 +41,7 @@ class NmeaGrammar:
         run = _RUN.match(buffer, at)
         assert run is not None  # `find` saw its first character
         end = run.end()
-        if end - at > MAX_SENTENCE_BYTES - 3:
+        if end - at > MAX_SENTENCE_BYTES - 5:
             return "oversize"
         if end == len(buffer):
             return end - at + 3

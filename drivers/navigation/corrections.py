@@ -1,0 +1,129 @@
+"""From what a unit told, with its signs at its place, to what that means for the vehicle's navigation reference."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
+from drivers.navigation.seam import NavFix, Quantity
+from drivers.navigation.settings import NavUnitSettings
+
+_TURN: Final = 2.0 * math.pi
+_MAX_DEPTH_M: Final = 12_000.0
+_MIN_DEPTH_M: Final = -100.0
+_MAX_SPEED_MPS: Final = 30.0
+_SHARPEST_COSINE: Final = 1e-9  # keeps steps finite at a pole
+
+
+class Position(NamedTuple):
+    latitude_deg: float
+    longitude_deg: float
+    sigma_m: float
+
+
+class Heading(NamedTuple):
+    heading_rad: float
+    sigma_rad: float
+
+
+class Attitude(NamedTuple):
+    pitch_rad: float
+    roll_rad: float
+
+
+class Speed(NamedTuple):
+    """course_rad: over ground, NaN if not told; drift_rad: against the bow, NaN if not told."""
+
+    speed_mps: float
+    course_rad: float
+    drift_rad: float
+    sigma_mps: float
+
+
+class Readings(NamedTuple):
+    """What a fix says about the vehicle; None where it says nothing, or nothing that is possible."""
+
+    position: Position | None
+    heading: Heading | None
+    attitude: Attitude | None
+    depth: float | None
+    altitude: float | None
+    speed: Speed | None
+
+
+def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quantity]]:
+    """Signs and mounting angles put right, lever arms not yet; and the quantities that are impossible as told."""
+    impossible: list[Quantity] = []
+
+    def plausible(quantity: Quantity, known: bool, possible: bool) -> bool:
+        if known and not possible:
+            impossible.append(quantity)
+        return known and possible
+
+    position = heading = attitude = depth = altitude = speed = None
+    latitude_deg, longitude_deg = fix.latitude_deg, fix.longitude_deg
+    known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
+    # Nobody dives at 0, 0: it is what records hold that nobody filled.
+    if plausible("position", known, abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0, 0)):
+        position = Position(latitude_deg, longitude_deg, _or(fix.position_sigma_m, unit.position_sigma_m))
+    if plausible("heading", fix.heading_rad == fix.heading_rad, abs(fix.heading_rad) <= _TURN + 0.02):
+        turned = unit.heading_sign * fix.heading_rad + math.radians(unit.heading_offset_deg)
+        heading = Heading(turned % _TURN, _or(fix.heading_sigma_rad, math.radians(unit.heading_sigma_deg)))
+    known = not (math.isnan(fix.pitch_rad) or math.isnan(fix.roll_rad))
+    if plausible("attitude", known, abs(fix.pitch_rad) <= math.pi / 2 and abs(fix.roll_rad) <= math.pi + 0.02):
+        attitude = Attitude(
+            unit.pitch_sign * fix.pitch_rad + math.radians(unit.pitch_offset_deg),
+            unit.roll_sign * fix.roll_rad + math.radians(unit.roll_offset_deg),
+        )
+    if plausible("depth", fix.depth_m == fix.depth_m, _MIN_DEPTH_M <= fix.depth_m <= _MAX_DEPTH_M):
+        depth = fix.depth_m
+    if plausible("altitude", fix.altitude_m == fix.altitude_m, 0.0 < fix.altitude_m <= _MAX_DEPTH_M):
+        altitude = fix.altitude_m
+    speed_mps = _or(fix.speed_mps, fix.water_speed_mps)
+    if plausible("speed", speed_mps == speed_mps, abs(speed_mps) <= _MAX_SPEED_MPS):
+        drift_rad = fix.drift_rad + math.radians(unit.heading_offset_deg)
+        speed = Speed(speed_mps, fix.course_rad, drift_rad, _or(fix.speed_sigma_mps, unit.speed_sigma_mps))
+    return Readings(position, heading, attitude, depth, altitude, speed), impossible
+
+
+def arm_north_east_down(
+    arm_m: tuple[float, float, float], heading_rad: float, pitch_rad: float, roll_rad: float
+) -> tuple[float, float, float]:
+    """A lever arm (forward, starboard, down) in north, east, down, by yaw, pitch, roll in this order (Fossen 2011, eq. 2.18)."""
+    forward, starboard, down = arm_m
+    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
+    sin_p, cos_p = math.sin(pitch_rad), math.cos(pitch_rad)
+    sin_r, cos_r = math.sin(roll_rad), math.cos(roll_rad)
+    sideways = cos_r * starboard - sin_r * down
+    below = sin_r * starboard + cos_r * down
+    ahead = cos_p * forward + sin_p * below
+    return cos_h * ahead - sin_h * sideways, sin_h * ahead + cos_h * sideways, cos_p * below - sin_p * forward
+
+
+def moved(latitude_deg: float, longitude_deg: float, east_m: float, north_m: float) -> tuple[float, float]:
+    """A position some metres on, by the ellipsoid's radii of curvature there: good to a millimetre over a kilometre away from the poles."""
+    meridian_m, parallel_m = _radii_m(latitude_deg)
+    latitude = min(max(latitude_deg + math.degrees(north_m / meridian_m), -90.0), 90.0)
+    longitude = longitude_deg + math.degrees(east_m / parallel_m)
+    return latitude, longitude if -180.0 <= longitude <= 180.0 else (longitude + 180.0) % 360.0 - 180.0
+
+
+def offset_m(from_deg: tuple[float, float], to_deg: tuple[float, float]) -> tuple[float, float]:
+    """East and north from one latitude, longitude to another nearby; the reverse of `moved`."""
+    meridian_m, parallel_m = _radii_m(from_deg[0])
+    across_deg = (to_deg[1] - from_deg[1] + 180.0) % 360.0 - 180.0
+    return math.radians(across_deg) * parallel_m, math.radians(to_deg[0] - from_deg[0]) * meridian_m
+
+
+def _radii_m(latitude_deg: float) -> tuple[float, float]:
+    """Of curvature along the meridian, and of the parallel."""
+    latitude = math.radians(latitude_deg)
+    sine = math.sin(latitude)
+    squeezed = 1.0 - ECCENTRICITY_SQUARED * sine * sine
+    prime_vertical_m = SEMI_MAJOR_M / math.sqrt(squeezed)
+    return prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) / squeezed, prime_vertical_m * max(math.cos(latitude), _SHARPEST_COSINE)
+
+
+def _or(value: float, otherwise: float) -> float:
+    return otherwise if math.isnan(value) else value

@@ -1,0 +1,66 @@
+"""Satellite receivers under water: some go on sending positions that look valid. The vehicle's depth and way made tell."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+from drivers.navigation.corrections import Position, offset_m
+from drivers.navigation.reckoning import Travelled
+
+Doubt: TypeAlias = Literal["submerged", "frozen", "not_the_way_made", "recovering"]
+
+_WINDOW_S: Final = 20.0
+_MAX_FIXES: Final = 256
+_FROZEN_M: Final = 4.0  # way made while positions stay equal to the last digit; receivers round to 2 m at most
+_WAY_SLACK: Final = 0.3  # of the way made, for its own errors: a log that runs through a current
+_N_GOOD: Final = 3  # after a doubt so many fixes in a row must be good
+
+
+class _Seen(NamedTuple):
+    time_s: float
+    position: Position
+    travelled: Travelled
+
+
+class GnssWatch:
+    """Judges one receiver's positions, believed or not. Holds at most 256 of the last 20 seconds."""
+
+    def __init__(self, surface_depth_m: float) -> None:
+        self._surface_depth_m = surface_depth_m
+        self._seen: deque[_Seen] = deque(maxlen=_MAX_FIXES)
+        self._same_since: _Seen | None = None
+        self._n_good = _N_GOOD
+
+    def doubt(self, time_s: float, position: Position, depth_m: float | None, travelled: Travelled) -> Doubt | None:
+        """Why a position is not believed; None if it is. depth_m: None if not known. travelled: way made by reckoning until now."""
+        seen = _Seen(time_s, position, travelled)
+        doubt = self._judge(seen, depth_m)
+        self._seen.append(seen)
+        if doubt is not None:
+            self._n_good = 0
+            return doubt
+        self._n_good = min(self._n_good + 1, _N_GOOD + 1)
+        return "recovering" if self._n_good < _N_GOOD else None
+
+    def _judge(self, seen: _Seen, depth_m: float | None) -> Doubt | None:
+        if self._same_since is None or self._same_since.position[:2] != seen.position[:2]:
+            self._same_since = seen
+        if depth_m is not None and depth_m > self._surface_depth_m:
+            self._seen.clear()
+            return "submerged"
+        frozen_since = self._same_since.travelled
+        if frozen_since.leg == seen.travelled.leg and math.dist(frozen_since[1:], seen.travelled[1:]) > _FROZEN_M:
+            return "frozen"
+        while self._seen and seen.time_s - self._seen[0].time_s > _WINDOW_S:
+            self._seen.popleft()
+        before = next((other for other in self._seen if other.travelled.leg == seen.travelled.leg), None)
+        if before is not None:
+            east_m, north_m = offset_m(before.position[:2], seen.position[:2])
+            way_east_m = seen.travelled.east_m - before.travelled.east_m
+            way_north_m = seen.travelled.north_m - before.travelled.north_m
+            slack_m = 3.0 * math.hypot(before.position.sigma_m, seen.position.sigma_m) + _WAY_SLACK * math.hypot(way_east_m, way_north_m)
+            if math.hypot(east_m - way_east_m, north_m - way_north_m) > slack_m:
+                return "not_the_way_made"
+        return None

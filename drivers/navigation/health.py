@@ -1,0 +1,57 @@
+"""Which of several units serves a quantity."""
+
+from __future__ import annotations
+
+import math
+
+
+class UnitHealth:
+    """When a unit last gave a quantity, and since when it has done so without a hole. Times are monotonic seconds."""
+
+    def __init__(self, source: str, priority: int, valid_s: float) -> None:
+        self.source = source
+        self.priority = priority
+        self.valid_s = valid_s
+        self.last_s = -math.inf
+        self.since_s = math.inf
+
+    def gave(self, now_s: float) -> None:
+        if not self.is_healthy(now_s):
+            self.since_s = now_s
+        self.last_s = now_s
+
+    def is_healthy(self, now_s: float) -> bool:
+        return now_s - self.last_s <= self.valid_s
+
+
+class Fallback:
+    """The serving unit of one quantity: the best healthy one, but a better one takes over from a healthy one only after being healthy for
+    `recover_s`, so that a loose contact does not make two units alternate."""
+
+    def __init__(self, recover_s: float) -> None:
+        self.serving: UnitHealth | None = None
+        self._recover_s = recover_s
+        self._units: list[UnitHealth] = []  # the best first
+
+    @property
+    def units(self) -> tuple[UnitHealth, ...]:
+        """Every unit that has ever given the quantity, the best first."""
+        return tuple(self._units)
+
+    def add(self, unit: UnitHealth) -> None:
+        self._units.append(unit)
+        self._units.sort(key=lambda known: (known.priority, known.source))
+
+    def choose(self, now_s: float) -> UnitHealth | None:
+        """The unit that serves from now on; None while none is healthy."""
+        serving = self.serving
+        if serving is not None and not serving.is_healthy(now_s):
+            serving = None
+        for unit in self._units:
+            if unit is serving:
+                break
+            if unit.is_healthy(now_s) and (serving is None or now_s - unit.since_s >= self._recover_s):
+                serving = unit
+                break
+        self.serving = serving
+        return serving

@@ -1,0 +1,460 @@
+"""One track out of several navigation units.
+
+Feed it fixes in the order of their arrival; out come navigation samples in the order of their times, and notices. It has no clock: what
+it says depends on the fixes and stamps alone. A quantity is taken from one unit at a time and never repeated; positions go on by dead
+reckoning when all units have lost them.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import Counter
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from msgspec import structs
+
+from auv_mcm.records import NAN, NavSample, Notice
+from drivers.navigation.corrections import (
+    Attitude,
+    Heading,
+    Position,
+    Speed,
+    arm_north_east_down,
+    moved,
+    offset_m,
+    readings_of,
+)
+from drivers.navigation.gnss_watch import Doubt, GnssWatch
+from drivers.navigation.health import Fallback, UnitHealth
+from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
+from drivers.navigation.seam import QUANTITIES, NavFix, Quantity
+from drivers.navigation.settings import NavMergeSettings, NavUnitSettings
+from drivers.navigation.unit_clock import UnitClock
+from drivers.stamps import Stamp
+
+Event: TypeAlias = NavSample | Notice
+
+_QUEUE_SLACK_S: Final = 0.25  # beyond the longest latency, for links of unequal speed
+_RECKONING_PERIOD_S: Final = 0.1
+_RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma at which a person should know
+_JUMP_SLACK_M: Final = 3.0  # receivers scatter and round
+_REFIX_COUNT: Final = 3  # this many positions in a row that agree on a new place are believed
+_LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
+_COMPARE_S: Final = 0.5  # values farther apart in time are not compared
+_N_DISAGREE: Final = 5  # in a row, before a person hears of it; as many that agree end it
+_N_SIGMA: Final = 3.0
+_MAX_UNKNOWN: Final = 32
+_TICK_S: Final = 1e-3
+# Differences that are nothing to talk about: the units measure at different places and instants.
+_SLACK: Final[dict[Quantity, float]] = {
+    "position": 2.0,
+    "heading": math.radians(2.0),
+    "attitude": math.radians(3.0),
+    "depth": 1.0,
+    "altitude": 1.0,
+    "speed": 0.3,
+}
+
+
+class QuantityHealth(NamedTuple):
+    """serving: the unit that delivers it now; None if none does. age_s: since its last value, by source, inf if it was refused always."""
+
+    serving: str | None
+    age_s: dict[str, float]
+
+
+class _Given(NamedTuple):
+    """The last value of a quantity from one unit. time_s: of the measurement, monotonic."""
+
+    time_s: float
+    value: Any
+
+
+class _Channel:
+    """One quantity of one unit."""
+
+    def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float) -> None:
+        self.health = UnitHealth(source, unit.priority, unit.valid_s)
+        self.watch = GnssWatch(surface_depth_m) if unit.surface_only else None
+        self.doubt: Doubt | None = None  # of its newest position
+        self.given: _Given | None = None
+        self.unit_time_s: float | None = None
+        self.suspects: list[_Given] = []
+        self.n_disagree = 0
+        self.disagrees = False
+
+
+class NavMerge:
+    """Several units' fixes to one stream of samples.
+
+    `counters`, by quantity and source: nav.impossible.*, .same_instant.*, .jump.*, .refix.*, .gnss_<doubt>.*, .disagree.*; by source:
+    nav.not_valid.*, .clock_reset.*; nav.unknown_source, .too_late, .lever_arm_unknown, .reckoned.
+    """
+
+    def __init__(self, settings: NavMergeSettings) -> None:
+        self.counters: Counter[str] = Counter()
+        self.position_sigma_m = NAN  # of the newest sample with a position
+        self._settings = settings
+        self._channels: dict[tuple[Quantity, str], _Channel] = {}
+        self._fallbacks = {quantity: Fallback(settings.recover_s) for quantity in QUANTITIES}
+        self._clocks: dict[str, UnitClock] = {}
+        self._unknown: set[str] = set()
+        self._reckoner = Reckoner()
+        self._lost: set[Quantity] = set()
+        self._reckoned_s = -math.inf
+        self._position_s = -math.inf  # of the newest position, measured or reckoned
+        self._reckoning = False
+        self._position_lost = False
+        self._n_steps_told = 0
+        self._now_s = -math.inf
+        self._hold_s = _QUEUE_SLACK_S + max((unit.latency_s for unit in settings.units.values()), default=0.0)
+        self._queue: list[tuple[float, int, NavSample]] = []
+        self._n_queued = 0
+        self._released_s = -math.inf  # monotonic
+        self._last_utc_s = -math.inf
+
+    def feed(self, fix: NavFix) -> list[Event]:
+        """Take a fix; the samples that are due, and notices."""
+        events = self.advance(fix.received)
+        unit = self._settings.unit(fix.source)
+        if unit is None:
+            return events + self._unknown_source(fix.source)
+        if not fix.valid:
+            self.counters[f"nav.not_valid.{fix.source}"] += 1
+        age_s = self._age_s(fix, unit)
+        time_s = fix.received.mono_ns * 1e-9 - age_s
+        utc_s = fix.received.utc_ns * 1e-9 - age_s
+        readings, impossible = readings_of(fix, unit)
+        for quantity in impossible:
+            self.counters[f"nav.impossible.{quantity}.{fix.source}"] += 1
+        delivered = {
+            quantity: reading
+            for quantity, reading in zip(QUANTITIES, readings, strict=True)
+            if reading is not None and quantity in unit.delivers
+        }
+        served: dict[Quantity, Any] = {}
+        # Positions last: they are judged and moved by the others.
+        for quantity in sorted(delivered, key=lambda name: name == "position"):
+            reading: Any = delivered[quantity]
+            channel = self._channel(quantity, fix.source, unit)
+            if self._repeats(channel, fix, quantity):
+                continue
+            if quantity == "position":
+                reading = self._believed(channel, unit, time_s, self._without_arm(reading, unit), events)
+            elif quantity == "speed" and unit.surface_only and self._submerged(fix.source):
+                reading = None
+            elif quantity == "depth" or quantity == "altitude":
+                reading = self._vertical(quantity, reading, unit)
+            if reading is None:
+                continue
+            channel.given = _Given(time_s, reading)
+            channel.health.gave(self._now_s)
+            events += self._choose(quantity)
+            if self._fallbacks[quantity].serving is channel.health:
+                served[quantity] = reading
+            else:
+                events += self._compare(quantity, channel)
+            if quantity in served:
+                self._reckon_with(quantity, time_s, reading)
+        if served:
+            self._put(time_s, _sample(utc_s, served))
+        if "position" in served:
+            self._position_s, self.position_sigma_m = time_s, served["position"].sigma_m
+            events += self._position_back()
+        elif "heading" in served or "speed" in served:
+            events += self._reckon(fix.received)
+        return events + self._due()
+
+    def advance(self, stamp: Stamp) -> list[Event]:
+        """Time has passed, whether or not a unit sent anything: what is due, and what went missing."""
+        now_s = stamp.mono_ns * 1e-9
+        events: list[Event] = []
+        if now_s > self._now_s + _TICK_S:
+            self._now_s = now_s
+            for quantity in QUANTITIES:
+                events += self._choose(quantity)
+            if "position" in self._lost and now_s - self._position_s > _LOST_AFTER_S:
+                events += self._tell_position_lost()
+            events += self._due()
+        return events
+
+    def finish(self) -> list[Event]:
+        """No more fixes will come: every sample still held back."""
+        self._now_s = math.inf
+        return self._due()
+
+    def health(self) -> dict[Quantity, QuantityHealth]:
+        """Who serves each quantity and how old each unit's newest value is, as of the newest stamp."""
+        health = {}
+        for quantity, fallback in self._fallbacks.items():
+            serving = None if fallback.serving is None else fallback.serving.source
+            health[quantity] = QuantityHealth(serving, {unit.source: self._now_s - unit.last_s for unit in fallback.units})
+        return health
+
+    def _unknown_source(self, source: str) -> list[Event]:
+        self.counters["nav.unknown_source"] += 1
+        if source in self._unknown or len(self._unknown) >= _MAX_UNKNOWN:
+            return []
+        self._unknown.add(source)
+        text = f"navigation unit '{source}' is heard, but has no settings: its data is not used. Give it some, or ignore this."
+        return [Notice(code="nav_unit_unknown", text=text)]
+
+    def _age_s(self, fix: NavFix, unit: NavUnitSettings) -> float:
+        """How old the measurement was when it arrived."""
+        wire_s = 0.0 if unit.baud is None else fix.n_bytes * 10.0 / unit.baud
+        if not unit.use_unit_time or fix.time_utc_s is None:
+            return unit.latency_s + fix.age_s + wire_s
+        clock = self._clocks.setdefault(fix.source, UnitClock())
+        n_resets = clock.n_resets
+        late_s = clock.delay_ns(fix.time_utc_s, fix.received.mono_ns) * 1e-9
+        if clock.n_resets > n_resets:
+            self.counters[f"nav.clock_reset.{fix.source}"] += 1
+        return unit.latency_s + late_s
+
+    def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> _Channel:
+        channel = self._channels.get((quantity, source))
+        if channel is None:
+            channel = self._channels[quantity, source] = _Channel(source, unit, self._settings.surface_depth_m)
+            self._fallbacks[quantity].add(channel.health)
+        return channel
+
+    def _repeats(self, channel: _Channel, fix: NavFix, quantity: Quantity) -> bool:
+        """The unit said the same instant again: another sentence of one epoch, or a unit that hangs."""
+        if fix.time_utc_s is not None and fix.time_utc_s == channel.unit_time_s:
+            self.counters[f"nav.same_instant.{quantity}.{fix.source}"] += 1
+            return True
+        channel.unit_time_s = fix.time_utc_s
+        return False
+
+    def _fresh(self, quantity: Quantity) -> Any:
+        """The serving unit's last value, if it is still valid."""
+        serving = self._fallbacks[quantity].serving
+        if serving is None or not serving.is_healthy(self._now_s):
+            return None
+        given = self._channels[quantity, serving.source].given
+        return None if given is None else given.value
+
+    def _arm(self, unit: NavUnitSettings) -> tuple[float, float, float] | None:
+        """Lever arm in north, east, down; None if it cannot be told without a heading."""
+        heading: Heading | None = self._fresh("heading")
+        attitude: Attitude = self._fresh("attitude") or Attitude(0.0, 0.0)
+        if heading is None and unit.lever_arm_m[:2] != (0.0, 0.0):
+            self.counters["nav.lever_arm_unknown"] += 1
+            return None
+        return arm_north_east_down(unit.lever_arm_m, 0.0 if heading is None else heading.heading_rad, *attitude)
+
+    def _without_arm(self, position: Position, unit: NavUnitSettings) -> Position:
+        """Of the vehicle's reference; without a heading, of the antenna, the arm's length less sure."""
+        if unit.lever_arm_m == (0.0, 0.0, 0.0):
+            return position
+        arm = self._arm(unit)
+        if arm is None:
+            return position._replace(sigma_m=math.hypot(position.sigma_m, *unit.lever_arm_m[:2]))
+        north_m, east_m, _ = arm
+        return Position(*moved(position.latitude_deg, position.longitude_deg, -east_m, -north_m), position.sigma_m)
+
+    def _vertical(self, quantity: Quantity, value_m: float, unit: NavUnitSettings) -> float:
+        if unit.lever_arm_m == (0.0, 0.0, 0.0):
+            return value_m
+        attitude: Attitude = self._fresh("attitude") or Attitude(0.0, 0.0)
+        down_m = arm_north_east_down(unit.lever_arm_m, 0.0, *attitude)[2]
+        return value_m - down_m if quantity == "depth" else value_m + down_m
+
+    def _believed(
+        self, channel: _Channel, unit: NavUnitSettings, time_s: float, position: Position, events: list[Event]
+    ) -> Position | None:
+        """The position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
+        source = channel.health.source
+        if channel.watch is not None:
+            channel.doubt = channel.watch.doubt(time_s, position, self._fresh("depth"), self._reckoner.travelled)
+            if channel.doubt is not None:
+                self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1
+                return None
+        given = _Given(time_s, position)
+        last = channel.given
+        if last is None or self._reachable(last, given):
+            channel.suspects.clear()
+            return position
+        self.counters[f"nav.jump.{source}"] += 1
+        if channel.suspects and not self._reachable(channel.suspects[-1], given):
+            channel.suspects.clear()
+        channel.suspects.append(given)
+        if len(channel.suspects) < _REFIX_COUNT:
+            return None
+        channel.suspects.clear()
+        self.counters[f"nav.refix.{source}"] += 1
+        distance_m = math.hypot(*offset_m(last.value[:2], position[:2]))
+        text = f"'{source}' jumped by {distance_m:.0f} m in {time_s - last.time_s:.1f} s and stays there: the new place is used from now on"
+        events.append(Notice(code="nav_position_jump", text=text))
+        return position
+
+    def _submerged(self, source: str) -> bool:
+        """Whether a satellite receiver is under water, or sends positions as if it were."""
+        depth_m = self._fresh("depth")
+        channel = self._channels.get(("position", source))
+        return (depth_m is not None and depth_m > self._settings.surface_depth_m) or (channel is not None and channel.doubt is not None)
+
+    def _reachable(self, before: _Given, after: _Given) -> bool:
+        slack_m = _JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
+        distance_m = math.hypot(*offset_m(before.value[:2], after.value[:2]))
+        return distance_m <= slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
+
+    def _choose(self, quantity: Quantity) -> list[Event]:
+        """Have the best healthy unit serve; tell if that is another one than before."""
+        fallback = self._fallbacks[quantity]
+        before = fallback.serving
+        now = fallback.choose(self._now_s)
+        if now is before:
+            return []
+        if now is None and before is not None:
+            self._lost.add(quantity)
+            if quantity == "position":
+                return []  # told with what becomes of it: dead reckoning or nothing
+            text = f"{quantity} is lost: '{before.source}' gave none for {before.valid_s:g} s and no other unit does. Check its cable."
+            return [Notice(code="nav_quantity_lost", text=text)]
+        if now is None:
+            return []
+        if before is None:
+            told = quantity in self._lost and quantity != "position"
+            self._lost.discard(quantity)
+            return [Notice(code="nav_quantity_back", text=f"{quantity} is back, from '{now.source}'")] if told else []
+        why = "which is better and has been healthy again" if now.priority < before.priority else f"because '{before.source}' gave none"
+        return [Notice(code="nav_source_changed", text=f"{quantity} is taken from '{now.source}' now, {why}")]
+
+    def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
+        """Set a unit that does not serve beside the one that does."""
+        serving = self._fallbacks[quantity].serving
+        reference = None if serving is None else self._channels[quantity, serving.source].given
+        given = channel.given
+        if serving is None or reference is None or given is None or abs(given.time_s - reference.time_s) > _COMPARE_S:
+            return []
+        apart = _difference(quantity, given, reference, self._settings.max_speed_mps)
+        if apart <= _SLACK[quantity]:
+            channel.n_disagree = max(channel.n_disagree - 1, 0)
+            channel.disagrees = channel.disagrees and channel.n_disagree > 0
+            return []
+        self.counters[f"nav.disagree.{quantity}.{channel.health.source}"] += 1
+        channel.n_disagree = min(channel.n_disagree + 1, _N_DISAGREE)
+        if channel.disagrees or channel.n_disagree < _N_DISAGREE:
+            return []
+        channel.disagrees = True
+        text = (
+            f"{quantity} of '{channel.health.source}' and '{serving.source}' differ by more than their errors; '{serving.source}' is used. "
+        )
+        return [Notice(code="nav_disagreement", text=text + "Check signs, offsets and mounting of both.")]
+
+    def _reckon_with(self, quantity: Quantity, time_s: float, reading: Any) -> None:
+        if quantity == "heading":
+            self._reckoner.turn(time_s, reading)
+        elif quantity == "speed":
+            self._reckoner.run(time_s, reading)
+        elif quantity == "position":
+            self._reckoner.fix(time_s, reading)
+
+    def _reckon(self, stamp: Stamp) -> list[Event]:
+        """A position by dead reckoning, if no unit has one and it is time for the next."""
+        fallback = self._fallbacks["position"]
+        if fallback.serving is not None or not fallback.units:
+            return []
+        reckoned = self._reckoner.position()
+        if reckoned is None:
+            return self._tell_position_lost()
+        time_s, position = reckoned
+        if time_s - self._reckoned_s < _RECKONING_PERIOD_S:
+            return []
+        self._reckoned_s = self._position_s = time_s
+        self.counters["nav.reckoned"] += 1
+        self.position_sigma_m = position.sigma_m
+        utc_s = stamp.utc_ns * 1e-9 - (stamp.mono_ns * 1e-9 - time_s)
+        self._put(time_s, _sample(utc_s, {"position": position}))
+        events: list[Event] = []
+        if not self._reckoning:
+            self._reckoning, self._position_lost = True, False
+            self._n_steps_told = sum(step_m <= position.sigma_m for step_m in _RECKONING_STEPS_M)
+            text = f"no unit gives a believable position{self._doubts()}: going on by heading and speed, "
+            text += f"1-sigma {position.sigma_m:.1f} m and growing"
+            events.append(Notice(code="nav_dead_reckoning", text=text))
+        elif self._n_steps_told < len(_RECKONING_STEPS_M) and position.sigma_m >= _RECKONING_STEPS_M[self._n_steps_told]:
+            self._n_steps_told += 1
+            text = f"still going on by heading and speed: 1-sigma of the position is {position.sigma_m:.0f} m"
+            events.append(Notice(code="nav_dead_reckoning", text=text))
+        return events
+
+    def _tell_position_lost(self) -> list[Event]:
+        if self._position_lost:
+            return []
+        self._reckoning, self._position_lost = False, True
+        text = f"no unit gives a believable position{self._doubts()}, and without heading and speed the way since the last one is not known"
+        return [Notice(code="nav_position_lost", text=text)]
+
+    def _doubts(self) -> str:
+        doubts = [f"{source}: {channel.doubt.replace('_', ' ')}" for (_, source), channel in self._channels.items() if channel.doubt]
+        return f" ({', '.join(doubts)})" if doubts else ""
+
+    def _position_back(self) -> list[Event]:
+        if not (self._reckoning or self._position_lost):
+            return []
+        self._reckoning = self._position_lost = False
+        serving = self._fallbacks["position"].serving
+        name = "" if serving is None else f" from '{serving.source}'"
+        return [Notice(code="nav_position_back", text=f"positions come{name} again, 1-sigma {self.position_sigma_m:.1f} m")]
+
+    def _put(self, time_s: float, sample: NavSample) -> None:
+        if time_s < self._released_s:
+            self.counters["nav.too_late"] += 1
+            return
+        heapq.heappush(self._queue, (time_s, self._n_queued, sample))
+        self._n_queued += 1
+
+    def _due(self) -> list[Event]:
+        """The samples that no later fix can precede."""
+        due: list[Event] = []
+        while self._queue and self._queue[0][0] <= self._now_s - self._hold_s:
+            self._released_s, _, sample = heapq.heappop(self._queue)
+            # Two readings of two clocks are never exactly as far apart, so equal instants may differ by microseconds.
+            if 0.0 < self._last_utc_s - sample.time_s < _TICK_S:
+                sample = structs.replace(sample, time_s=self._last_utc_s)
+            self._last_utc_s = sample.time_s
+            due.append(sample)
+        return due
+
+
+def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:
+    told: dict[str, float] = {}
+    for quantity, reading in served.items():
+        match reading:
+            case Position():
+                told.update(latitude_deg=reading.latitude_deg, longitude_deg=reading.longitude_deg)
+            case Heading():
+                told["heading_rad"] = reading.heading_rad
+            case Attitude():
+                told.update(pitch_rad=reading.pitch_rad, roll_rad=reading.roll_rad)
+            case Speed():
+                told["speed_mps"] = reading.speed_mps
+            case _:
+                told[f"{quantity}_m"] = reading
+    return NavSample(time_s=utc_s, **told)
+
+
+def _difference(quantity: Quantity, given: _Given, reference: _Given, max_speed_mps: float) -> float:
+    """How far two values are apart beyond their errors and what can have changed between them."""
+    one, other = given.value, reference.value
+    apart_s = abs(given.time_s - reference.time_s)
+    match quantity:
+        case "position":
+            distance_m = math.hypot(*offset_m(one[:2], other[:2]))
+            apart = distance_m - _N_SIGMA * math.hypot(one.sigma_m, other.sigma_m) - max_speed_mps * apart_s
+        case "heading":
+            apart = _angle(one.heading_rad - other.heading_rad) - _N_SIGMA * math.hypot(one.sigma_rad, other.sigma_rad) - apart_s
+        case "attitude":
+            apart = max(_angle(one.pitch_rad - other.pitch_rad), _angle(one.roll_rad - other.roll_rad)) - apart_s
+        case "speed":
+            apart = abs(one.speed_mps - other.speed_mps) - _N_SIGMA * math.hypot(one.sigma_mps, other.sigma_mps) - apart_s
+        case _:
+            apart = abs(one - other) - max_speed_mps * apart_s
+    return float(apart)
+
+
+def _angle(difference_rad: float) -> float:
+    return abs(math.remainder(difference_rad, 2.0 * math.pi))

@@ -1,0 +1,106 @@
+"""Dead reckoning: where the vehicle is by its heading and speed since the last position, and how sure that is."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from auv_mcm.records import NAN
+from drivers.navigation.corrections import Heading, Position, Speed, moved
+
+MAX_HOLD_S: Final = 1.5  # a velocity is taken to go on for this long, no longer
+
+
+class Travelled(NamedTuple):
+    """Way made since the beginning. leg: of two instants of one leg the way between them is known, of others it is not."""
+
+    leg: int
+    east_m: float
+    north_m: float
+
+
+class _Anchor(NamedTuple):
+    time_s: float
+    position: Position
+    travelled: Travelled
+    distance_m: float
+
+
+class Reckoner:
+    """Adds up velocities, direction first from a course over ground, else from heading and drift. Times are seconds on any clock.
+
+    Errors of heading and speed are taken to be constant, so that they add up with the way and with the time: the 1-sigma is
+    sqrt(sigma0^2 + (sigma_heading * distance)^2 + (sigma_speed * time)^2).
+    """
+
+    def __init__(self) -> None:
+        self._time_s = -math.inf
+        self._velocity: tuple[float, float] | None = None  # east, north
+        self._heading: tuple[float, Heading] | None = None
+        self._speed: tuple[float, Speed] | None = None
+        self._leg = 0
+        self._east_m = self._north_m = self._distance_m = 0.0
+        self._anchor: _Anchor | None = None
+
+    @property
+    def travelled(self) -> Travelled:
+        return Travelled(self._leg, self._east_m, self._north_m)
+
+    def turn(self, time_s: float, heading: Heading) -> None:
+        self._heading = time_s, heading
+        self._go_to(time_s)
+
+    def run(self, time_s: float, speed: Speed) -> None:
+        self._speed = time_s, speed
+        self._go_to(time_s)
+
+    def fix(self, time_s: float, position: Position) -> None:
+        """Begin from a measured position."""
+        self._anchor = _Anchor(time_s, position, self.travelled, self._distance_m)
+
+    def position(self) -> tuple[float, Position] | None:
+        """Time and place by reckoning; None if the way since the last measured position is not known."""
+        anchor = self._anchor
+        if anchor is None or self._velocity is None or anchor.travelled.leg != self._leg or self._heading is None or self._speed is None:
+            return None
+        place = anchor.position
+        latitude_deg, longitude_deg = moved(
+            place.latitude_deg, place.longitude_deg, self._east_m - anchor.travelled.east_m, self._north_m - anchor.travelled.north_m
+        )
+        across_m = self._heading[1].sigma_rad * (self._distance_m - anchor.distance_m)
+        along_m = self._speed[1].sigma_mps * max(self._time_s - anchor.time_s, 0.0)
+        return self._time_s, Position(latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2))
+
+    def _go_to(self, time_s: float) -> None:
+        """Move on with the mean of the velocities before and now. Messages that come late change the velocity, not the way made."""
+        elapsed_s = time_s - self._time_s
+        velocity = self._velocity_at(time_s)
+        if elapsed_s > MAX_HOLD_S or velocity is None:
+            if self._velocity is not None:
+                self._leg += 1
+            self._velocity = velocity
+            self._time_s = max(self._time_s, time_s)
+            return
+        if elapsed_s > 0.0 and self._velocity is not None:
+            east_m = 0.5 * (self._velocity[0] + velocity[0]) * elapsed_s
+            north_m = 0.5 * (self._velocity[1] + velocity[1]) * elapsed_s
+            self._east_m += east_m
+            self._north_m += north_m
+            self._distance_m += math.hypot(east_m, north_m)
+        self._velocity = velocity
+        self._time_s = max(self._time_s, time_s)
+
+    def _velocity_at(self, time_s: float) -> tuple[float, float] | None:
+        """East and north, if heading and speed are recent."""
+        if self._speed is None or abs(time_s - self._speed[0]) > MAX_HOLD_S:
+            return None
+        speed = self._speed[1]
+        direction_rad = speed.course_rad
+        if math.isnan(direction_rad):
+            heading_rad = NAN
+            if self._heading is not None and abs(time_s - self._heading[0]) <= MAX_HOLD_S:
+                heading_rad = self._heading[1].heading_rad
+            direction_rad = heading_rad + (0.0 if math.isnan(speed.drift_rad) else speed.drift_rad)
+        if math.isnan(direction_rad):
+            return None
+        return speed.speed_mps * math.sin(direction_rad), speed.speed_mps * math.cos(direction_rad)
