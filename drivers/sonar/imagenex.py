@@ -77,7 +77,7 @@ def encode_command(command: SwitchCommand) -> bytes:
 
 def decode_command(frame: bytes) -> SwitchCommand | None:
     """A switch command from its 27 bytes, None if they are none."""
-    if len(frame) != COMMAND_BYTES or not frame.startswith(_COMMAND_START) or frame.index(_COMMAND_END) != COMMAND_BYTES - 1:
+    if len(frame) != COMMAND_BYTES or not frame.startswith(_COMMAND_START) or frame.find(_COMMAND_END) != COMMAND_BYTES - 1:
         return None
     return SwitchCommand(frame[3], frame[8], frame[10], frame[14], frame[19], frame[25])
 

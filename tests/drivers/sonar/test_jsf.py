@@ -1,0 +1,293 @@
+"""JSF as its description lays it out: every field at its offset, samples and ranges in their units."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sonar_frames import frames_of, items_of, replies_of
+
+from auv_mcm.errors import UsageError
+from drivers.framing import Framer
+from drivers.sonar.jsf import JsfDecoder, JsfGrammar, commands
+from drivers.sonar.jsf_messages import (
+    PING_ENABLE,
+    PING_GAIN,
+    PING_RANGE,
+    SYSTEM_TIME,
+    Command,
+    DataFormat,
+    JsfMessage,
+    SideScanData,
+    SideScanHeader,
+    Units,
+    Validity,
+    decode_data,
+    encode_data,
+    time_reply,
+    time_request,
+    to_wire,
+)
+from drivers.sonar.seam import SonarSettings
+
+# Offset and struct format of each field behind the message header, from EdgeTech's description.
+OFFSETS: dict[str, tuple[int, str]] = {
+    "time_s": (0, "i"),
+    "start_depth_samples": (4, "I"),
+    "ping_number": (8, "I"),
+    "msb": (16, "H"),
+    "lsb_1": (18, "H"),
+    "lsb_2": (20, "H"),
+    "id_code": (28, "h"),
+    "validity": (30, "H"),
+    "data_format": (34, "h"),
+    "antenna_aft_cm": (36, "h"),
+    "antenna_starboard_cm": (38, "h"),
+    "pipe_km": (44, "f"),
+    "heave_m": (48, "f"),
+    "gap_filler_lateral_m": (76, "f"),
+    "longitude": (80, "i"),
+    "latitude": (84, "i"),
+    "units": (88, "h"),
+    "annotation": (90, "24s"),
+    "samples_low": (114, "H"),
+    "interval_ns": (116, "I"),
+    "adc_gain": (120, "H"),
+    "transmit_level_percent": (122, "h"),
+    "start_frequency_dahz": (126, "H"),
+    "end_frequency_dahz": (128, "H"),
+    "sweep_ms": (130, "H"),
+    "pressure_mpsi": (132, "i"),
+    "depth_mm": (136, "i"),
+    "sample_frequency_hz": (140, "H"),
+    "pulse_id": (142, "H"),
+    "altitude_mm": (144, "i"),
+    "sound_speed_mps": (148, "f"),
+    "mixer_hz": (152, "f"),
+    "year": (156, "h"),
+    "day_of_year": (158, "h"),
+    "hour": (160, "h"),
+    "minute": (162, "h"),
+    "second": (164, "h"),
+    "time_basis": (166, "h"),
+    "weighting": (168, "h"),
+    "pulses_in_water": (170, "h"),
+    "heading_cdeg": (172, "H"),
+    "pitch_counts": (174, "h"),
+    "roll_counts": (176, "h"),
+    "trigger_source": (182, "h"),
+    "mark_low": (184, "H"),
+    "course_deg": (192, "h"),
+    "speed_dkn": (194, "h"),
+    "milliseconds_today": (200, "I"),
+    "max_adc": (204, "H"),
+    "software_version": (210, "6s"),
+    "packet_number": (220, "H"),
+    "water_temperature_ddeg": (226, "h"),
+    "layback_m": (228, "f"),
+    "cable_out_dm": (236, "H"),
+}
+
+
+def header(**changes: Any) -> SideScanHeader:
+    """Ping 12 of a sonar that samples every 20 us and knows its sound speed."""
+    made = SideScanHeader(
+        time_s=1_700_000_000, ping_number=12, milliseconds_today=80_123_456, interval_ns=20_000, sound_speed_mps=1480.0
+    )._replace(validity=Validity.SOUND_SPEED)
+    return made._replace(**changes)
+
+
+def side(channel: int, values: Any = (100, 200, 300), *, subsystem: int = 21, **changes: Any) -> bytes:
+    told = header(**changes)
+    envelope = told.data_format == DataFormat.ENVELOPE
+    data = SideScanData(told, np.array(values, dtype=np.uint16) if envelope else np.array(values, dtype=np.int16))
+    return encode_data(data, subsystem, channel)
+
+
+def read(wire: bytes) -> JsfMessage:
+    framer = Framer(JsfGrammar())
+    (framed,) = framer.feed(wire) + framer.finish()
+    return framed.message
+
+
+def test_every_field_stands_where_the_description_has_it() -> None:
+    random = np.random.Generator(np.random.PCG64(4))
+    body = bytearray(240)
+    wanted: dict[str, Any] = {}
+    for name, (offset, kind) in OFFSETS.items():
+        raw = struct.pack("<f", random.normal()) if kind == "f" else random.bytes(struct.calcsize("<" + kind))
+        body[offset : offset + len(raw)] = raw
+        wanted[name] = struct.unpack("<" + kind, raw)[0]
+    body[34:36], wanted["data_format"] = bytes(2), 0
+    body[16:18], wanted["msb"] = b"\x21\xa0", 0xA021  # no high bits of the number of samples, so that it stays small
+    body[114:116], wanted["samples_low"] = b"\x05\x00", 5
+    told = decode_data(bytes(body) + np.arange(5, dtype="<u2").tobytes())
+    assert told is not None
+    assert told.header._asdict() == wanted
+    assert told.values.tolist() == [0, 1, 2, 3, 4]
+    message = read(encode_data(told, subsystem=20, channel=1, sequence=9))
+    assert (message.message_type, message.subsystem, message.channel, message.sequence) == (80, 20, 1, 9)
+    assert message.body == bytes(body) + np.arange(5, dtype="<u2").tobytes()
+
+
+def test_the_message_header_stands_where_the_description_has_it() -> None:
+    wire = to_wire(JsfMessage(2002, b"$ab", command=2, subsystem=101, channel=3, sequence=4, session=5, version=6, reserved=0x0708))
+    assert wire.hex(" ") == "01 16 06 05 d2 07 02 65 03 04 08 07 03 00 00 00 24 61 62"
+    assert read(wire) == JsfMessage(2002, b"$ab", 2, 101, 3, 4, 5, 6, 0x0708)
+
+
+def test_high_bits_are_joined_to_the_low_ones() -> None:
+    told = SideScanHeader(msb=0xCBA9, samples_low=0x1234, start_frequency_dahz=1, end_frequency_dahz=2, mark_low=3)
+    assert told.n_samples == 0xB1234
+    assert (told.start_frequency_hz, told.end_frequency_hz) == (10.0 * 0x90001, 10.0 * 0xA0002)
+    assert told.mark_number == 0xC0003
+    assert SideScanHeader(interval_ns=10, lsb_1=0x1180).sample_interval_s == pytest.approx(10.5e-9)
+    assert SideScanHeader(sweep_ms=2, lsb_2=250 << 4 | 7).sweep_s == pytest.approx(2.25e-3)
+    many = np.zeros(70_000, dtype=np.uint16)
+    assert decode_data(read(side(0, many)).body[:-1]) is None
+    told_many = decode_data(read(side(0, many)).body)
+    assert told_many is not None
+    assert told_many.header.n_samples == 70_000
+
+
+def test_both_sides_are_one_frame_in_metres_and_seconds() -> None:
+    (frame,) = frames_of(JsfDecoder(), side(0, (16, 32), weighting=4, start_depth_samples=100), side(1, (48, 64), weighting=-1))
+    assert frame.port is not None
+    assert frame.starboard is not None
+    assert frame.transfer == "amplitude"
+    assert frame.port.samples.tolist() == [1.0, 2.0]
+    assert frame.starboard.samples.tolist() == [96.0, 128.0]
+    assert frame.port.spacing_m == pytest.approx(0.5 * 1480.0 * 20e-6)
+    assert frame.port.first_range_m == pytest.approx(100 * frame.port.spacing_m)
+    assert frame.starboard.first_range_m == 0.0
+    assert (frame.number, frame.device_time_is_utc) == (12, True)
+    assert frame.device_time_s == pytest.approx(1_700_000_000.456, abs=1e-6)
+    assert frame.sound_speed_mps == 1480.0
+    assert math.isnan(frame.altitude_m)
+    assert frame.navigation is None
+
+
+@given(values=st.lists(st.tuples(st.integers(-32768, 32767), st.integers(-32768, 32767)), min_size=1, max_size=20))
+def test_analytic_samples_become_their_modulus(values: list[tuple[int, int]]) -> None:
+    flat = [value for pair in values for value in pair]
+    (frame,) = frames_of(JsfDecoder(), side(0, flat, data_format=DataFormat.ANALYTIC, weighting=1))
+    assert frame.port is not None
+    assert frame.port.samples.tolist() == pytest.approx([0.5 * math.hypot(*pair) for pair in values])
+
+
+def test_only_what_is_valid_is_told() -> None:
+    told = {
+        "longitude": round(-8.7051 * 600_000),
+        "latitude": round(41.1852 * 600_000),
+        "heading_cdeg": 27_050,
+        "pitch_counts": 910,
+        "roll_counts": -1820,
+        "depth_mm": 12_500,
+        "altitude_mm": 7_250,
+        "speed_dkn": 35,
+    }
+    everything = 0x7FFF
+    (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **told))
+    navigation = frame.navigation
+    assert navigation is not None
+    assert navigation.time_s == frame.device_time_s
+    assert navigation.latitude_deg == pytest.approx(41.1852, abs=1e-6)
+    assert navigation.longitude_deg == pytest.approx(-8.7051, abs=1e-6)
+    assert math.degrees(navigation.heading_rad) == pytest.approx(270.5)
+    assert math.degrees(navigation.pitch_rad) == pytest.approx(4.9988, abs=1e-3)
+    assert math.degrees(navigation.roll_rad) == pytest.approx(-9.9976, abs=1e-3)
+    assert (navigation.depth_m, navigation.altitude_m, frame.altitude_m) == (12.5, 7.25, 7.25)
+    assert navigation.speed_mps == pytest.approx(3.5 * 1852.0 / 3600.0)
+    (frame,) = frames_of(JsfDecoder(), side(0, validity=Validity.DEPTH, **told))
+    assert frame.navigation is not None
+    assert frame.navigation.depth_m == 12.5
+    others = [frame.navigation.latitude_deg, frame.navigation.heading_rad, frame.navigation.roll_rad, frame.navigation.speed_mps]
+    assert all(map(math.isnan, [*others, frame.altitude_m]))
+    for change in ({"units": Units.DECIMETRES}, {"latitude": 91 * 600_000}):
+        (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **told | change))
+        assert frame.navigation is not None
+        assert math.isnan(frame.navigation.latitude_deg + frame.navigation.longitude_deg)
+
+
+def test_small_changes_of_sound_speed_keep_the_sample_layout() -> None:
+    decoder = JsfDecoder()
+    speeds = [1480.0, 1480.3, 1479.8, 1480.6, 1480.4, 0.0]
+    frames = frames_of(decoder, *(side(0, ping_number=i, sound_speed_mps=speed) for i, speed in enumerate(speeds)))
+    assert [frame.sound_speed_mps for frame in frames] == pytest.approx([1480.0, 1480.0, 1480.0, 1480.6, 1480.6, 1480.6])
+    assert decoder.counters["jsf.sound_speed_not_told"] == 1
+    (frame,) = frames_of(JsfDecoder(), side(0, validity=0))
+    assert frame.sound_speed_mps == 1500.0
+
+
+def test_a_clock_that_was_never_set_is_no_time() -> None:
+    (frame,) = frames_of(JsfDecoder(), side(0, time_s=0))
+    assert (frame.device_time_s, frame.device_time_is_utc) == (None, False)
+
+
+def test_one_frequency_is_used_and_the_others_are_counted() -> None:
+    decoder = JsfDecoder(subsystem=20)
+    stream = (side(0, subsystem=20), side(0), side(1, subsystem=20), side(1), side(0, subsystem=40), side(2, subsystem=20))
+    (frame,) = frames_of(decoder, *stream)
+    assert frame.starboard is not None
+    assert decoder.counters["jsf.not_used.subsystem_21"] == 2
+    assert decoder.counters["jsf.not_used.other_subsystem"] == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"data_format": DataFormat.RAW}, "data_format"),
+        ({"interval_ns": 0}, "range"),
+        ({"interval_ns": 2**32 - 1}, "range"),
+        ({"start_depth_samples": 2**32 - 1}, "range"),
+        ({"weighting": 3000}, "weighting"),
+    ],
+)
+def test_pings_that_cannot_be_are_refused_and_counted(changes: dict[str, Any], reason: str) -> None:
+    decoder = JsfDecoder()
+    assert items_of(decoder, side(0, **changes)) == []
+    assert decoder.counters[f"jsf.refused.{reason}"] == 1
+
+
+def test_a_number_of_samples_that_the_size_denies_is_refused() -> None:
+    wire = bytearray(side(0) + bytes(500))
+    wire[16 + 114] += 100
+    framer = Framer(JsfGrammar())
+    assert framer.feed(bytes(wire)) + framer.finish() == []
+    assert framer.counters["jsf.refused.length"] == 1
+
+
+def test_commands_say_what_was_meant() -> None:
+    told = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40), subsystem=20)]
+    assert [(m.message_type, m.command, m.subsystem, int.from_bytes(m.body, "little")) for m in told] == [
+        (PING_RANGE, Command.SET, 20, 75_000),
+        (PING_GAIN, Command.SET, 20, 40),
+        (PING_ENABLE, Command.SET, 20, 1),
+    ]
+    kept = [read(command) for command in commands(SonarSettings(range_m=75.0, enabled=False))]
+    assert [(m.message_type, m.body[0]) for m in kept] == [(PING_RANGE, 0xF8), (PING_ENABLE, 0)]
+    for settings in (SonarSettings(range_m=2000.0), SonarSettings(range_m=50.0, gain=101)):
+        with pytest.raises(UsageError, match=r"jsf: .* Give "):
+            commands(settings)
+
+
+def test_the_sonar_tells_its_clock_when_asked() -> None:
+    request = read(time_request())
+    assert (request.message_type, request.command, request.body) == (SYSTEM_TIME, Command.GET, b"")
+    (reply,) = replies_of(JsfDecoder(), time_reply(1_700_000_000.25))
+    assert (reply.request, reply.accepted, reply.utc_s) == (SYSTEM_TIME, True, 1_700_000_000.25)
+    for body in (b"", struct.pack("<II", 1, 1000)):
+        (reply,) = replies_of(JsfDecoder(), to_wire(JsfMessage(SYSTEM_TIME, body, Command.REPLY)))
+        assert reply.utc_s is None
+
+
+def test_refused_commands_are_told_and_other_messages_counted() -> None:
+    decoder = JsfDecoder()
+    (reply,) = replies_of(decoder, to_wire(JsfMessage(PING_RANGE, bytes(4), Command.ERROR)) + to_wire(JsfMessage(2020, bytes(44))))
+    assert (reply.request, reply.accepted, reply.utc_s) == (PING_RANGE, False, None)
+    assert decoder.counters["jsf.other_messages"] == 1

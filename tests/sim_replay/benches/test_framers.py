@@ -1,0 +1,93 @@
+"""The fault campaign: its faults leave whole what it calls whole, and it would notice a framer that loses messages."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_replay.benches.framers import (
+    FAULT_KINDS,
+    WIRES,
+    Wire,
+    campaign,
+    campaign_lines,
+    cut,
+    damaged,
+    n_missing,
+    speed_lines,
+)
+
+
+def numbered(random: np.random.Generator, n: int) -> list[bytes]:
+    return [b"<" + b"%05d" % i + bytes([65 + i % 26]) * int(random.integers(20)) + b">" for i in range(n)]
+
+
+@given(seed=st.integers(0, 2**32), n_faults=st.integers(0, 12))
+def test_a_message_called_intact_is_in_the_stream(seed: int, n_faults: int) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    messages = numbered(random, 20)
+    result = damaged(messages, n_faults, random)
+    assert sum(result.n_faults.values()) <= n_faults
+    at = 0
+    for message, intact in zip(messages, result.intact, strict=True):
+        if intact:
+            at = result.stream.index(message, at) + len(message)
+    if n_faults == 0:
+        assert result.stream == b"".join(messages)
+        assert all(result.intact)
+
+
+def test_every_kind_of_fault_is_made_and_the_same_seed_makes_the_same() -> None:
+    def made() -> tuple[bytes, list[bool], dict[str, int]]:
+        random = np.random.Generator(np.random.PCG64(8))
+        stream, intact, n_by_kind = damaged(numbered(random, 400), 60, random)
+        return stream, intact, {str(kind): n for kind, n in n_by_kind.items()}
+
+    stream, intact, n_by_kind = made()
+    assert (stream, intact, n_by_kind) == made()
+    assert all(n_by_kind[kind] > 3 for kind in FAULT_KINDS)
+    assert 0.3 < np.mean(intact) < 0.95
+
+
+def test_chunks_join_to_the_stream() -> None:
+    stream = bytes(range(256)) * 9
+    assert b"".join(cut(stream, np.random.Generator(np.random.PCG64(2)))) == stream
+
+
+def test_missing_items_are_counted_in_order() -> None:
+    assert n_missing(list("abc"), list("xaxbxc")) == 0
+    assert n_missing(list("abc"), list("acb")) == 1
+    assert n_missing(list("abc"), []) == 3
+
+
+@pytest.mark.parametrize("wire", WIRES, ids=lambda wire: wire.name)
+def test_no_intact_message_is_lost(wire: Wire) -> None:
+    row = campaign(wire, 300, seed=11)
+    assert row.n_faults >= 300
+    assert row.n_lost == 0
+    assert row.n_intact > 500
+
+
+def test_a_framer_that_believes_lengths_is_found_out() -> None:
+    good = next(wire for wire in WIRES if wire.name == "ping_protocol")
+
+    def trusting(chunks: Iterable[bytes]) -> list[Hashable]:
+        stream, at, found = b"".join(chunks), 0, list[Hashable]()
+        while (at := stream.find(b"BR", at)) >= 0 and at + 4 <= len(stream):
+            stop = at + 10 + int.from_bytes(stream[at + 2 : at + 4], "little")
+            found += good.read([stream[at:stop]])[:1]
+            at = stop
+        return found
+
+    assert campaign(Wire("trusting", good.messages, trusting), 100, seed=1).n_lost > 0
+
+
+def test_tables_have_a_row_for_each() -> None:
+    rows = [campaign(wire, 1, seed=1) for wire in WIRES]
+    for wire in WIRES:
+        assert sum(line.startswith(wire.name) for line in campaign_lines(rows)) == 1
+        assert sum(line.startswith(wire.name) for line in speed_lines(2)) >= 2
