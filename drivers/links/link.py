@@ -1,0 +1,244 @@
+"""What all links share: they open, listen, say how they are, and open again for ever."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
+
+from auv_mcm.clock import Clock
+from auv_mcm.errors import HardwareError
+from drivers.stamps import Stamp
+
+log = logging.getLogger(__name__)
+
+LinkState: TypeAlias = Literal["up", "silent", "down"]
+OnState: TypeAlias = Callable[[LinkState, str], None]
+T = TypeVar("T")
+
+FIRST_RETRY_S: Final = 0.1
+LONGEST_RETRY_S: Final = 2.0
+_POLL_S: Final = 0.005  # ports that nothing can wait for
+_LOOKS_PER_SILENCE: Final = 4
+
+
+class Port(Protocol[T]):
+    """An open wire that carries T: bytes or CAN frames. Nothing here blocks; what fails raises HardwareError and nothing else.
+
+    note: what a person should know of how it opened, "" for nothing.
+    """
+
+    @property
+    def note(self) -> str: ...
+
+    @property
+    def has_unsent(self) -> bool:
+        """Does something wait until `fileno` can be written to?"""
+        ...
+
+    def fileno(self) -> int:
+        """What to wait for, -1 if there is nothing of the kind."""
+        ...
+
+    def read(self) -> list[T]:
+        """What has come; empty if nothing has."""
+        ...
+
+    def write(self, item: T) -> bool:
+        """Take it whole, or False."""
+        ...
+
+    def flush(self) -> None:
+        """Send of what waits as much as goes."""
+        ...
+
+    def on_silence(self) -> str:
+        """Nothing has come for a while: do what helps, and say what a person should look at."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Link(Generic[T]):
+    """One wire, told from its own event loop what comes and how it is. Whatever happens to the wire, only cancelling ends `run`.
+
+    on_data(item, stamp): each thing received, stamped with when it was read. on_state(state, reason): "up" (open), "silent" (open, yet
+    nothing for silent_after_s, as when a cable without hang-up is pulled) or "down"; reason says what, where and what to do. Neither
+    stops the link by raising: that is logged once and counted. counters: link.opened, .open_failed, .lost, .silences, .reads,
+    .writes_refused, .callback_failed, and those of the kind of port.
+
+    open_port: opens the wire, raises HardwareError. place: what the wire is called in messages.
+    """
+
+    def __init__(
+        self,
+        place: str,
+        open_port: Callable[[Counter[str]], Awaitable[Port[T]]],
+        on_data: Callable[[T, Stamp], None],
+        on_state: OnState,
+        clock: Clock,
+        silent_after_s: float,
+    ) -> None:
+        self.place = place
+        self.counters: Counter[str] = Counter()
+        self._open_port = open_port
+        self._on_data = on_data
+        self._on_state = on_state
+        self._clock = clock
+        self._silent_after_s = silent_after_s
+        self._told: tuple[LinkState, str] = ("down", "")
+        self._port: Port[T] | None = None
+        self._gone = asyncio.Event()
+        self._writer_waits = False
+        self._silent_due_s = 0.0
+        self._heard = False
+
+    @property
+    def state(self) -> LinkState:
+        return self._told[0]
+
+    async def run(self) -> None:
+        """Serve the wire until cancelled."""
+        retry_s = FIRST_RETRY_S
+        try:
+            while True:
+                self._heard = False
+                await self._serve_once()
+                if self._heard:
+                    retry_s = FIRST_RETRY_S
+                await asyncio.sleep(retry_s)
+                retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
+        finally:
+            self._tell("down", f"{self.place} was closed")
+
+    def write(self, item: T) -> bool:
+        """Send at once or as soon as the wire takes it. False: refused, because the wire is down or its bounded queue is full."""
+        taken = False
+        port = self._port
+        if port is not None:
+            try:
+                taken = port.write(item)
+                self._follow_writer(port)
+            except HardwareError as error:
+                self._lose(str(error))
+        if not taken:
+            self.counters["link.writes_refused"] += 1
+        return taken
+
+    async def _serve_once(self) -> None:
+        try:
+            port = await self._open_port(self.counters)
+        except HardwareError as error:
+            self.counters["link.open_failed"] += 1
+            self._tell("down", str(error))
+            return
+        self.counters["link.opened"] += 1
+        self._port = port
+        self._gone.clear()
+        try:
+            if port.fileno() >= 0:
+                asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
+            self._silent_due_s = self._clock.monotonic_s() + self._silent_after_s
+            self._tell("up", port.note or f"{self.place} is open")
+            await self._watch(port)
+        finally:
+            self._detach()
+            port.close()
+
+    async def _watch(self, port: Port[T]) -> None:
+        polled = port.fileno() < 0
+        pause_s = _POLL_S if polled else self._silent_after_s / _LOOKS_PER_SILENCE
+        gone = asyncio.ensure_future(self._gone.wait())
+        try:
+            while not self._gone.is_set():
+                await asyncio.wait([gone], timeout=pause_s)
+                if polled:
+                    self._readable()
+                self._look_for_silence()
+        finally:
+            gone.cancel()
+
+    def _look_for_silence(self) -> None:
+        now_s = self._clock.monotonic_s()
+        if self._port is None or now_s < self._silent_due_s:
+            return
+        self._silent_due_s = now_s + self._silent_after_s
+        self.counters["link.silences"] += 1
+        try:
+            advice = self._port.on_silence()
+            self._follow_writer(self._port)
+        except HardwareError as error:
+            self._lose(str(error))
+        else:
+            self._tell("silent", f"{self.place}: nothing received for {self._silent_after_s:g} s. {advice}")
+
+    def _readable(self) -> None:
+        port = self._port
+        if port is None:
+            return
+        self.counters["link.reads"] += 1
+        try:
+            items = port.read()
+        except HardwareError as error:
+            self._lose(str(error))
+            return
+        if not items:
+            return
+        now_s = self._clock.monotonic_s()
+        stamp = Stamp(mono_ns=round(now_s * 1e9), utc_ns=round(self._clock.utc_s() * 1e9))
+        self._silent_due_s = now_s + self._silent_after_s
+        self._heard = True
+        if self.state == "silent":
+            self._tell("up", f"{self.place} is heard again")
+        for item in items:
+            self._call(self._on_data, item, stamp)
+
+    def _writable(self) -> None:
+        port = self._port
+        if port is None:
+            return
+        try:
+            port.flush()
+            self._follow_writer(port)
+        except HardwareError as error:
+            self._lose(str(error))
+
+    def _follow_writer(self, port: Port[T]) -> None:
+        """Wait for the wire to take more exactly while something waits."""
+        if port is not self._port or port.has_unsent == self._writer_waits:
+            return
+        self._writer_waits = port.has_unsent
+        loop = asyncio.get_running_loop()
+        if self._writer_waits:
+            loop.add_writer(port.fileno(), self._writable)
+        else:
+            loop.remove_writer(port.fileno())
+
+    def _lose(self, reason: str) -> None:
+        self._detach()
+        self._gone.set()
+        self.counters["link.lost"] += 1
+        self._tell("down", reason)
+
+    def _detach(self) -> None:
+        """Stop listening at once: a wire that hung up is readable for ever."""
+        port, self._port, self._writer_waits = self._port, None, False
+        if port is not None and port.fileno() >= 0:
+            loop = asyncio.get_running_loop()
+            loop.remove_reader(port.fileno())
+            loop.remove_writer(port.fileno())
+
+    def _tell(self, state: LinkState, reason: str) -> None:
+        if (state, reason) != self._told:
+            self._told = state, reason
+            self._call(self._on_state, state, reason)
+
+    def _call(self, callback: Callable[..., None], *arguments: Any) -> None:
+        try:
+            callback(*arguments)
+        except Exception:
+            self.counters["link.callback_failed"] += 1
+            if self.counters["link.callback_failed"] == 1:
+                log.exception("%s: a receiver failed; the link goes on. This is a defect: report it with the log.", self.place)

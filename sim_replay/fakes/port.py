@@ -1,0 +1,134 @@
+"""A serial device's end of a pseudo-terminal, at a stable path, that can do what cables do."""
+
+from __future__ import annotations
+
+import array
+import asyncio
+import contextlib
+import fcntl
+import os
+import termios
+import tty
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from sim_replay.fakes.faults import Faults
+from sim_replay.fakes.uart import misread
+
+_SLICE_S: Final = 0.002  # on the line at once
+_BITS_PER_BYTE: Final = 10
+_BAUD_OF: Final = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
+
+
+class FakePort:
+    """A device's serial port; the host opens `path`. Used in a running event loop.
+
+    Bytes leave at `baud`, in slices of 2 ms. A host that does not keep up loses bytes as behind a UART: what the kernel does not take is
+    gone. A host set to another rate reads what a UART would. Rates that Linux has no name for cannot be seen and pass as set right.
+
+    faults: damage to what is sent. on_bytes: what the host writes. stalled: while set, nothing passes in either direction and nobody is
+    told, as with a broken RS-232 cable. counters: port.sent, port.overrun, port.cut (bytes that were lost while unplugged or stalled),
+    port.received.
+    """
+
+    def __init__(self, path: Path, baud: int, faults: Faults | None = None, on_bytes: Callable[[bytes], None] | None = None) -> None:
+        self.path = path
+        self.baud = baud
+        self.stalled = False
+        self.on_bytes = on_bytes
+        self.counters: Counter[str] = Counter()
+        self._faults = faults
+        self._master = self._slave = -1
+        self._line = asyncio.Lock()  # one message after the other
+        self._free_s = 0.0  # loop time at which the line has carried all that was sent
+
+    @property
+    def plugged(self) -> bool:
+        return self._master >= 0
+
+    @property
+    def host_baud(self) -> int:
+        """The rate the host has set, 0 for one that Linux has no name for. Raises RuntimeError while unplugged."""
+        if not self.plugged:
+            raise RuntimeError(f"{self.path}: no rate is set while the port is unplugged; plug it first")
+        return _BAUD_OF.get(termios.tcgetattr(self._master)[5], 0)
+
+    def plug(self) -> None:
+        """The device appears at its path. No effect if it is there."""
+        if self.plugged:
+            return
+        self._master, self._slave = os.openpty()  # without an open slave the master hangs up, too
+        tty.setraw(self._slave)
+        attributes = termios.tcgetattr(self._slave)
+        attributes[4] = attributes[5] = getattr(termios, f"B{self.baud}", attributes[4])
+        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+        os.set_blocking(self._master, False)
+        asyncio.get_running_loop().add_reader(self._master, self._receive)
+        new = self.path.with_name(self.path.name + ".new")
+        new.unlink(missing_ok=True)
+        new.symlink_to(os.ttyname(self._slave))
+        new.replace(self.path)
+
+    def unplug(self) -> None:
+        """The device is gone at once, and what the host has not read with it. No effect if it is not there."""
+        if not self.plugged:
+            return
+        asyncio.get_running_loop().remove_reader(self._master)
+        self.path.unlink(missing_ok=True)
+        os.close(self._slave)
+        os.close(self._master)
+        self._master = self._slave = -1
+
+    async def send(self, message: bytes) -> None:
+        """Put a message on the line, after those before it; returns when its last byte has left. What cannot arrive is lost and counted."""
+        async with self._line:
+            for delay_s, data in [(0.0, message)] if self._faults is None else self._faults.passed(message):
+                if delay_s:
+                    await asyncio.sleep(delay_s)
+                await self._send(data)
+
+    async def drain(self) -> None:
+        """Wait until the host has read everything, or the device is unplugged."""
+        n_unread = array.array("i", [1])
+        while self.plugged:
+            fcntl.ioctl(self._slave, termios.FIONREAD, n_unread)
+            if n_unread[0] == 0:
+                return
+            await asyncio.sleep(_SLICE_S)
+
+    async def _send(self, data: bytes) -> None:
+        if self.plugged and self.host_baud not in (0, self.baud):
+            data = misread(data, self.baud, self.host_baud)
+        loop = asyncio.get_running_loop()
+        bytes_per_s = self.baud / _BITS_PER_BYTE
+        n_slice = max(int(bytes_per_s * _SLICE_S), 1)
+        for start in range(0, len(data), n_slice):
+            piece = data[start : start + n_slice]
+            self._free_s = max(self._free_s, loop.time()) + len(piece) / bytes_per_s
+            await asyncio.sleep(self._free_s - loop.time())
+            self._put(piece)
+
+    def _put(self, piece: bytes) -> None:
+        if not self.plugged or self.stalled:
+            self.counters["port.cut"] += len(piece)
+            return
+        n_taken = 0
+        with contextlib.suppress(BlockingIOError):
+            while n_taken < len(piece):
+                n_taken += os.write(self._master, piece[n_taken:])
+        self.counters["port.sent"] += n_taken
+        self.counters["port.overrun"] += len(piece) - n_taken
+
+    def _receive(self) -> None:
+        try:
+            data = os.read(self._master, 1 << 16)
+        except BlockingIOError:
+            return
+        if self.stalled:
+            self.counters["port.cut"] += len(data)
+            return
+        self.counters["port.received"] += len(data)
+        if self.on_bytes is not None:
+            self.on_bytes(data)

@@ -1,0 +1,76 @@
+"""Runs a link and remembers what it told."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from auv_mcm.clock import SystemClock
+from drivers.links.can_frame import CanFrame
+from drivers.links.link import Link, LinkState
+from drivers.links.registry import byte_link, can_link
+from drivers.links.uri import parse_link_uri
+from drivers.stamps import Stamp
+
+T = TypeVar("T")
+GENEROUS_S = 10.0
+
+
+class Watch(Generic[T]):
+    def __init__(self) -> None:
+        self.items: list[T] = []
+        self.stamps: list[Stamp] = []
+        self.told: list[tuple[LinkState, str]] = []
+
+    @property
+    def states(self) -> list[LinkState]:
+        return [state for state, _ in self.told]
+
+    @property
+    def reason(self) -> str:
+        return self.told[-1][1]
+
+    def on_data(self, item: T, stamp: Stamp) -> None:
+        self.items.append(item)
+        self.stamps.append(stamp)
+
+    def on_state(self, state: LinkState, reason: str) -> None:
+        self.told.append((state, reason))
+
+
+def watched_bytes(uri: str) -> tuple[Link[bytes], Watch[bytes]]:
+    watch = Watch[bytes]()
+    return byte_link(parse_link_uri(uri, "sonar.link"), watch.on_data, watch.on_state, SystemClock()), watch
+
+
+def watched_can(uri: str) -> tuple[Link[CanFrame], Watch[CanFrame]]:
+    watch = Watch[CanFrame]()
+    return can_link(parse_link_uri(uri, "navigation.link"), watch.on_data, watch.on_state, SystemClock()), watch
+
+
+@asynccontextmanager
+async def running(link: Link[T]) -> AsyncIterator[None]:
+    task = asyncio.ensure_future(link.run())
+    try:
+        yield
+    finally:
+        task.cancel()
+        ended = await asyncio.gather(task, return_exceptions=True)
+        assert isinstance(ended[0], asyncio.CancelledError)
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(GENEROUS_S):
+        while not holds():
+            await asyncio.sleep(0.001)
+
+
+async def until_equal(get: Callable[[], object], wanted: object) -> None:
+    await until(lambda: get() == wanted)
+
+
+def open_descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))

@@ -1,0 +1,223 @@
+"""CAN links: an slcan adapter on a pseudo-terminal, python-can's virtual bus, and buses that die."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from link_watch import Watch, running, until, until_equal, watched_can
+
+from auv_mcm.clock import SystemClock
+from drivers.links.can_bus import CanBusPort
+from drivers.links.can_frame import CanFrame
+from drivers.links.link import Link
+from drivers.links.slcan import encode
+from sim_replay.fakes.port import FakePort
+from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
+
+POSITION = CanFrame(0x09F80103, bytes.fromhex("406dab1cc0b9da06"))
+DEPTH = CanFrame(0x0DF50B03, bytes.fromhex("00d2040000000000"))
+
+
+def test_an_adapter_is_opened_at_the_bit_rate_and_frames_pass_both_ways(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        taken: list[CanFrame] = []
+        port = FakePort(tmp_path / "tty", 115200)
+        adapter = FakeSlcanAdapter(port, 250000, taken.append)
+        port.plug()
+        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000")
+        async with running(link):
+            await until(lambda: adapter.is_open)
+            await adapter.send(POSITION)
+            await adapter.send(DEPTH)
+            await until(lambda: watch.items == [POSITION, DEPTH])
+            assert link.write(DEPTH)
+            await until(lambda: taken == [DEPTH])
+            assert not link.write(CanFrame(1, bytes(64)))
+            assert link.counters["slcan.refused.unsendable"] == 1
+            await until(lambda: link.counters["slcan.answers"] == 6)
+        assert link.counters["slcan.refusals"] == 1, "closing what was not open"
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_an_unplugged_adapter_is_opened_again_when_it_is_back(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", 115200)
+        adapter = FakeSlcanAdapter(port, 250000)
+        port.plug()
+        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000")
+        async with running(link):
+            for n in range(2):
+                await until(lambda: adapter.is_open)
+                await adapter.send(CanFrame(n, b""))
+                await until_equal(lambda: len(watch.items), n + 1)
+                port.unplug()
+                adapter.power_cycle()
+                await until(lambda: link.state == "down")
+                assert not link.write(POSITION)
+                port.plug()
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_an_adapter_that_lost_power_behind_its_port_is_opened_again(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", 115200)
+        adapter = FakeSlcanAdapter(port, 250000)
+        port.plug()
+        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
+        async with running(link):
+            await until(lambda: adapter.is_open)
+            await adapter.send(POSITION)
+            await until(lambda: watch.items)
+            adapter.power_cycle()
+            await until(lambda: adapter.is_open)
+            await adapter.send(DEPTH)
+            await until(lambda: watch.items == [POSITION, DEPTH])
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_a_wrong_bit_rate_and_a_dead_adapter_are_told_apart(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", 115200)
+        adapter = FakeSlcanAdapter(port, 500000)
+        port.plug()
+        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
+        async with running(link):
+            await until(lambda: adapter.is_open)
+            await adapter.send(POSITION)
+            await until(lambda: link.state == "silent")
+            assert "The adapter answers: check that the bus has 250000 bit/s" in watch.reason
+            port.stalled = True
+            await until(lambda: "The adapter does not answer either" in watch.reason)
+        assert not watch.items
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_one_bad_byte_costs_one_frame(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", 115200)
+        adapter = FakeSlcanAdapter(port, 250000)
+        port.plug()
+        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000")
+        async with running(link):
+            await until(lambda: adapter.is_open)
+            for n in range(13):
+                text = encode(CanFrame(n, b"\x00"))
+                await port.send(text.replace(b"T", b"\xc3") if n == 2 else text)
+            await until(lambda: len(watch.items) == 12)
+            assert [frame.can_id for frame in watch.items] == [0, 1, *range(3, 13)]
+        assert link.counters["slcan.refused.line"] == 1
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
+    async def scenario() -> None:
+        other = can.Bus(interface="virtual", channel="both_ways", ignore_config=True)
+        link, watch = watched_can("can-virtual://both_ways")
+        async with running(link):
+            await until(lambda: link.state == "up")
+            other.send(can.Message(arbitration_id=POSITION.can_id, data=POSITION.data))
+            other.send(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False))
+            other.send(can.Message(arbitration_id=0x123, is_remote_frame=True))
+            await until(lambda: watch.items == [POSITION, CanFrame(0x123, b"\x01", extended=False)])
+            assert link.write(DEPTH)
+            message = await asyncio.to_thread(other.recv, 5.0)
+            assert message is not None
+            assert (message.arbitration_id, bytes(message.data)) == (DEPTH.can_id, DEPTH.data)
+            assert not link.write(CanFrame(1 << 30, b""))
+        assert link.counters["can.remote"] == 1
+        assert link.counters["can.send_failed"] == 1
+        other.shutdown()
+
+    asyncio.run(scenario())
+
+
+class DyingBus:
+    """A bus on a descriptor; every byte written to `far` makes it give the next thing planned, an error or a message."""
+
+    def __init__(self, plan: list[can.Message | Exception]) -> None:
+        self.near, self.far = socket.socketpair()
+        self.near.setblocking(False)
+        self.far.send(b"." * len(plan))
+        self._plan = plan
+
+    def fileno(self) -> int:
+        return self.near.fileno()
+
+    def recv(self, timeout: float) -> can.Message | None:
+        try:
+            self.near.recv(1)
+        except BlockingIOError:
+            return None
+        step = self._plan.pop(0)
+        if isinstance(step, Exception):
+            raise step
+        return step
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        raise can.CanOperationError("Transmit buffer full")
+
+    def shutdown(self) -> None:
+        self.near.close()
+        self.far.close()
+        raise can.CanOperationError("a bus that is gone cannot even be closed")
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [
+        (can.CanOperationError("Error receiving", errno.ENETDOWN), "the interface is down. Bring it up, e.g. ip link set can9 up"),
+        (can.CanOperationError("Error receiving", errno.ENODEV), "no such CAN interface"),
+        (ValueError("something else altogether"), "the CAN bus failed (something else altogether)"),
+        (can.Message(is_error_frame=True, arbitration_id=0x40), "switched itself off after too many errors"),
+    ],
+)
+def test_a_bus_that_dies_is_told_at_once_and_opened_again(end: can.Message | Exception, words: str) -> None:
+    async def scenario() -> None:
+        plans: list[list[Any]] = [
+            [can.Message(arbitration_id=1), can.Message(is_error_frame=True, arbitration_id=0x4)],
+            [can.Message(arbitration_id=2)],
+        ]
+        plans[0].append(end)
+
+        async def open_port(counters: Counter[str]) -> CanBusPort:
+            return CanBusPort(DyingBus(plans.pop(0)), "socketcan://can9", counters)
+
+        watch = Watch[CanFrame]()
+        link = Link("socketcan://can9", open_port, watch.on_data, watch.on_state, SystemClock(), 5.0)
+        async with running(link):
+            await until(lambda: [frame.can_id for frame in watch.items][-1:] == [2])
+            assert watch.states == ["up", "down", "up"]
+            assert words in watch.told[1][1]
+            assert not link.write(POSITION)
+            assert link.counters["can.error_frames"] >= 1
+        assert link.counters["link.lost"] == 1
+
+    asyncio.run(scenario())
+
+
+def test_an_interface_that_is_not_there_is_told() -> None:
+    async def scenario() -> None:
+        link, watch = watched_can("socketcan://absent0")
+        async with running(link):
+            await until(lambda: watch.told)
+            assert watch.states == ["down"]
+            assert "no such CAN interface" in watch.reason or "no SocketCAN" in watch.reason
+
+    asyncio.run(scenario())

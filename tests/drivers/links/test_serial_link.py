@@ -1,0 +1,331 @@
+"""A serial link against a device on a pseudo-terminal that does what cables do."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import fcntl
+import os
+import termios
+import time
+from pathlib import Path
+
+import pytest
+import serial
+from link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
+
+from auv_mcm.clock import ReplayClock
+from drivers.links.link import Link
+from drivers.links.registry import byte_link
+from drivers.links.stream import MAX_QUEUED_BYTES
+from drivers.links.uri import SerialAddress
+from drivers.stamps import Stamp
+from sim_replay.fakes.port import FakePort
+
+BAUD = 4000000
+
+
+def link_at(path: Path, options: str = "") -> tuple[Link[bytes], Watch[bytes]]:
+    return watched_bytes(f"serial://{path}?baud={BAUD}{options}")
+
+
+def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        taken: list[bytes] = []
+        port = FakePort(tmp_path / "tty", 115200, on_bytes=taken.append)
+        port.plug()
+        clock = ReplayClock(1_700_000_000.0)
+        clock.advance_to(1_700_000_002.5)
+        watch = Watch[bytes]()
+        link = byte_link(SerialAddress(str(port.path), 115200), watch.on_data, watch.on_state, clock)
+        async with running(link):
+            await until(lambda: link.state == "up")
+            assert port.host_baud == 115200
+            await port.send(b"$GPHDT,90.0,T*0C\r\n")
+            await until(lambda: b"".join(watch.items) == b"$GPHDT,90.0,T*0C\r\n")
+            assert set(watch.stamps) == {Stamp(2_500_000_000, 1_700_000_002_500_000_000)}
+            assert link.write(b"ping")
+            assert link.write(b"-pong")
+            await until(lambda: b"".join(taken) == b"ping-pong")
+        assert link.counters["link.bytes_in"] == 18
+        assert link.counters["link.bytes_out"] == 9
+        assert watch.states == ["up", "down"]
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_an_unplugged_device_is_told_at_once_and_served_again_when_it_is_back(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        link, watch = link_at(port.path)
+        async with running(link):
+            await until(lambda: watch.told)
+            assert "no such device" in watch.reason
+            for n in range(3):
+                port.plug()
+                await until(lambda: link.state == "up")
+                await port.send(b"%d" % n)
+                await until_equal(lambda: b"".join(watch.items), b"012"[: n + 1])
+                reads = link.counters["link.reads"]
+                port.unplug()
+                await until(lambda: link.state == "down")
+                assert "hung up" in watch.reason
+                assert not link.write(b"into the void")
+                await asyncio.sleep(0.05)
+                assert link.counters["link.reads"] == reads + 1, "a wire that hung up must not be read again"
+        assert b"".join(watch.items) == b"012"
+        assert link.counters["link.lost"] == 3
+        assert link.counters["link.writes_refused"] == 3
+
+    asyncio.run(scenario())
+
+
+def test_a_link_without_its_device_costs_next_to_nothing(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        link, _ = link_at(port.path)
+        async with running(link):
+            await until(lambda: link.state == "up")
+            port.unplug()
+            await until(lambda: link.state == "down")
+            before_s = time.process_time()
+            await asyncio.sleep(0.5)
+            assert time.process_time() - before_s < 0.4
+            assert link.counters["link.open_failed"] <= 4
+            assert link.counters["link.reads"] <= 1
+
+    asyncio.run(scenario())
+
+
+def test_a_cable_that_fails_without_a_word_is_told_as_silent(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        link, watch = link_at(port.path, "&silent_s=0.05")
+        async with running(link):
+            await until(lambda: link.state == "up")
+            port.stalled = True
+            await port.send(b"lost")
+            await until(lambda: link.state == "silent")
+            assert "nothing received for 0.05 s" in watch.reason
+            assert f"{BAUD} baud" in watch.reason
+            await until(lambda: link.counters["link.silences"] >= 3)
+            port.stalled = False
+            await port.send(b"again")
+            await until(lambda: watch.items)
+        assert watch.states[:3] == ["up", "silent", "up"], "told once however long it lasts"
+        assert link.counters["link.opened"] == 1
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_silence_is_measured_with_the_clock_that_is_given(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        clock = ReplayClock()
+        watch = Watch[bytes]()
+        link = byte_link(SerialAddress(str(port.path), BAUD, 0.05), watch.on_data, watch.on_state, clock)
+        async with running(link):
+            await until(lambda: link.state == "up")
+            await asyncio.sleep(0.15)
+            assert link.state == "up"
+            clock.advance_to(0.06)
+            await until(lambda: link.state == "silent")
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def test_writes_queue_up_to_a_bound_and_leave_in_order_when_the_device_reads_again(tmp_path: Path) -> None:
+    """The device is a bare pseudo-terminal that nobody reads until the end."""
+
+    async def scenario() -> None:
+        master, slave = os.openpty()
+        link, _ = link_at(Path(os.ttyname(slave)))
+        async with running(link):
+            await until(lambda: link.state == "up")
+            sent = b""
+            for n in range(100_000):
+                piece = b"%06d" % n
+                if not link.write(piece):
+                    break
+                sent += piece
+            assert link.counters["link.writes_refused"] == 1
+            assert MAX_QUEUED_BYTES - 6 <= len(sent) - link.counters["link.bytes_out"] <= MAX_QUEUED_BYTES
+            os.set_blocking(master, False)
+            came = b""
+            while len(came) < len(sent):
+                try:
+                    came += os.read(master, 65536)
+                except BlockingIOError:
+                    await asyncio.sleep(0.001)
+            assert came == sent
+            assert link.write(b"room again")
+        os.close(master)
+        os.close(slave)
+
+    asyncio.run(scenario())
+
+
+def test_garbage_as_fast_as_it_comes_leaves_nothing_behind(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        master, slave = os.openpty()
+        n_bytes = 0
+
+        def count(data: bytes, stamp: Stamp) -> None:
+            nonlocal n_bytes
+            assert len(data) <= 65536
+            n_bytes += len(data)
+
+        link = byte_link(SerialAddress(os.ttyname(slave), BAUD), count, lambda state, reason: None, ReplayClock())
+        async with running(link):
+            await until(lambda: link.state == "up")
+            os.set_blocking(master, False)
+            garbage = bytes(range(256)) * 16
+            n_sent = 0
+            while n_sent < 2_000_000:
+                try:
+                    n_sent += os.write(master, garbage)
+                except BlockingIOError:
+                    await asyncio.sleep(0)
+            await until(lambda: n_bytes == n_sent)
+            assert link.counters["link.reads"] <= n_sent
+        os.close(master)
+        os.close(slave)
+
+    asyncio.run(scenario())
+
+
+def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        n_calls = 0
+
+        def fail(data: bytes, stamp: Stamp) -> None:
+            nonlocal n_calls
+            n_calls += 1
+            raise RuntimeError("a decoder with a defect")
+
+        def fail_too(state: str, reason: str) -> None:
+            raise RuntimeError("a listener with a defect")
+
+        link = byte_link(SerialAddress(str(port.path), BAUD), fail, fail_too, ReplayClock())
+        loop_errors: list[object] = []
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: loop_errors.append(context))
+        async with running(link):
+            await until(lambda: link.state == "up")
+            for n in range(1, 4):
+                await port.send(b"x")
+                await until_equal(lambda: n_calls, n)
+        assert link.counters["link.callback_failed"] == 5
+        assert not loop_errors
+        port.unplug()
+
+    asyncio.run(scenario())
+    assert len([record for record in caplog.records if "a receiver failed" in record.message]) == 1
+
+
+def test_a_port_in_use_is_told_with_a_way_to_find_who_uses_it(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        other = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        fcntl.flock(other, fcntl.LOCK_EX)
+        link, watch = link_at(port.path)
+        async with running(link):
+            await until(lambda: watch.told)
+            assert watch.states == ["down"]
+            assert watch.reason == f"{port.path}: in use by another program. Stop that one: fuser -v {port.path} shows which it is."
+            os.close(other)
+            await until(lambda: link.state == "up")
+            second, second_watch = link_at(port.path)
+            async with running(second):
+                await until(lambda: second_watch.told)
+                assert "in use" in second_watch.reason
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
+def told_for(path: Path) -> str:
+    """What a link says first about a path."""
+
+    async def scenario() -> str:
+        link, watch = link_at(path)
+        async with running(link):
+            await until(lambda: watch.told)
+            return watch.reason
+
+    return asyncio.run(scenario())
+
+
+def test_a_path_that_is_not_a_serial_port_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a port")
+    assert "cannot be used as a serial port" in told_for(tmp_path / "file")
+    assert "cannot be used as a serial port" in told_for(tmp_path)
+    assert "no such device" in told_for(tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (serial.SerialException(errno.EACCES, "could not open"), "permission denied. Add the user of this service to the group"),
+        (serial.SerialException(errno.ENODEV, "could not open"), "does not answer"),
+        (termios.error(errno.EIO, "Input/output error"), "cannot be used"),
+        (ValueError("Failed to set custom baud rate"), "cannot be used"),
+    ],
+)
+def test_whatever_opening_a_port_raises_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception, words: str) -> None:
+    def fail(self: serial.Serial) -> None:
+        raise error
+
+    monkeypatch.setattr(serial.Serial, "open", fail)
+    assert words in told_for(tmp_path / "tty")
+
+
+def test_a_rate_that_the_port_silently_does_not_take_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = os.openpty()
+    monkeypatch.setattr(serial.Serial, "_reconfigure_port", lambda self, force_update=False: None)  # leaves the rate as it is
+    assert f"does not take {BAUD} baud" in told_for(Path(os.ttyname(slave)))
+    os.close(master)
+    os.close(slave)
+
+
+def test_modem_lines_are_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    touched: list[str] = []
+    for name in ("_update_dtr_state", "_update_rts_state"):
+        monkeypatch.setattr(serial.Serial, name, lambda self, name=name: touched.append(name))
+
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        link, _ = link_at(port.path)
+        async with running(link):
+            await until(lambda: link.state == "up")
+        port.unplug()
+
+    asyncio.run(scenario())
+    assert not touched
+
+
+def test_no_descriptor_stays_open_whenever_a_link_is_ended(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        link, _ = link_at(port.path)
+        async with running(link):
+            await until(lambda: link.state == "up")
+        before = open_descriptors()
+        for wait_s in (0.0, 0.0002, 0.0005, 0.001, 0.002, 0.01):
+            link, _ = link_at(port.path)
+            async with running(link):
+                await asyncio.sleep(wait_s)
+        await until(lambda: open_descriptors() == before)
+        port.unplug()
+
+    asyncio.run(scenario())

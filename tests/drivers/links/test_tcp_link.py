@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import Any
+
+import pytest
+from link_watch import open_descriptors, running, until, watched_bytes
+
+from drivers.links import tcp
+from sim_replay.fakes.net import FakeTcpServer
+
+
+def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:
+    async def scenario() -> None:
+        taken: list[bytes] = []
+        server = FakeTcpServer(on_bytes=taken.append)
+        await server.start()
+        link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}")
+        async with running(link):
+            await until(lambda: link.state == "up" and server.n_clients)
+            await server.send(b"echo")
+            await until(lambda: b"".join(watch.items) == b"echo")
+            assert link.write(b"command")
+            await until(lambda: b"".join(taken) == b"command")
+        await server.stop()
+        assert link.counters["link.bytes_in"] == 4
+        assert link.counters["link.bytes_out"] == 7
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_lost_connection_is_told_and_made_again(reset: bool) -> None:
+    async def scenario() -> None:
+        server = FakeTcpServer()
+        await server.start()
+        link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}")
+        async with running(link):
+            await until(lambda: server.n_clients)
+            await server.send(b"a")
+            await until(lambda: watch.items)
+            await server.stop(reset=reset)
+            await until(lambda: link.state == "down")
+            assert ("failed" if reset else "closed the connection") in watch.reason
+            await until(lambda: "nothing listens on this port" in watch.reason)
+            await server.start()
+            await until(lambda: server.n_clients)
+            await server.send(b"b")
+            await until(lambda: b"".join(watch.items) == b"ab")
+        await server.stop()
+
+    asyncio.run(scenario())
+
+
+def test_a_connection_that_died_without_a_word_is_made_anew() -> None:
+    async def scenario() -> None:
+        server = FakeTcpServer()
+        await server.start()
+        link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}?silent_s=0.05")
+        async with running(link):
+            await until(lambda: server.n_clients)
+            server.stalled = True
+            await server.send(b"lost")
+            await until(lambda: server.counters["tcp.connections"] >= 3)
+            assert any("taken for dead" in reason for _, reason in watch.told)
+            server.stalled = False
+            while not watch.items:
+                await server.send(b"heard")
+                await asyncio.sleep(0.005)
+        await server.stop()
+
+    asyncio.run(scenario())
+
+
+def test_a_server_that_hangs_up_at_once_is_not_asked_without_pause() -> None:
+    async def scenario() -> None:
+        n_connections = 0
+
+        async def hang_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            nonlocal n_connections
+            n_connections += 1
+            writer.close()
+
+        server = await asyncio.start_server(hang_up, "127.0.0.1", 0)
+        link, _ = watched_bytes(f"tcp://127.0.0.1:{server.sockets[0].getsockname()[1]}")
+        async with running(link):
+            await asyncio.sleep(0.5)
+        assert 1 <= n_connections <= 4
+        server.close()
+        await server.wait_closed()
+
+    asyncio.run(scenario())
+
+
+def first_reason(uri: str) -> str:
+    async def scenario() -> str:
+        link, watch = watched_bytes(uri)
+        async with running(link):
+            await until(lambda: watch.told)
+            return watch.reason
+
+    return asyncio.run(scenario())
+
+
+def test_who_is_not_there_is_told() -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+        assert first_reason(f"tcp://127.0.0.1:{port}") == (
+            f"tcp://127.0.0.1:{port}: refused. The host is there, but nothing listens on this port: check it, and start the device."
+        )
+    assert "cannot be reached" in first_reason("tcp://255.255.255.255:5000")
+
+
+def test_a_host_that_nobody_knows_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "host 'a..b' is unknown" in first_reason("tcp://a..b:5000")
+
+    known = socket.getaddrinfo
+
+    def lookup(host: str, *others: Any, **named: Any) -> Any:
+        if host == "sonar":
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return known(host, *others, **named)
+
+    monkeypatch.setattr(socket, "getaddrinfo", lookup)
+    assert first_reason("tcp://sonar:5000").startswith("tcp://sonar:5000: host 'sonar' is unknown ([Errno -2] Name or service not known).")
+    assert "host 'sonar' is unknown" in first_reason("udp://0.0.0.0:0?peer=sonar:5000")
+
+
+def test_a_host_that_does_not_answer_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that accepts nothing and whose queue is full leaves the next client without an answer."""
+    monkeypatch.setattr(tcp, "CONNECT_S", 0.1)
+    with socket.socket() as server, socket.socket() as first:
+        server.bind(("127.0.0.1", 0))
+        server.listen(0)
+        first.connect(server.getsockname())
+        before = open_descriptors()
+        assert "no answer within 0.1 s" in first_reason(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        assert open_descriptors() == before
