@@ -1,24 +1,27 @@
-"""Where in a tile objects may be: by the trained cascade if there is a model for the sonar, else by contrasts alone.
-
-The cascade looks at every pixel first, since it costs a tenth of the contrasts, which are then taken only around what it leaves.
-"""
+"""Where in a tile objects may be: by contrasts of highlight and shadow and, if there is a model for the sonar, by the trained cascade."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.config import DetectConfig
 from auv_mcm.detect.belief import contrast_odds
+from auv_mcm.detect.cascade.codes import Plane
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
 from auv_mcm.detect.cascade.peaks import apart
-from auv_mcm.detect.cascade.run import run_cascade
-from auv_mcm.detect.prescreen import Floor, Peak, find_peaks, score_places, score_tile
+from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
+from auv_mcm.detect.prescreen import Floor, Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.records import NAN, Tile
 
 STEP_M: Final = 0.4
 """Peaks closer than this, along and across the track, are one candidate."""
 
-_MARGIN_CANDIDATES: Final = 2  # looked for in the margin around the core for each one in it
+_KEPT_PER_CANDIDATE, _KEPT_AT_LEAST = 4, 64  # windows apart that are told from each other at most: some stand in the margin
+_AROUND_PX: Final = (1, 2)  # rows and columns that a peak of contrast may be off the window that the cascade likes best
 
 
 class Candidate(NamedTuple):
@@ -51,25 +54,57 @@ def by_contrast(tile: Tile, config: DetectConfig) -> Found:
     return Found(candidates, len(peaks) - len(taken))
 
 
-def by_cascade(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluations: int | None) -> Found:
-    """The best of the windows that pass the cascade. max_evaluations: its budget, None for none."""
-    passed = run_cascade(tile, model, max_evaluations)
+def by_both(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluations: int | None) -> Found:
+    """The best of the windows that pass the cascade, and peaks of contrast that it would have dropped, with its score of them.
+
+    A cascade knows what it was trained on. What stands out clearly and is nothing like it is no less worth a look, with odds that say so.
+    max_evaluations: the cascade's budget, None for none; the peaks' scores come out of it first.
+    """
+    maps = score_tile(tile)
+    peaks = find_peaks(tile, maps, config.p_false_alarm, STEP_M)
+    plane = core_plane(tile)
+    peak_scores, n_spent = _scores_of(plane, model, peaks[: config.max_candidates_per_tile], max_evaluations)
+    passed = run_plane(plane, model, None if max_evaluations is None else max_evaluations - n_spent)
     most = config.max_candidates_per_tile
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
-    best = apart(passed.rows, passed.columns, passed.scores, half_rows, half_columns, (1 + _MARGIN_CANDIDATES) * most + 1)
+    best = apart(passed.rows, passed.columns, passed.scores, half_rows, half_columns, _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST)
     best = best[(passed.rows[best] >= tile.core_start) & (passed.rows[best] < tile.core_stop)]
-    taken = best[:most]
-    rows, columns = passed.rows[taken], passed.columns[taken]
-    scores = passed.scores[taken]
-    candidates = [
-        Candidate(Peak(contrast, int(row), int(column)), floor, odds, int(score) / SCORE_UNIT)
-        for (contrast, floor), row, column, odds, score in zip(
-            score_places(tile, rows, columns, STEP_M),
-            rows,
-            columns,
-            model.calibration.log_odds_of(scores).tolist(),
-            scores,
-            strict=True,
-        )
+    rows, columns, scores = passed.rows[best], passed.columns[best], passed.scores[best]
+    own = [
+        k
+        for k, peak in enumerate(peaks)
+        if not bool(((np.abs(rows - peak.row) <= half_rows) & (np.abs(columns - peak.column) <= half_columns)).any())
     ]
-    return Found(candidates, len(best) - len(taken), passed.n_windows, passed.n_evaluations, passed.n_cut)
+    places = [*zip(rows.tolist(), columns.tolist(), scores.tolist(), strict=True)]
+    places += [(peaks[k].row, peaks[k].column, int(peak_scores[k])) for k in own if k < most]
+    n_unscored = sum(k >= most for k in own)
+    places.sort(key=lambda place: (-place[2], place[0], place[1]))
+    odds = model.calibration.log_odds_of(np.array([score for _, _, score in places], dtype=np.int32)).tolist()
+    candidates = [
+        Candidate(Peak(_highest(maps, row, column, half_rows, half_columns), row, column), maps.floor(row, column), odd, score / SCORE_UNIT)
+        for (row, column, score), odd in zip(places[:most], odds[:most], strict=True)
+    ]
+    return Found(candidates, len(places) - len(candidates) + n_unscored, passed.n_windows, passed.n_evaluations + n_spent, passed.n_cut)
+
+
+def _scores_of(plane: Plane, model: CascadeModel, peaks: Sequence[Peak], max_evaluations: int | None) -> tuple[NDArray[np.int32], int]:
+    """The cascade's score of each peak's best window within AROUND_PX, whatever it rejects, (n_peaks,) int32, and what that took in
+    evaluations. Peaks beyond the budget get the score of the calibration's lowest odds."""
+    offsets = [(row, column) for row in range(-_AROUND_PX[0], _AROUND_PX[0] + 1) for column in range(-_AROUND_PX[1], _AROUND_PX[1] + 1)]
+    each = len(offsets) * model.n_stumps
+    n_scored = len(peaks) if max_evaluations is None else min(len(peaks), max_evaluations // each)
+    scores = np.full(len(peaks), model.calibration.score[0], dtype=np.int32)
+    if n_scored:
+        around = np.array(offsets)
+        places = np.array([(peak.row, peak.column) for peak in peaks[:n_scored]])[:, np.newaxis] + around
+        rows = np.clip(places[..., 0], 0, plane.n_rows - 1).ravel()
+        columns = np.clip(places[..., 1], 0, plane.n_columns - 1).ravel()
+        scores[:n_scored] = trace_plane(plane, model, rows, columns)[:, -1].reshape(n_scored, -1).max(axis=1)
+    return scores, n_scored * each
+
+
+def _highest(maps: ScoreMaps, row: int, column: int, half_rows: float, half_columns: float) -> float:
+    """The best score of contrasts around a pixel."""
+    rows = slice(max(row - int(half_rows), 0), row + int(half_rows) + 1)
+    columns = slice(max(column - int(half_columns), 0), column + int(half_columns) + 1)
+    return float(maps.score[rows, columns].max())

@@ -10,8 +10,6 @@ height casts at that range and altitude.
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
@@ -71,10 +69,6 @@ MARGIN_M: Final = 1.0
 """How far beyond a tile's core pixels are scored, so that a peak in the core is compared with all its neighbours."""
 CONTEXT_M: Final = _LOOKS_ROWS_M + _FRAME_ROWS_M + 1.0
 """Along-track reach of a score: a pixel this far inside a tile is scored as it would be anywhere else."""
-_NEAR_CONTEXT_M: Final = _LOOKS_COLUMNS_M + _FRAME_NEAR_M + 1.0
-_FAR_CONTEXT_M: Final = max(_LOOKS_COLUMNS_M + _FRAME_FAR_M + 1.0, _SHADOW_LAG_M + _SHADOW_LENGTH_M[1] + 0.5)
-"""The same across the track."""
-_PATCHES_SHARE: Final = 0.8  # of a tile's pixels in patches, from which on the whole of it is cheaper
 
 
 class ScoreMaps(NamedTuple):
@@ -109,22 +103,10 @@ class Peak(NamedTuple):
     column: int
 
 
-class _Picture(NamedTuple):
-    """What of a tile, or of a part of it that begins at `first_column`, is looked at. scored: rows for which scores are wanted."""
-
-    intensity: NDArray[np.float32]
-    mask: NDArray[np.uint8]
-    first_return_m: NDArray[np.float64]
-    row_spacing_m: float
-    column_spacing_m: float
-    first_column: int
-    scored: slice
-
-
 class _Boxes:
-    """Masked box means on some rows of a picture, in whole pixels around each pixel."""
+    """Masked box means on some rows of a tile, in whole pixels around each pixel."""
 
-    def __init__(self, tile: _Picture) -> None:
+    def __init__(self, tile: Tile) -> None:
         valid = (tile.mask & VALID) != 0
         self.row_m, self.column_m = tile.row_spacing_m, tile.column_spacing_m
         intensity = np.where(valid, np.minimum(tile.intensity, np.float32(_MAX_RATIO)), np.float32(0.0))
@@ -208,72 +190,9 @@ class _Spread(NamedTuple):
 
 def score_tile(tile: Tile) -> ScoreMaps:
     """Score maps of one tile. Overlap rows more than MARGIN_M from the core lend their pixels but are not scored themselves."""
+    shape = tile.mask.shape
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
-    return _score(_picture(tile, slice(tile.core_start - margin, tile.core_stop + margin), slice(0, None), slice(0, None)))
-
-
-def score_around(tile: Tile, row: int, column: int, reach_m: float) -> tuple[float, Floor]:
-    """The best score within `reach_m` of a pixel, along rows and columns, and the sea floor around it: what score_tile would say there.
-
-    Costs a few hundredths of a whole tile.
-    """
-    rows = _around(row, CONTEXT_M + reach_m, CONTEXT_M + reach_m, tile.row_spacing_m)
-    columns = _around(column, _NEAR_CONTEXT_M + reach_m, _FAR_CONTEXT_M + reach_m, tile.column_spacing_m)
-    near_rows = _around(row, reach_m, reach_m, tile.row_spacing_m)
-    # A shadow may start in a neighbouring row.
-    maps = _score(_picture(tile, slice(near_rows.start - 1, near_rows.stop + 1), rows, columns))
-    near_columns = _around(column, reach_m, reach_m, tile.column_spacing_m)
-    scores = maps.score[_shifted(near_rows, rows.start), _shifted(near_columns, columns.start)]
-    return float(scores.max()), maps.floor(row - rows.start, column - columns.start)
-
-
-def score_places(
-    tile: Tile, rows: Sequence[int] | NDArray[np.integer], columns: Sequence[int] | NDArray[np.integer], reach_m: float
-) -> list[tuple[float, Floor]]:
-    """What score_around says of each of several pixels; of many it scores the whole tile instead, rows beyond its core included."""
-    patch_px = (2.0 * (CONTEXT_M + reach_m) / tile.row_spacing_m) * ((_NEAR_CONTEXT_M + _FAR_CONTEXT_M) / tile.column_spacing_m)
-    places = [(int(row), int(column)) for row, column in zip(rows, columns, strict=True)]
-    if len(places) * patch_px < _PATCHES_SHARE * tile.mask.size:
-        return [score_around(tile, row, column, reach_m) for row, column in places]
-    maps = _score(_picture(tile, slice(0, tile.mask.shape[0]), slice(0, None), slice(0, None)))
-    return [
-        (
-            float(
-                maps.score[
-                    _around(row, reach_m, reach_m, tile.row_spacing_m), _around(column, reach_m, reach_m, tile.column_spacing_m)
-                ].max()
-            ),
-            maps.floor(row, column),
-        )
-        for row, column in places
-    ]
-
-
-def _around(pixel: int, before_m: float, behind_m: float, spacing_m: float) -> slice:
-    return slice(max(pixel - math.ceil(before_m / spacing_m), 0), pixel + math.ceil(behind_m / spacing_m) + 1)
-
-
-def _shifted(part: slice, start: int) -> slice:
-    """The same pixels counted from `start`."""
-    return slice(part.start - start, part.stop - start)
-
-
-def _picture(tile: Tile, wanted: slice, rows: slice, columns: slice) -> _Picture:
-    """Rows and columns of a tile; `wanted`: its rows to be scored."""
-    mask = tile.mask[rows, columns]
-    return _Picture(
-        intensity=tile.intensity[rows, columns],
-        mask=mask,
-        first_return_m=tile.first_return_m[rows],
-        row_spacing_m=tile.row_spacing_m,
-        column_spacing_m=tile.column_spacing_m,
-        first_column=columns.start,
-        scored=slice(max(wanted.start - rows.start, 0), min(wanted.stop - rows.start, mask.shape[0])),
-    )
-
-
-def _score(tile: _Picture) -> ScoreMaps:
-    shape, scored = tile.mask.shape, tile.scored
+    scored = slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, shape[0]))
     boxes = _Boxes(tile)
     # A few dozen rows at a time, so that intermediate planes stay in the processor's cache.
     bands = [slice(start, min(start + _BAND_ROWS, shape[0])) for start in range(0, shape[0], _BAND_ROWS)]
@@ -307,7 +226,7 @@ def _score(tile: _Picture) -> ScoreMaps:
 
 
 def _deviates(
-    boxes: _Boxes, tile: _Picture, rows: slice, background: NDArray[np.float32], spread: _Spread
+    boxes: _Boxes, tile: Tile, rows: slice, background: NDArray[np.float32], spread: _Spread
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Deviate of the brightest box centred on each pixel of the rows, and of the darkest shadow that starts there."""
     per_background = np.float32(1.0) / background
@@ -381,10 +300,10 @@ class _Neighbourhood:
         return variance
 
 
-def _shadow_columns(tile: _Picture, rows: slice, height_m: float) -> NDArray[np.intp]:
+def _shadow_columns(tile: Tile, rows: slice, height_m: float) -> NDArray[np.intp]:
     """Length in columns (rows, n_columns) of the shadow an object of `height_m` casts: h y / (H - h) on a flat bottom."""
     altitude_m = np.maximum(tile.first_return_m[rows], _LEAST_ALTITUDE_M)[:, None]
-    ground_m = ((tile.first_column + np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
+    ground_m = ((np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
     length_m = height_m * ground_m / np.maximum(altitude_m - height_m, 0.3 * altitude_m)
     return np.maximum(np.rint(np.clip(length_m, *_SHADOW_LENGTH_M) / tile.column_spacing_m), 1.0).astype(np.intp)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.detect.belief import probability, with_measurement
-from auv_mcm.detect.candidates import Candidate, by_cascade, by_contrast
+from auv_mcm.detect.candidates import Candidate, by_both, by_contrast
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak
@@ -56,12 +56,12 @@ def worth_looking(tile: Tile) -> bool:
 def detect_tile(tile: Tile, config: Config, model: CascadeModel | None = None, *, exhaustive: bool = False) -> TileDetections:
     """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead.
 
-    model: the trained cascade; without one contrasts alone serve. exhaustive: no budget for it.
+    model: the trained cascade, beside contrasts, which alone serve without one. exhaustive: no budget for it.
     """
     if model is None:
         found = by_contrast(tile, config.detect)
     else:
-        found = by_cascade(tile, model, config.detect, None if exhaustive else config.detect.max_evaluations_per_tile)
+        found = by_both(tile, model, config.detect, None if exhaustive else config.detect.max_evaluations_per_tile)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
     detections = _placed(tile, config, found.candidates, measured)

@@ -193,7 +193,8 @@ def open_windows_numpy(
 
 
 def run_groups(sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int) -> tuple[Windows, NDArray[np.int64]]:
-    """Run groups [first, last) on windows. Returns those alive, their order kept, and how many were after each group, (last - first,)."""
+    """Run groups [first, last) on windows, whose places must rise within each band. Returns those alive, their order kept, and how many
+    were after each group, (last - first,)."""
     function = _c_run()
     if function is None:
         return run_groups_numpy(sums, tables, windows, first, last)

@@ -15,11 +15,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, Box, areas, band_edges, bands_at, pixel_boxes
+from auv_mcm.detect.cascade.bands import WINDOW, Box, areas, band_edges, bands_at, pixel_boxes
 from auv_mcm.detect.cascade.codes import Plane, make_plane, valid_counts
 from auv_mcm.detect.cascade.model import CascadeModel
-from auv_mcm.detect.cascade.run import run_plane, tables_of
-from auv_mcm.kernels.cascade import Windows, run_groups
+from auv_mcm.detect.cascade.peaks import apart
+from auv_mcm.detect.cascade.run import CascadeResult, run_plane, trace_plane
 from sim_replay.training.pool import box_means
 from sim_replay.training.soft import best_windows
 from sim_replay.training.store import Shard, read_shard
@@ -124,26 +124,8 @@ def clear_of_targets(tile: LabelledTile) -> NDArray[np.bool_]:
     return clear
 
 
-def trace(plane: Plane, model: CascadeModel, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.int32]:
-    """(n_windows, n_groups) int32 score of the windows at rows, columns (n_windows,) after each group, none dropped."""
-    stride = plane.sums.shape[1]
-    tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
-    groups = tables.groups.copy()
-    groups[:, 1] = np.iinfo(np.int32).min
-    tables = tables._replace(groups=groups)
-    bands = bands_at(band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m), rows, columns)
-    place = ((rows + plane.margin_rows) * stride + columns + plane.margin_near).astype(np.int32)
-    by_band = np.lexsort((place, bands))
-    windows = Windows(place[by_band], np.zeros_like(place), np.cumsum(np.bincount(bands, minlength=N_BANDS)).astype(np.int64))
-    scores = np.empty((rows.size, len(groups)), dtype=np.int32)
-    for group in range(len(groups)):
-        windows, _ = run_groups(plane.sums, tables, windows, group, group + 1)
-        scores[by_band, group] = windows.score
-    return scores
-
-
 def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace`: the final score, or how many stages they pass
+    """(n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace_plane`: the final score, or how many stages they pass
     and then the score of the first that they do not, or else of the last."""
     if model.kind == "soft":
         return scores[:, -1].astype(np.int64)
@@ -153,24 +135,16 @@ def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64
     return np.asarray(n_passed.astype(np.int64) * 2**32 + scores[np.arange(len(scores)), last])
 
 
-def apart(
-    rows: NDArray[np.int32], columns: NDArray[np.int32], scores: NDArray[np.int32], row_spacing_m: float, column_spacing_m: float, most: int
-) -> NDArray[np.intp]:
-    """Indices of up to `most` windows of (n,), best first, none within a metre of a better one; of equal scores the first is better."""
-    half_rows, half_columns = _APART_M / row_spacing_m, _APART_M / column_spacing_m
-    left = np.argsort(-scores.astype(np.int64), kind="stable")
-    kept: list[int] = []
-    while left.size and len(kept) < most:
-        best = int(left[0])
-        kept.append(best)
-        left = left[(np.abs(rows[left] - rows[best]) >= half_rows) | (np.abs(columns[left] - columns[best]) >= half_columns)]
-    return np.array(kept, dtype=np.intp)
+def well_apart(tile: LabelledTile, found: CascadeResult, most: int) -> NDArray[np.intp]:
+    """Indices of up to `most` windows that passed a cascade, best first, none within a metre of a better one."""
+    half_rows, half_columns = _APART_M / tile.row_spacing_m, _APART_M / tile.column_spacing_m
+    return apart(found.rows, found.columns, found.scores, half_rows, half_columns, most)
 
 
 def _merit(plane: Plane, model: CascadeModel | None, bags: Bags) -> NDArray[Any]:
     if model is None:
         return np.asarray(box_means(plane, (_HIGHLIGHT,), bags.rows, bags.columns)[0])
-    return merit_of(model, trace(plane, model, bags.rows, bags.columns))
+    return merit_of(model, trace_plane(plane, model, bags.rows, bags.columns))
 
 
 def _others(tile: LabelledTile, plane: Plane, errand: Errand, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -182,7 +156,7 @@ def _others(tile: LabelledTile, plane: Plane, errand: Errand, rng: np.random.Gen
         return rows[chosen], columns[chosen]
     passed = run_plane(plane._replace(usable=clear), errand.model, None)
     if errand.hardest:
-        chosen = apart(passed.rows, passed.columns, passed.scores, tile.row_spacing_m, tile.column_spacing_m, errand.n_others)
+        chosen = well_apart(tile, passed, errand.n_others)
     else:
         chosen = np.sort(rng.choice(passed.rows.size, size=min(errand.n_others, passed.rows.size), replace=False))
     return passed.rows[chosen].astype(np.intp), passed.columns[chosen].astype(np.intp)

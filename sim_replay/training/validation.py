@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel, ExpectedPd
-from auv_mcm.detect.cascade.run import run_plane
-from sim_replay.training.bootstrap import apart, clear_of_targets, merit_of, planes_of, target_bags, trace
+from auv_mcm.detect.cascade.run import run_plane, trace_plane
+from sim_replay.training.bootstrap import clear_of_targets, merit_of, planes_of, target_bags, well_apart
 from sim_replay.training.soft import best_windows
 from sim_replay.training.store import Shard
 from sim_replay.training.tiles import LabelledTile
@@ -57,7 +57,7 @@ def sightings(inspection: Inspection) -> list[Sighting]:
     seen: list[Sighting] = []
     for tile, plane in planes_of(inspection.folder, inspection.shard):
         bags = target_bags(tile, plane)
-        scores = trace(plane, inspection.model, bags.rows, bags.columns)
+        scores = trace_plane(plane, inspection.model, bags.rows, bags.columns)
         best = best_windows(merit_of(inspection.model, scores), bags.bag)
         for target, window in zip(bags.targets, best, strict=True):
             seen.append(Sighting(target.seabed, target.ground_range_m, scores[window]))
@@ -75,7 +75,7 @@ def passed(inspection: Inspection) -> Passed:
         area_m2 += int(np.count_nonzero(clear)) * tile.row_spacing_m * tile.column_spacing_m
         is_clear = clear[found.rows, found.columns]
         windows.append(found.scores[is_clear])
-        best = apart(found.rows, found.columns, found.scores, tile.row_spacing_m, tile.column_spacing_m, found.rows.size)
+        best = well_apart(tile, found, found.rows.size)
         on_target = _best_on_targets(tile, found.rows[best], found.columns[best])
         counts = on_target | is_clear[best]
         detections.append(found.scores[best][counts])

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import WINDOW, areas, band_edges, pixel_boxes
+from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, areas, band_edges, bands_at, pixel_boxes
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, Plane, plane_of_tile
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.errors import UsageError
@@ -53,9 +53,13 @@ def run_cascade(tile: Tile, model: CascadeModel, max_evaluations: int | None) ->
     A window is centred on each pixel that is VALID and not LOW_RESOLUTION and has at least 0.6 of the window around it valid.
     Raises UsageError if the tile's pixels are too fine for exact sums.
     """
+    return run_plane(core_plane(tile), model, max_evaluations)
+
+
+def core_plane(tile: Tile) -> Plane:
+    """A tile's plane with windows in its core and MARGIN_M around it."""
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
-    rows = slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0]))
-    return run_plane(plane_of_tile(tile, rows), model, max_evaluations)
+    return plane_of_tile(tile, slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])))
 
 
 def run_plane(plane: Plane, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
@@ -76,6 +80,27 @@ def run_plane(plane: Plane, model: CascadeModel, max_evaluations: int | None) ->
         evaluated_fraction=1.0 - n_cut / max(n_windows, 1),
         n_alive=tuple(run.n_alive.tolist()),
     )
+
+
+def trace_plane(plane: Plane, model: CascadeModel, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int32]:
+    """(n_windows, n_groups) int32 scores of the windows at rows, columns (n_windows,) after each group, none dropped."""
+    stride = plane.sums.shape[1]
+    tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
+    groups = tables.groups.copy()
+    groups[:, 1] = np.iinfo(np.int32).min
+    tables = tables._replace(groups=groups)
+    edges = band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m)
+    place, which = np.unique(((rows + plane.margin_rows) * stride + columns + plane.margin_near).astype(np.int32), return_inverse=True)
+    at = np.empty((2, place.size), dtype=np.intp)
+    at[:, which] = rows, columns
+    bands = bands_at(edges, at[0], at[1])
+    by_band = np.argsort(bands, kind="stable")
+    windows = Windows(place[by_band], np.zeros_like(place), np.cumsum(np.bincount(bands, minlength=N_BANDS)).astype(np.int64))
+    scores = np.empty((place.size, len(groups)), dtype=np.int32)
+    for group in range(len(groups)):
+        windows, _ = run_groups(plane.sums, tables, windows, group, group + 1)
+        scores[by_band, group] = windows.score
+    return np.asarray(scores[which])
 
 
 def opening_groups(model: CascadeModel) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from hypothesis import strategies as st
 from scene_tiles import COLUMN_M, ROW_M, make_tile, speckle
 
 from auv_mcm.config import Config, DetectConfig
-from auv_mcm.detect.candidates import STEP_M, Found, by_cascade
+from auv_mcm.detect.candidates import STEP_M, Found, by_both
 from auv_mcm.detect.cascade.peaks import apart
+from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
 from auv_mcm.detect.prescreen import score_tile
 from auv_mcm.detect.stage import detect_tile
 from auv_mcm.records import Tile
@@ -31,7 +33,7 @@ def scene(n_objects: int = 3, n_rows: int = 180) -> Tile:
 
 
 def found(tile: Tile, max_evaluations: int | None = None, most: int = 256) -> Found:
-    return by_cascade(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations)
+    return by_both(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations)
 
 
 def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_them() -> None:
@@ -64,7 +66,8 @@ def test_a_budget_is_kept_and_what_it_cut_is_counted() -> None:
     assert part.n_evaluations <= whole.n_evaluations // 2
     assert part.n_cut > 0
     result = detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL)
-    assert (result.detections, result.n_cut) == ((), result.n_windows)
+    assert result.n_cut == result.n_windows
+    assert result.detections  # what stands out is looked at all the same
     assert detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL, exhaustive=True).n_cut == 0
 
 
@@ -93,6 +96,27 @@ def test_more_windows_never_lose_a_candidate_without_a_better_one_in_reach(place
         near = kept[(np.abs(rows[kept] - rows[one]) <= 3.0) & (np.abs(columns[kept] - columns[one]) <= 5.0)]
         assert (scores[near] >= scores[one]).any()
     assert (np.diff(scores[kept]) <= 0).all()
+
+
+def test_windows_are_traced_to_the_same_scores_in_any_order_and_however_often(n_runs: Callable[[int, int], int]) -> None:
+    plane = core_plane(scene())
+    rng = np.random.Generator(np.random.PCG64(5))
+    rows, columns = rng.integers(20, 160, 400), rng.integers(0, 320, 400)
+    rows[200:], columns[200:] = rows[:200], columns[:200]
+    found = trace_plane(plane, MODEL, rows, columns)
+    for one in range(0, 400, 400 // n_runs(100, 20)):
+        assert np.array_equal(found[one : one + 1], trace_plane(plane, MODEL, rows[one : one + 1], columns[one : one + 1]))
+
+
+def test_what_stands_out_but_is_nothing_the_cascade_knows_is_a_candidate_with_its_score() -> None:
+    plane = np.ones((180, 320), dtype=np.float32) * speckle(3, (180, 320), spread_pixels=1.0)
+    plane[90:93, 200:202] *= 60.0  # bright, with nothing dark behind
+    tile = make_tile(plane)
+    passed = run_plane(core_plane(tile), MODEL, None)
+    assert not ((np.abs(passed.rows - 91) < 8) & (np.abs(passed.columns - 201) < 16)).any()
+    (candidate,) = (c for c in found(tile).candidates if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8)
+    assert candidate.cascade_score < 3.0
+    assert candidate.peak.score > 4.0
 
 
 def test_nothing_passes_on_a_masked_tile() -> None:

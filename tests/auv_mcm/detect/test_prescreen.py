@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
 
 from auv_mcm.detect import prescreen
-from auv_mcm.detect.prescreen import CONTEXT_M, Peak, ScoreMaps, find_peaks, score_around, score_tile
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.detect.stage import OVERLAP_M
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 
@@ -484,24 +484,3 @@ def test_lower_thresholds_only_add_peaks() -> None:
     counts = [set(find_peaks(tile, maps, p, 0.4)) for p in (1e-6, 5e-4, 1e-2, 0.3)]
     assert all(fewer <= more for fewer, more in pairwise(counts))
     assert counts[3]
-
-
-@pytest.mark.parametrize(("row", "column"), [(150, 400), (3, 5), (296, 798), (150, 2), (20, 780)])
-def test_a_score_taken_around_one_place_is_that_of_the_whole_tile(row: int, column: int) -> None:
-    intensity = speckle(7, (300, 800), spread_pixels=1.2)
-    intensity[140:160, 395:402] *= 12.0
-    intensity[140:160, 402:440] *= 0.03
-    tile = make_tile(intensity, core=(0, 300))
-    maps = score_tile(tile)
-    score, floor = score_around(tile, row, column, 0.4)
-    half_row, half_column = math.ceil(0.4 / tile.row_spacing_m), math.ceil(0.4 / tile.column_spacing_m)
-    near = maps.score[max(row - half_row, 0) : row + half_row + 1, max(column - half_column, 0) : column + half_column + 1]
-    assert score == pytest.approx(float(near.max()), abs=1e-4)
-    assert floor == pytest.approx(maps.floor(row, column), rel=1e-5)
-
-
-def test_rows_that_lend_their_pixels_are_scored_around_a_place_in_them_too() -> None:
-    tile = make_tile(speckle(8, (300, 400)), core=(100, 200))
-    score, _ = score_around(tile, 20, 200, 0.4)
-    assert math.isfinite(score)
-    assert score_tile(tile).score[20].max() == -math.inf

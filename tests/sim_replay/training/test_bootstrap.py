@@ -5,15 +5,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from training_tiles import COLUMN_M, CORE, ROW_M, drawn_tile, labelled_tile, thing
 
 from auv_mcm.detect.cascade.codes import Plane, make_plane
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel
-from auv_mcm.detect.cascade.run import run_plane
+from auv_mcm.detect.cascade.run import run_plane, trace_plane
 from sim_replay.training.boost import BoostedStump
-from sim_replay.training.bootstrap import CLEAR_M, Errand, apart, clear_of_targets, glean, merit_of, target_bags, trace
+from sim_replay.training.bootstrap import CLEAR_M, Errand, clear_of_targets, glean, merit_of, target_bags
 from sim_replay.training.pool import box_means, feature_pool, model_stump
 from sim_replay.training.store import pack, write_set
 from sim_replay.training.tiles import LabelledTile
@@ -79,36 +77,20 @@ def test_trace_is_what_the_cascade_scores(kind: str) -> None:
     ran = run_plane(plane, everything, None)
     some = np.random.Generator(np.random.PCG64(1)).integers(0, 900, 1500)  # neighbours, in no order, some twice
     rows, columns = ran.rows[some].astype(np.intp), ran.columns[some].astype(np.intp)
-    scores = trace(plane, everything, rows, columns)
+    scores = trace_plane(plane, everything, rows, columns)
     assert np.array_equal(scores[:, -1], ran.scores[some])
     for last in (1, 2):
         shorter = msgspec.structs.replace(everything, groups=everything.groups[:last], reject=everything.reject[:last])
-        assert np.array_equal(scores[:, :last], trace(plane, shorter, rows, columns))
+        assert np.array_equal(scores[:, :last], trace_plane(plane, shorter, rows, columns))
     if kind == "stages":
         alone = msgspec.structs.replace(everything, groups=everything.groups[1:2], reject=everything.reject[1:2])
-        assert np.array_equal(scores[:, 1], trace(plane, alone, rows, columns)[:, 0])
+        assert np.array_equal(scores[:, 1], trace_plane(plane, alone, rows, columns)[:, 0])
 
 
 def test_a_window_that_passes_more_stages_has_more_merit_whatever_its_score() -> None:
     scores = np.array([[900, -1, 500], [1, 2, -300], [1, 0, 0], [-5, 900, 900], [5, -9, 0]], dtype=np.int32)
     assert np.argsort(merit_of(_model("stages"), scores)).tolist() == [3, 4, 0, 1, 2]
     assert np.argsort(merit_of(_model("soft"), scores), kind="stable").tolist() == [1, 2, 4, 0, 3]
-
-
-@settings(deadline=None, max_examples=50)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 80), most=st.integers(1, 100))
-def test_kept_windows_are_apart_and_dropped_ones_near_better_ones(seed: int, n: int, most: int) -> None:
-    rng = np.random.Generator(np.random.PCG64(seed))
-    rows, columns, scores = (rng.integers(0, k, n).astype(np.int32) for k in (40, 80, 5))
-    kept = apart(rows, columns, scores, ROW_M, COLUMN_M, most).tolist()
-
-    def near(a: int, b: int) -> bool:
-        return bool(abs(rows[a] - rows[b]) * ROW_M < 1.0 - 1e-9 and abs(columns[a] - columns[b]) * COLUMN_M < 1.0 - 1e-9)
-
-    assert not any(near(a, b) for a in kept for b in kept if a != b)
-    assert scores[kept].tolist() == sorted(scores[kept].tolist(), reverse=True)
-    if len(kept) < most:
-        assert all(any(near(a, b) and (scores[b], -b) >= (scores[a], -a) for b in kept) for a in range(n))
 
 
 def _gleaned_places(folder: Path, model: CascadeModel | None, hardest: bool = True, n_others: int = 10) -> np.ndarray:
@@ -147,7 +129,7 @@ def test_a_target_is_shown_by_its_brightest_window_and_then_by_its_best(tmp_path
     manifest = write_set(tmp_path, [pack([tile], "train", "drawn/0", "simulated")], {})
     model, plane = _model(), _plane(tile)
     bags = target_bags(tile, plane)
-    means, final = box_means(plane, POOL.boxes, bags.rows, bags.columns), trace(plane, model, bags.rows, bags.columns)[:, -1]
+    means, final = box_means(plane, POOL.boxes, bags.rows, bags.columns), trace_plane(plane, model, bags.rows, bags.columns)[:, -1]
     for given_model in (None, model):
         shown = glean(Errand(tmp_path, manifest.shards[0], POOL.boxes, given_model, 1, True, 0)).targets
         for number, target in enumerate(bags.targets):

@@ -10,7 +10,7 @@ from auv_mcm.detect.cascade.codes import make_plane
 from auv_mcm.detect.cascade.model import CascadeModel, encode_model, parse_model
 from auv_mcm.detect.cascade.run import run_plane
 from auv_mcm.errors import UsageError
-from sim_replay.training.bootstrap import apart
+from sim_replay.training.bootstrap import well_apart
 from sim_replay.training.farm import Farm
 from sim_replay.training.trainer import Kind, train
 
@@ -25,7 +25,7 @@ def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
     tile = drawn_tile(seed)
     plane = make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
     result = run_plane(plane, model, None)
-    best = apart(result.rows, result.columns, result.scores, tile.row_spacing_m, tile.column_spacing_m, 1000)
+    best = well_apart(tile, result, 1000)
     rows, columns = result.rows[best], result.columns[best]
     on_target = np.zeros(best.size, dtype=np.bool_)
     n_found = 0
