@@ -21,6 +21,7 @@ _BENCHES: Final = {
     "cascade": "the trained cascade's speed and budgets",
     "inversion": "relief recovered from images, error beside time",
     "augment": "whether embedded targets can be told from simulated ones",
+    "framers": "message framing: speed, garbage, and what damage costs",
     "pfa": "false alarms per km² and per decision",
     "figure9": "the source paper's examples of classical detection",
 }

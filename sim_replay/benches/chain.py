@@ -10,6 +10,7 @@ auv-mcm bench images            outlines and false confirmations on real picture
 auv-mcm bench froc              every detector, and the steps after it, on missions held out
 auv-mcm bench cascade           speed and budgets of the trained cascade
 auv-mcm bench inversion, augment   relief recovered from images, and targets put into it
+auv-mcm bench framers           framing of device messages: speed, garbage, damage
 auv-mcm bench pfa               false alarms per km² and per decision
 auv-mcm bench figure9           the source paper's examples of classical detection
 
@@ -58,6 +59,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "froc": ("sim_replay.benches.froc", "what each detector and each step finds on missions held out, at given rates of false alarms"),
     "inversion": ("sim_replay.benches.inversion", "relief and reflectivity recovered from images: error beside time"),
     "augment": ("sim_replay.benches.augment", "whether embedded targets can be told from simulated ones"),
+    "framers": ("sim_replay.benches.framers", "framing of device messages: speed beside brping's, garbage, damage"),
     "pfa": ("sim_replay.benches.pfa", "false alarms per km² and per decision"),
     "figure9": ("sim_replay.benches.figure9", "the source paper's examples of classical detection, flown many times"),
 }
