@@ -39,7 +39,11 @@ def _open(path: str, baud: int) -> Any:
     port._update_dtr_state = port._update_rts_state = lambda: None
     try:
         port.open()
-        is_set = termios.tcgetattr(port.fd)[4:6] == [getattr(termios, f"B{baud}")] * 2
+        attributes = termios.tcgetattr(port.fd)
+        # With 0, as pyserial has it, a port that has nothing reads as one that hung up.
+        attributes[6][termios.VMIN] = 1
+        termios.tcsetattr(port.fd, termios.TCSANOW, attributes)
+        is_set = attributes[4:6] == [getattr(termios, f"B{baud}")] * 2
     except (OSError, ValueError, termios.error) as error:  # pyserial lets all three through
         raise HardwareError(_refusal(path, error)) from error
     if not is_set:  # drivers that cannot do a rate keep another and say nothing
@@ -49,8 +53,7 @@ def _open(path: str, baud: int) -> Any:
 
 
 def _refusal(path: str, error: Exception) -> str:
-    number = error.errno if isinstance(error, OSError) else None
-    match number:
+    match error.errno if isinstance(error, OSError) else error.args[0]:  # of termios.error, its number
         case errno.ENOENT:
             return f"{path}: no such device. Plug it in and switch it on, or name another: ls -l /dev/serial/by-id shows what is there."
         case errno.EACCES | errno.EPERM:

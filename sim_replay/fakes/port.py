@@ -104,9 +104,10 @@ class FakePort:
         loop = asyncio.get_running_loop()
         bytes_per_s = self.baud / _BITS_PER_BYTE
         n_slice = max(int(bytes_per_s * _SLICE_S), 1)
+        self._free_s = max(self._free_s, loop.time())
         for start in range(0, len(data), n_slice):
             piece = data[start : start + n_slice]
-            self._free_s = max(self._free_s, loop.time()) + len(piece) / bytes_per_s
+            self._free_s += len(piece) / bytes_per_s
             await asyncio.sleep(self._free_s - loop.time())
             self._put(piece)
 

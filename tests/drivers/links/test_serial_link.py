@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import fcntl
 import os
@@ -171,6 +172,38 @@ def test_writes_queue_up_to_a_bound_and_leave_in_order_when_the_device_reads_aga
     asyncio.run(scenario())
 
 
+def test_being_woken_for_nothing_is_not_taken_for_a_hang_up(tmp_path: Path) -> None:
+    """Others that read the same port get the bytes that the link was woken for."""
+
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        loop = asyncio.get_running_loop()
+        stolen: list[bytes] = []
+
+        def steal(thief: int) -> None:
+            with contextlib.suppress(BlockingIOError):
+                stolen.append(os.read(thief, 65536))
+
+        thieves = [os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK) for _ in range(2)]
+        link, watch = link_at(port.path)
+        loop.add_reader(thieves[0], steal, thieves[0])
+        async with running(link):
+            await until(lambda: link.state == "up")
+            loop.add_reader(thieves[1], steal, thieves[1])
+            for _ in range(50):
+                await port.send(b"x")
+            await until(lambda: len(b"".join(watch.items + stolen)) == 50)
+            assert link.counters["link.reads"] > len(watch.items), "never woken for nothing: this test shows nothing"
+            assert watch.states == ["up"]
+            for thief in thieves:
+                loop.remove_reader(thief)
+                os.close(thief)
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
 def test_garbage_as_fast_as_it_comes_leaves_nothing_behind(tmp_path: Path) -> None:
     async def scenario() -> None:
         master, slave = os.openpty()
@@ -276,7 +309,7 @@ def test_a_path_that_is_not_a_serial_port_is_told(tmp_path: Path) -> None:
     [
         (serial.SerialException(errno.EACCES, "could not open"), "permission denied. Add the user of this service to the group"),
         (serial.SerialException(errno.ENODEV, "could not open"), "does not answer"),
-        (termios.error(errno.EIO, "Input/output error"), "cannot be used"),
+        (termios.error(errno.EIO, "Input/output error"), "does not answer"),
         (ValueError("Failed to set custom baud rate"), "cannot be used"),
     ],
 )
