@@ -6,6 +6,7 @@ import math
 from typing import Final, NamedTuple
 
 from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
+from auv_mcm.records import NAN
 from drivers.navigation.seam import NavFix, Quantity
 from drivers.navigation.settings import NavUnitSettings
 
@@ -13,6 +14,7 @@ _TURN: Final = 2.0 * math.pi
 _MAX_DEPTH_M: Final = 12_000.0
 _MIN_DEPTH_M: Final = -100.0
 _MAX_SPEED_MPS: Final = 30.0
+_MAX_SIGMA: Final = 1e6
 _SHARPEST_COSINE: Final = 1e-9  # keeps steps finite at a pole
 
 
@@ -66,10 +68,10 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
     known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
     # Nobody dives at 0, 0: it is what records hold that nobody filled.
     if plausible("position", known, abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0, 0)):
-        position = Position(latitude_deg, longitude_deg, _or(fix.position_sigma_m, unit.position_sigma_m))
+        position = Position(latitude_deg, longitude_deg, _sigma(fix.position_sigma_m, unit.position_sigma_m))
     if plausible("heading", fix.heading_rad == fix.heading_rad, abs(fix.heading_rad) <= _TURN + 0.02):
         turned = unit.heading_sign * fix.heading_rad + math.radians(unit.heading_offset_deg)
-        heading = Heading(turned % _TURN, _or(fix.heading_sigma_rad, math.radians(unit.heading_sigma_deg)))
+        heading = Heading(turned % _TURN, _sigma(fix.heading_sigma_rad, math.radians(unit.heading_sigma_deg)))
     known = not (math.isnan(fix.pitch_rad) or math.isnan(fix.roll_rad))
     if plausible("attitude", known, abs(fix.pitch_rad) <= math.pi / 2 and abs(fix.roll_rad) <= math.pi + 0.02):
         attitude = Attitude(
@@ -80,10 +82,11 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
         depth = fix.depth_m
     if plausible("altitude", fix.altitude_m == fix.altitude_m, 0.0 < fix.altitude_m <= _MAX_DEPTH_M):
         altitude = fix.altitude_m
-    speed_mps = _or(fix.speed_mps, fix.water_speed_mps)
+    speed_mps = fix.water_speed_mps if math.isnan(fix.speed_mps) else fix.speed_mps
     if plausible("speed", speed_mps == speed_mps, abs(speed_mps) <= _MAX_SPEED_MPS):
-        drift_rad = fix.drift_rad + math.radians(unit.heading_offset_deg)
-        speed = Speed(speed_mps, fix.course_rad, drift_rad, _or(fix.speed_sigma_mps, unit.speed_sigma_mps))
+        course_rad = fix.course_rad if abs(fix.course_rad) <= _TURN + 0.02 else NAN
+        drift_rad = fix.drift_rad + math.radians(unit.heading_offset_deg) if abs(fix.drift_rad) <= _TURN else NAN
+        speed = Speed(speed_mps, course_rad, drift_rad, _sigma(fix.speed_sigma_mps, unit.speed_sigma_mps))
     return Readings(position, heading, attitude, depth, altitude, speed), impossible
 
 
@@ -125,5 +128,5 @@ def _radii_m(latitude_deg: float) -> tuple[float, float]:
     return prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) / squeezed, prime_vertical_m * max(math.cos(latitude), _SHARPEST_COSINE)
 
 
-def _or(value: float, otherwise: float) -> float:
-    return otherwise if math.isnan(value) else value
+def _sigma(told: float, otherwise: float) -> float:
+    return told if 0.0 <= told < _MAX_SIGMA else otherwise

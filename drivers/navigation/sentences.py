@@ -296,7 +296,7 @@ def _degrees_and_minutes(n_degree_digits: int, hemispheres: str) -> Codec:
             return "", ""
         degrees, micro_minutes = divmod(round(abs(value) * 60 * _MICRO), 60 * _MICRO)
         minutes, fraction = divmod(micro_minutes, _MICRO)
-        return f"{degrees:0{n_degree_digits}d}{minutes:02d}.{fraction:06d}", hemispheres[value < 0.0]
+        return f"{degrees:0{n_degree_digits}d}{minutes:02d}.{fraction:06d}", hemispheres[math.copysign(1.0, value) < 0.0]
 
     return Codec(2, read, write)
 
@@ -369,6 +369,7 @@ def _read_depths(fields: Sequence[str]) -> float:
 def _write_depths(depth_m: float) -> Sequence[str]:
     if math.isnan(depth_m):
         return "", "f", "", "M", "", "F"
+    depth_m = round(depth_m, 2)
     return f"{depth_m / _FOOT_M:.2f}", "f", f"{depth_m:.2f}", "M", f"{depth_m / _FATHOM_M:.2f}", "F"
 
 

@@ -1,0 +1,447 @@
+"""One track out of several units: the best healthy one serves, nothing is repeated, nobody is believed who cannot know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec import structs
+from nav_damage import T0, at
+
+from auv_mcm.config import NavigationConfig
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.navigation import NavBuffer
+from auv_mcm.records import NavSample, Notice
+from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
+from drivers.navigation.merge import Event, NavMerge
+from drivers.navigation.seam import QUANTITIES, NavFix, Quantity
+from drivers.navigation.settings import NavMergeSettings, NavUnitSettings
+from drivers.navigation.unit_clock import UnitClock
+from drivers.stamps import Stamp
+
+HOME = (54.0, 10.0)
+LAST = 1e4
+
+
+def place(east_m: float, north_m: float) -> dict[str, float]:
+    latitude_deg, longitude_deg = moved(*HOME, east_m, north_m)
+    return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
+
+
+def fix(source: str, seconds: float, **told: Any) -> NavFix:
+    return NavFix(source=source, received=at(seconds), **told)
+
+
+def merge(recover_s: float = 5.0, **units: NavUnitSettings) -> NavMerge:
+    return NavMerge(NavMergeSettings(units=units, recover_s=recover_s))
+
+
+def run(merged: NavMerge, fixes: Iterable[NavFix]) -> tuple[list[NavSample], list[Notice]]:
+    """Everything that comes out, the fixes put in the order of their arrival."""
+    events: list[Event] = []
+    for one in sorted(fixes, key=lambda one: one.received.mono_ns):
+        events += merged.feed(one)
+    events += merged.finish()
+    return [event for event in events if isinstance(event, NavSample)], [event for event in events if isinstance(event, Notice)]
+
+
+def values(samples: Sequence[NavSample], field: str) -> list[float]:
+    return [value for value in (getattr(sample, field) for sample in samples) if not math.isnan(value)]
+
+
+def seconds(sample: NavSample) -> float:
+    return sample.time_s - T0.utc_ns * 1e-9
+
+
+def track(samples: Sequence[NavSample]) -> list[tuple[float, float, float]]:
+    """Seconds, east and north of every position."""
+    return [
+        (seconds(sample), *offset_m(HOME, (sample.latitude_deg, sample.longitude_deg)))
+        for sample in samples
+        if not math.isnan(sample.latitude_deg)
+    ]
+
+
+def survey(n_s: int, circle: bool = True) -> list[tuple[float, float, float, float]]:
+    """Seconds, east, north and heading at 10 Hz: 1.5 m/s, straight or on a circle of 40 m radius."""
+    poses = []
+    for step in range(n_s * 10):
+        t = step * 0.1
+        heading = (1.5 / 40.0 * t) % (2 * math.pi) if circle else 0.0
+        east, north = (40.0 * (1 - math.cos(1.5 / 40.0 * t)), 40.0 * math.sin(1.5 / 40.0 * t)) if circle else (0.0, 1.5 * t)
+        poses.append((t, east, north, heading))
+    return poses
+
+
+def dvl_and_compass(n_s: int, circle: bool = True) -> list[NavFix]:
+    return [fix("dvl", t, heading_rad=heading, speed_mps=1.5, drift_rad=0.0) for t, _, _, heading in survey(n_s, circle)]
+
+
+GPS = NavUnitSettings(delivers=("position",), surface_only=True)
+DVL = NavUnitSettings(delivers=("heading", "speed", "depth"))
+
+
+def test_readings_are_in_the_order_of_the_quantities() -> None:
+    assert Readings._fields == QUANTITIES
+
+
+def test_one_unit_goes_through_as_it_is() -> None:
+    fixes = [
+        fix("ins", t, **place(east, north), heading_rad=heading, pitch_rad=0.1, roll_rad=-0.1, depth_m=5.0, altitude_m=8.0, speed_mps=1.5)
+        for t, east, north, heading in survey(20)
+    ]
+    merged = merge(ins=NavUnitSettings())
+    samples, notices = run(merged, fixes)
+    assert notices == []
+    assert not merged.counters
+    assert [structs.astuple(sample)[1:] for sample in samples] == [
+        tuple(pytest.approx(getattr(one, name)) for name in NavSample.__struct_fields__[1:]) for one in fixes
+    ]
+    assert [seconds(sample) for sample in samples] == pytest.approx([t for t, *_ in survey(20)], abs=1e-5)
+    buffer = NavBuffer(NavigationConfig())
+    for sample in samples:
+        buffer.add(sample)
+    assert not buffer.counters
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("field", "offset_deg"), [("heading", 10.0), ("pitch", -3.0), ("roll", 180.0)])
+def test_signs_come_before_offsets(field: str, sign: int, offset_deg: float) -> None:
+    unit = NavUnitSettings(**{f"{field}_sign": sign, f"{field}_offset_deg": offset_deg})  # type: ignore[arg-type]  # by name
+    told = {"heading_rad": 0.3, "pitch_rad": 0.2, "roll_rad": 0.1}
+    [sample], _ = run(merge(u=unit), [fix("u", 0.0, **told)])
+    for name, value in told.items():
+        expected = sign * value + math.radians(offset_deg) if name == f"{field}_rad" else value
+        expected = expected % (2 * math.pi) if name == "heading_rad" else expected
+        assert getattr(sample, name) == pytest.approx(expected)
+
+
+def test_a_lever_arm_is_taken_off_with_heading_and_attitude() -> None:
+    heading, pitch, roll, arm = math.radians(120.0), math.radians(20.0), math.radians(-15.0), (2.0, -0.5, -1.0)
+    yaw_matrix = np.array([[math.cos(heading), -math.sin(heading), 0], [math.sin(heading), math.cos(heading), 0], [0, 0, 1]])
+    pitch_matrix = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
+    roll_matrix = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
+    north, east, down = yaw_matrix @ pitch_matrix @ roll_matrix @ np.array(arm)
+    assert arm_north_east_down(arm, heading, pitch, roll) == pytest.approx((north, east, down))
+    told = {"heading_rad": heading, "pitch_rad": pitch, "roll_rad": roll, "depth_m": 10.0, "altitude_m": 5.0, **place(0.0, 0.0)}
+    samples, _ = run(merge(u=NavUnitSettings(lever_arm_m=arm)), [fix("u", 0.0, **told)])
+    assert track(samples)[0][1:] == pytest.approx((-east, -north), abs=1e-6)
+    assert samples[0].depth_m == pytest.approx(10.0 - down)
+    assert samples[0].altitude_m == pytest.approx(5.0 + down)
+
+
+@given(st.floats(-85.0, 85.0), st.floats(-180.0, 180.0), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+def test_steps_on_the_ellipsoid_are_those_of_the_local_frame(
+    latitude_deg: float, longitude_deg: float, east_m: float, north_m: float
+) -> None:
+    there = moved(latitude_deg, longitude_deg, east_m, north_m)
+    east, north, _ = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg).to_enu(*there, 0.0)
+    assert (float(east), float(north)) == pytest.approx((east_m, north_m), abs=0.5)  # meridians converge towards the poles
+    assert offset_m((latitude_deg, longitude_deg), there) == pytest.approx((east_m, north_m), abs=1e-6)
+
+
+def test_impossible_values_are_refused_and_counted() -> None:
+    merged = merge(u=NavUnitSettings())
+    told = {"heading_rad": 9.0, "pitch_rad": 2.0, "roll_rad": 0.0, "depth_m": 1e6, "altitude_m": -1.0, "speed_mps": 99.0}
+    samples, _ = run(merged, [fix("u", 0.0, latitude_deg=0.0, longitude_deg=0.0, **told)])
+    assert samples == []
+    assert merged.counters == {f"nav.impossible.{quantity}.u": 1 for quantity in QUANTITIES}
+
+
+def test_only_what_a_unit_may_deliver_is_taken() -> None:
+    [sample], _ = run(merge(u=NavUnitSettings(delivers=("depth",))), [fix("u", 0.0, heading_rad=1.0, depth_m=3.0)])
+    assert sample.depth_m == 3.0
+    assert math.isnan(sample.heading_rad)
+
+
+def test_the_better_unit_serves_and_the_other_takes_over_when_it_is_silent() -> None:
+    good = [fix("good", t * 0.1, heading_rad=1.0) for t in range(300) if not 100 <= t < 150]
+    poor = [fix("poor", t * 0.1 + 0.01, heading_rad=1.02) for t in range(300)]
+    samples, notices = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
+    served = [(seconds(sample), sample.heading_rad) for sample in samples]
+    assert all(value == 1.0 for t, value in served if t < 9.95 or t > 20.0)
+    assert all(value == 1.02 for t, value in served if 11.45 < t < 19.9), "a good unit that is back has to stay for 5 s first"
+    assert [notice.code for notice in notices] == ["nav_source_changed"] * 2
+
+
+def test_a_loose_contact_does_not_make_units_alternate() -> None:
+    good = [fix("good", t * 0.1, heading_rad=1.0) for t in range(600) if t < 50 or t % 30 < 10]
+    poor = [fix("poor", t * 0.1 + 0.01, heading_rad=1.02) for t in range(600)]
+    _, notices = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
+    assert len(notices) == 1
+
+
+def test_a_lost_quantity_is_told_once_and_its_return_too() -> None:
+    merged = merge(u=NavUnitSettings())
+    events = [*merged.feed(fix("u", 0.0, depth_m=1.0))]
+    for t in range(1, 10):
+        events += merged.advance(at(float(t)))
+    assert merged.health()["depth"].serving is None
+    assert merged.health()["depth"].age_s == {"u": pytest.approx(9.0)}
+    events += merged.feed(fix("u", 10.0, depth_m=1.0))
+    assert [event.code for event in events if isinstance(event, Notice)] == ["nav_quantity_lost", "nav_quantity_back"]
+    assert merged.health()["depth"].serving == "u"
+
+
+def test_a_unit_that_hangs_on_one_instant_is_not_repeated_and_goes_stale() -> None:
+    fixes = [fix("u", t * 0.1, time_utc_s=1e9 + min(t, 20) * 0.1, depth_m=5.0) for t in range(100)]
+    merged = merge(u=NavUnitSettings())
+    samples, notices = run(merged, fixes)
+    assert len(samples) == 21
+    assert merged.counters["nav.same_instant.depth.u"] == 79
+    assert [notice.code for notice in notices] == ["nav_quantity_lost"]
+
+
+def test_two_sentences_of_one_epoch_are_one_position_and_no_frozen_one() -> None:
+    fixes = []
+    for t, east, north, _ in survey(60, circle=False)[::10]:
+        fixes += [
+            fix("gps", t + 0.2, time_utc_s=1e9 + t, **place(east, north)),
+            fix("gps", t + 0.25, time_utc_s=1e9 + t, **place(east, north)),
+        ]
+    merged = merge(gps=GPS, dvl=DVL)
+    samples, notices = run(merged, fixes + dvl_and_compass(60, circle=False))
+    assert len(track(samples)) == 60
+    assert notices == []
+
+
+@pytest.mark.parametrize("circle", [False, True])
+def test_a_receiver_that_freezes_under_water_is_found_out_and_the_way_is_reckoned(circle: bool) -> None:
+    poses = survey(120, circle)
+    gps = [fix("gps", t + 0.05, **place(*((east, north) if t < 30.0 else poses[300][1:3]))) for t, east, north, _ in poses[::10]]
+    merged = merge(gps=GPS, dvl=DVL)
+    samples, notices = run(merged, gps + dvl_and_compass(120, circle))
+    assert merged.counters["nav.gnss_frozen.gps"] > 60
+    assert notices[0].code == "nav_dead_reckoning"
+    assert "gps: frozen" in notices[0].text
+    truth = {round(t, 1): (east, north) for t, east, north, _ in poses}
+    found = track(samples)
+    late = [(t, math.dist((east, north), truth[round(t, 1)])) for t, east, north in found if t > 35.0]
+    assert len(late) > 500
+    # What was believed until it was found out stays as error: not more than the 4 m of way that it takes, and one fix.
+    assert max(error for _, error in late) < 7.0
+    assert merged.position_sigma_m > 3.0
+
+
+def test_a_diving_receiver_is_refused_at_once_by_depth_and_needs_three_good_fixes_afterwards() -> None:
+    poses = survey(90, circle=False)
+    gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in poses[::10]]
+    depth = [fix("dvl", t, depth_m=3.0 if 30.0 <= t < 60.0 else 0.2) for t, *_ in poses]
+    merged = merge(gps=GPS, dvl=DVL)
+    samples, notices = run(merged, gps + depth + [structs.replace(one, source="dvl") for one in dvl_and_compass(90, circle=False)])
+    assert merged.counters["nav.gnss_submerged.gps"] == 30
+    assert merged.counters["nav.gnss_recovering.gps"] == 2
+    assert [notice.code for notice in notices] == ["nav_dead_reckoning", "nav_position_back"]
+    truth = {round(t, 1): north for t, _, north, _ in poses}
+    assert max(abs(north - truth[round(t, 1)]) for t, _, north in track(samples) if round(t, 1) in truth) < 0.3
+
+
+def test_a_receiver_that_runs_straight_on_while_the_vehicle_turns_is_found_out() -> None:
+    poses = survey(120)
+    gps = [
+        fix(
+            "gps",
+            t + 0.05,
+            **place(*((east, north) if t < 30.0 else (poses[300][1] + 1.35 * (t - 30.0), poses[300][2] + 0.65 * (t - 30.0)))),
+        )
+        for t, east, north, _ in poses[::10]
+    ]
+    merged = merge(gps=GPS, dvl=DVL)
+    _, notices = run(merged, gps + dvl_and_compass(120))
+    assert merged.counters["nav.gnss_not_the_way_made.gps"] > 30
+    assert notices[0].code == "nav_dead_reckoning"
+
+
+def test_a_good_receiver_with_noise_is_believed_throughout() -> None:
+    random = np.random.Generator(np.random.PCG64(5))
+    gps = [
+        fix("gps", t + 0.05, **place(east + 2.0 * random.standard_normal(), north + 2.0 * random.standard_normal()))
+        for t, east, north, _ in survey(300)[::10]
+    ]
+    merged = merge(gps=GPS, dvl=DVL)
+    _, notices = run(merged, gps + dvl_and_compass(300))
+    assert notices == []
+    assert not merged.counters
+
+
+def test_a_receiver_on_a_vehicle_that_lies_still_may_repeat_itself() -> None:
+    still = [fix("dvl", t * 0.1, heading_rad=1.0, speed_mps=0.01) for t in range(1200)]
+    merged = merge(gps=GPS, dvl=DVL)
+    _, notices = run(merged, [fix("gps", float(t), **place(0.0, 0.0)) for t in range(120)] + still)
+    assert notices == []
+    assert not merged.counters
+
+
+def test_speed_of_a_submerged_receiver_is_not_believed_either() -> None:
+    merged = merge(gps=NavUnitSettings(surface_only=True), depth=NavUnitSettings())
+    merged.feed(fix("depth", 0.0, depth_m=4.0))
+    samples, _ = run(merged, [fix("gps", 0.5, speed_mps=3.0, **place(0.0, 0.0))])
+    assert values(samples, "speed_mps") == []
+
+
+def test_a_single_leap_is_dropped_and_a_new_place_is_believed_the_third_time() -> None:
+    positions = [(0.0, 1.5 * t) for t in range(40)]
+    positions[10] = (500.0, 0.0)
+    positions[30:] = [(300.0, north) for _, north in positions[30:]]
+    merged = merge(ins=NavUnitSettings())
+    samples, notices = run(merged, [fix("ins", float(t), **place(*position)) for t, position in enumerate(positions)])
+    assert merged.counters == {"nav.jump.ins": 4, "nav.refix.ins": 1}
+    east = [round(east) for _, east, _ in track(samples)]
+    assert east == [0] * 29 + [300] * 8
+    assert "nav_position_jump" in [notice.code for notice in notices]
+
+
+def test_the_sigma_of_reckoned_positions_grows_and_steps_are_told() -> None:
+    merged = merge(gps=GPS, dvl=NavUnitSettings(delivers=("heading", "speed"), heading_sigma_deg=5.0))
+    merged.feed(fix("gps", 0.0, position_sigma_m=1.0, **place(0.0, 0.0)))
+    sigma, notices = [], []
+    for one in dvl_and_compass(600, circle=False):
+        notices += [event for event in merged.feed(one) if isinstance(event, Notice)]
+        sigma.append(merged.position_sigma_m)
+    assert all(b >= a for a, b in pairwise(sigma))
+    assert sigma[-1] == pytest.approx(math.sqrt(1.0 + (math.radians(5.0) * 900.0) ** 2 + (0.05 * 600.0) ** 2), rel=0.01)
+    assert [notice.code for notice in notices] == ["nav_dead_reckoning"] * 4, "at once, then at 10, 20 and 50 m"
+
+
+@pytest.mark.parametrize("silent", ["heading_rad", "speed_mps"])
+def test_without_heading_or_speed_no_position_is_made_up(silent: str) -> None:
+    fixes = [fix("gps", float(t), **place(0.0, 1.5 * t)) for t in range(10)]
+    fixes += [
+        structs.replace(one, **{silent: math.nan}) if one.received.mono_ns > at(15.0).mono_ns else one
+        for one in dvl_and_compass(60, circle=False)
+    ]
+    samples, notices = run(merge(gps=GPS, dvl=DVL), fixes)
+    assert max(t for t, _, _ in track(samples)) < 17.0
+    assert {"nav_dead_reckoning", "nav_quantity_lost", "nav_position_lost"} == {notice.code for notice in notices}
+
+
+def test_silence_of_everything_is_told_by_time_alone() -> None:
+    merged = merge(ins=NavUnitSettings())
+    merged.feed(fix("ins", 0.0, **place(0.0, 0.0)))
+    events = [event for t in range(1, 20) for event in merged.advance(at(float(t)))]
+    assert [event.code for event in events if isinstance(event, Notice)] == ["nav_position_lost"]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "one", "other"),
+    [
+        ("heading", {"heading_rad": 0.02}, {"heading_rad": 6.0}),
+        ("attitude", {"pitch_rad": 0.1, "roll_rad": 0.3}, {"pitch_rad": 0.1, "roll_rad": -0.3}),
+        ("depth", {"depth_m": 10.0}, {"depth_m": 25.0}),
+        ("speed", {"speed_mps": 1.5}, {"speed_mps": 2.5}),
+        ("position", place(0.0, 0.0), place(60.0, 0.0)),
+    ],
+)
+def test_units_that_disagree_are_told_once(quantity: Quantity, one: dict[str, float], other: dict[str, float]) -> None:
+    merged = merge(a=NavUnitSettings(priority=1), b=NavUnitSettings(priority=2))
+    fixes = [fix("a", t * 0.1, **one) for t in range(50)] + [fix("b", t * 0.1 + 0.01, **other) for t in range(50)]
+    _, notices = run(merged, fixes)
+    assert [notice.code for notice in notices] == ["nav_disagreement"]
+    assert "'a'" in notices[0].text
+    assert "'b'" in notices[0].text
+    assert merged.counters[f"nav.disagree.{quantity}.b"] == 50
+
+
+def test_units_that_agree_within_their_errors_are_not_told() -> None:
+    merged = merge(a=NavUnitSettings(priority=1), b=NavUnitSettings(priority=2))
+    fixes = [fix("a", t * 0.1, heading_rad=6.27, depth_m=10.0, **place(0.0, 0.0)) for t in range(50)]
+    fixes += [fix("b", t * 0.1 + 0.01, heading_rad=0.02, depth_m=10.5, **place(4.0, 4.0)) for t in range(50)]
+    _, notices = run(merged, fixes)
+    assert notices == []
+    assert not merged.counters
+
+
+def test_slow_units_are_stamped_when_they_measured_and_come_in_the_order_of_time() -> None:
+    fixes = [fix("fast", t * 0.1, heading_rad=1.0) for t in range(100)] + [fix("slow", t * 0.2 + 0.31, depth_m=5.0) for t in range(50)]
+    samples, _ = run(merge(fast=NavUnitSettings(), slow=NavUnitSettings(latency_s=0.3)), fixes)
+    times = [seconds(sample) for sample in samples]
+    assert times == sorted(times)
+    assert len(samples) == 150
+    assert [t for t, sample in zip(times, samples, strict=True) if sample.depth_m == 5.0] == pytest.approx(
+        [t * 0.2 + 0.01 for t in range(50)], abs=1e-5
+    )
+
+
+def test_the_time_on_a_serial_wire_is_taken_off() -> None:
+    unit = NavUnitSettings(baud=4800)
+    [sample], _ = run(merge(u=unit), [structs.replace(fix("u", 1.0, heading_rad=1.0, age_s=0.05), n_bytes=48)])
+    assert seconds(sample) == pytest.approx(1.0 - 0.1 - 0.05, abs=1e-5)
+
+
+def test_the_units_clock_takes_the_links_delays_off() -> None:
+    random = np.random.Generator(np.random.PCG64(9))
+    delays = random.exponential(0.03, 400)
+    fixes = [fix("ins", t * 0.1 + float(delays[t]), time_utc_s=5e8 + t * 0.1, heading_rad=1.0) for t in range(400)]
+    samples, _ = run(merge(ins=NavUnitSettings(use_unit_time=True)), fixes)
+    errors = [seconds(sample) - t * 0.1 for t, sample in enumerate(samples)]
+    assert max(map(abs, errors[20:])) < 0.02
+    assert np.std(delays) > 0.02
+
+
+def test_a_units_clock_that_is_set_begins_anew_in_both_directions() -> None:
+    for step_s in (-3600.0, 3600.0):
+        clock = UnitClock()
+        delays = [clock.delay_ns(1e9 + t + (step_s if t >= 50 else 0.0), round(t * 1e9 + 5e6 * (t % 3))) for t in range(100)]
+        assert max(delays) <= 20_000_000
+        assert clock.n_resets == (step_s < 0.0)
+
+
+def test_units_of_one_bus_share_its_settings_unless_they_have_their_own() -> None:
+    settings = NavMergeSettings(units={"can": NavUnitSettings(priority=2), "can.35": NavUnitSettings(priority=7)})
+    assert [settings.unit(name).priority for name in ("can.3", "can.35")] == [2, 7]  # type: ignore[union-attr]  # they are there
+    assert settings.unit("other.35") is None
+
+
+def test_units_without_settings_are_told_once_and_not_used() -> None:
+    merged = merge(u=NavUnitSettings())
+    samples, notices = run(merged, [fix(f"x.{t % 100}", t * 0.1, heading_rad=1.0) for t in range(500)])
+    assert samples == []
+    assert len(notices) == 32, "of the first ones, and no more"
+    assert merged.counters["nav.unknown_source"] == 500
+
+
+ANY_NUMBER = st.one_of(st.floats(-7.0, 7.0), st.floats(allow_nan=False))
+ANY_FIX = st.builds(
+    lambda source, received, utc_s, told: NavFix(source=source, received=received, time_utc_s=utc_s, **told),
+    st.sampled_from(["gps", "dvl", "ins", "who"]),
+    st.builds(Stamp, st.integers(0, 10**11), st.integers(0, 2 * 10**18)),
+    st.one_of(st.none(), st.floats(0, 2e9)),
+    st.dictionaries(st.sampled_from(NavFix.__struct_fields__[7:]), ANY_NUMBER, max_size=6),
+)
+UNITS = {
+    "gps": NavUnitSettings(surface_only=True, priority=2),
+    "dvl": NavUnitSettings(latency_s=0.2, lever_arm_m=(1, 0, 0.5)),
+    "ins": NavUnitSettings(use_unit_time=True),
+}
+
+
+@given(st.lists(ANY_FIX, max_size=40))
+def test_no_fixes_raise_and_nothing_comes_out_that_is_not_a_number(fixes: list[NavFix]) -> None:
+    merged = NavMerge(NavMergeSettings(units=UNITS))
+    events = [event for one in fixes for event in merged.feed(one)] + merged.finish()
+    for event in events:
+        if isinstance(event, NavSample):
+            assert not any(math.isinf(value) for value in structs.astuple(event))
+
+
+@given(st.data())
+def test_asking_for_the_time_between_fixes_changes_no_sample(data: st.DataObject) -> None:
+    fixes = dvl_and_compass(8) + [fix("gps", t + 0.05, **place(0.0, 1.5 * t)) for t in range(4)]
+    fixes.sort(key=lambda one: one.received.mono_ns)
+    silent = data.draw(st.sets(st.integers(0, len(fixes) - 1), max_size=60))
+    fixes = [one for i, one in enumerate(fixes) if i not in silent]
+    plain, _ = run(merge(gps=GPS, dvl=DVL), fixes)
+    merged = merge(gps=GPS, dvl=DVL)
+    events: list[Event] = []
+    for one in fixes:
+        before = one.received.mono_ns - T0.mono_ns - data.draw(st.integers(0, 40_000_000))
+        events += merged.advance(at(before * 1e-9))
+        events += merged.feed(one)
+    events += merged.finish()
+    assert [event for event in events if isinstance(event, NavSample)] == plain
