@@ -177,6 +177,9 @@ class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 Detector: TypeAlias = Literal["cascade", "contrast"]
 """What proposes places to look at: the trained cascade, or contrasts of highlight and shadow alone."""
 
+CONTRAST_SHARE: Final = 0.4
+"""What one deviation of contrast is worth in units of the cascade's score, as the odds fitted to both have it."""
+
 LookStep: TypeAlias = Literal["detector", "contours", "shape"]
 
 
@@ -227,8 +230,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def strength(self) -> float:
-        """What the detector that served ranks its detections by."""
-        return self.score if math.isnan(self.cascade_score) else self.cascade_score
+        """What the detector that served ranks its detections by: contrast alone, or the cascade's score and contrast together."""
+        return self.score if math.isnan(self.cascade_score) else self.cascade_score + CONTRAST_SHARE * self.score
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -15,12 +15,13 @@ from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
 from auv_mcm.detect.cascade.peaks import apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
 from auv_mcm.detect.prescreen import Floor, Peak, ScoreMaps, find_peaks, score_tile
-from auv_mcm.records import NAN, Tile
+from auv_mcm.records import CONTRAST_SHARE, NAN, Tile
 
 STEP_M: Final = 0.4
 """Peaks closer than this, along and across the track, are one candidate."""
 
 _KEPT_PER_CANDIDATE, _KEPT_AT_LEAST = 4, 64  # windows apart that are told from each other at most: some stand in the margin
+_FAINTEST: Final = -5.0  # where contrast says nothing, as beside what is masked
 _AROUND_PX: Final = (1, 2)  # rows and columns that a peak of contrast may be off the window that the cascade likes best
 
 
@@ -63,36 +64,35 @@ def by_both(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluatio
     maps = score_tile(tile)
     peaks = find_peaks(tile, maps, config.p_false_alarm, STEP_M)
     plane = core_plane(tile)
-    peak_scores, n_spent = _scores_of(plane, model, peaks[: config.max_candidates_per_tile], max_evaluations)
+    peak_scores, n_spent = _scores_of(plane, model, peaks, config.max_candidates_per_tile, max_evaluations)
     passed = run_plane(plane, model, None if max_evaluations is None else max_evaluations - n_spent)
     most = config.max_candidates_per_tile
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
     best = apart(passed.rows, passed.columns, passed.scores, half_rows, half_columns, _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST)
-    best = best[(passed.rows[best] >= tile.core_start) & (passed.rows[best] < tile.core_stop)]
-    rows, columns, scores = passed.rows[best], passed.columns[best], passed.scores[best]
-    own = [
-        k
-        for k, peak in enumerate(peaks)
-        if not bool(((np.abs(rows - peak.row) <= half_rows) & (np.abs(columns - peak.column) <= half_columns)).any())
-    ]
-    places = [*zip(rows.tolist(), columns.tolist(), scores.tolist(), strict=True)]
-    places += [(peaks[k].row, peaks[k].column, int(peak_scores[k])) for k in own if k < most]
-    n_unscored = sum(k >= most for k in own)
-    places.sort(key=lambda place: (-place[2], place[0], place[1]))
-    odds = model.calibration.log_odds_of(np.array([score for _, _, score in places], dtype=np.int32)).tolist()
+    windows = [_clearest(maps, int(passed.rows[k]), int(passed.columns[k]), half_rows, half_columns) for k in best]
+    cascade_scores = np.concatenate((passed.scores[best], peak_scores)) / SCORE_UNIT
+    places = [*windows, *peaks]
+    rows, columns = (np.array([place[k] for place in places], dtype=np.int64) for k in (1, 2))
+    strength = cascade_scores + CONTRAST_SHARE * np.array([max(place.score, _FAINTEST) for place in places])
+    kept = apart(rows, columns, strength, half_rows, half_columns, len(places))
+    kept = kept[(rows[kept] >= tile.core_start) & (rows[kept] < tile.core_stop)]
+    taken = kept[:most]
+    odds = model.calibration.log_odds_of(np.rint(cascade_scores[taken] * SCORE_UNIT).astype(np.int64)).tolist()
     candidates = [
-        Candidate(Peak(_highest(maps, row, column, half_rows, half_columns), row, column), maps.floor(row, column), odd, score / SCORE_UNIT)
-        for (row, column, score), odd in zip(places[:most], odds[:most], strict=True)
+        Candidate(places[k], maps.floor(places[k].row, places[k].column), odd, float(cascade_scores[k]))
+        for k, odd in zip(taken, odds, strict=True)
     ]
-    return Found(candidates, len(places) - len(candidates) + n_unscored, passed.n_windows, passed.n_evaluations + n_spent, passed.n_cut)
+    return Found(candidates, len(kept) - len(taken), passed.n_windows, passed.n_evaluations + n_spent, passed.n_cut)
 
 
 def _scores_of(plane: Plane, model: CascadeModel, peaks: Sequence[Peak], max_evaluations: int | None) -> tuple[NDArray[np.int32], int]:
     """The cascade's score of each peak's best window within AROUND_PX, whatever it rejects, (n_peaks,) int32, and what that took in
-    evaluations. Peaks beyond the budget get the score of the calibration's lowest odds."""
+    evaluations. Peaks beyond the budget, or the first `most`, get the score of the calibration's lowest odds."""
     offsets = [(row, column) for row in range(-_AROUND_PX[0], _AROUND_PX[0] + 1) for column in range(-_AROUND_PX[1], _AROUND_PX[1] + 1)]
     each = len(offsets) * model.n_stumps
-    n_scored = len(peaks) if max_evaluations is None else min(len(peaks), max_evaluations // each)
+    n_scored = min(len(peaks), most)
+    if max_evaluations is not None:
+        n_scored = min(n_scored, max_evaluations // each)
     scores = np.full(len(peaks), model.calibration.score[0], dtype=np.int32)
     if n_scored:
         around = np.array(offsets)
@@ -103,8 +103,10 @@ def _scores_of(plane: Plane, model: CascadeModel, peaks: Sequence[Peak], max_eva
     return scores, n_scored * each
 
 
-def _highest(maps: ScoreMaps, row: int, column: int, half_rows: float, half_columns: float) -> float:
-    """The best score of contrasts around a pixel."""
-    rows = slice(max(row - int(half_rows), 0), row + int(half_rows) + 1)
-    columns = slice(max(column - int(half_columns), 0), column + int(half_columns) + 1)
-    return float(maps.score[rows, columns].max())
+def _clearest(maps: ScoreMaps, row: int, column: int, half_rows: float, half_columns: float) -> Peak:
+    """The pixel around (row, column) where contrast is clearest: a window that a cascade likes need not stand on the highlight's middle."""
+    top, left = max(row - int(half_rows), 0), max(column - int(half_columns), 0)
+    near = maps.score[top : row + int(half_rows) + 1, left : column + int(half_columns) + 1]
+    down, right = np.unravel_index(int(near.argmax()), near.shape)
+    score = float(near[down, right])
+    return Peak(score, top + int(down), left + int(right)) if score > _FAINTEST else Peak(_FAINTEST, row, column)

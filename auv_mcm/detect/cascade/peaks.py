@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 def apart(
     rows: NDArray[np.integer],
     columns: NDArray[np.integer],
-    scores: NDArray[np.integer],
+    scores: NDArray[np.number],
     half_rows: float,
     half_columns: float,
     most: int,
@@ -18,7 +18,7 @@ def apart(
 
     Of equal scores the first is better. More windows never lose one: it stays, or a better one within reach takes its place.
     """
-    left = np.argsort(-scores.astype(np.int64), kind="stable")
+    left = np.argsort(-scores.astype(np.float64), kind="stable")
     kept: list[int] = []
     while left.size and len(kept) < most:
         best = int(left[0])

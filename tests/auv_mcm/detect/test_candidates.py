@@ -18,7 +18,7 @@ from auv_mcm.detect.cascade.peaks import apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
 from auv_mcm.detect.prescreen import score_tile
 from auv_mcm.detect.stage import detect_tile
-from auv_mcm.records import Tile
+from auv_mcm.records import CONTRAST_SHARE, Tile
 
 PLACES = [(40, 120), (90, 200), (140, 150)]
 CONFIG = Config()
@@ -74,8 +74,8 @@ def test_a_budget_is_kept_and_what_it_cut_is_counted() -> None:
 def test_detections_carry_the_cascades_score_and_rank_by_it() -> None:
     result = detect_tile(scene(), CONFIG, MODEL)
     assert len(result.detections) >= len(PLACES)
-    assert all(detection.strength == detection.cascade_score for detection in result.detections)
-    assert [d.cascade_score for d in result.detections] == sorted((d.cascade_score for d in result.detections), reverse=True)
+    assert all(detection.strength == detection.cascade_score + CONTRAST_SHARE * detection.score for detection in result.detections)
+    assert [d.strength for d in result.detections] == sorted((d.strength for d in result.detections), reverse=True)
     alone = detect_tile(scene(), CONFIG)
     assert all(math.isnan(detection.cascade_score) and detection.strength == detection.score for detection in alone.detections)
 
