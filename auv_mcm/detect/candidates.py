@@ -85,7 +85,9 @@ def by_both(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluatio
     return Found(candidates, len(kept) - len(taken), passed.n_windows, passed.n_evaluations + n_spent, passed.n_cut)
 
 
-def _scores_of(plane: Plane, model: CascadeModel, peaks: Sequence[Peak], max_evaluations: int | None) -> tuple[NDArray[np.int32], int]:
+def _scores_of(
+    plane: Plane, model: CascadeModel, peaks: Sequence[Peak], most: int, max_evaluations: int | None
+) -> tuple[NDArray[np.int32], int]:
     """The cascade's score of each peak's best window within AROUND_PX, whatever it rejects, (n_peaks,) int32, and what that took in
     evaluations. Peaks beyond the budget, or the first `most`, get the score of the calibration's lowest odds."""
     offsets = [(row, column) for row in range(-_AROUND_PX[0], _AROUND_PX[0] + 1) for column in range(-_AROUND_PX[1], _AROUND_PX[1] + 1)]
