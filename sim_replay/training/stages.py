@@ -15,7 +15,7 @@ from sim_replay.training.boost import Bins, BoostedStump, ada_stumps
 
 DETECTION: Final = 0.99
 FALSE_ALARMS: Final = 0.5
-_MOST_STUMPS: Final = 60
+_MOST_STUMPS: Final = 200
 
 
 class Stage(NamedTuple):

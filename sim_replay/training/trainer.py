@@ -24,7 +24,7 @@ from sim_replay.training.bootstrap import Errand, glean
 from sim_replay.training.farm import Farm, run_tasks
 from sim_replay.training.pool import Pool, bin_edges, feature_pool, model_stump, quantise
 from sim_replay.training.soft import group_sizes, reject_thresholds
-from sim_replay.training.stages import Samples, train_stage
+from sim_replay.training.stages import FALSE_ALARMS, Samples, train_stage
 from sim_replay.training.store import Manifest, Shard, read_manifest
 from sim_replay.training.tiles import Split
 from sim_replay.training.validation import Inspection, Passed, Sighting, calibrate, expected_pd, passed, passes, sightings
@@ -153,13 +153,16 @@ def _stages(tiles: _Tiles, pool: Pool, say: Say) -> CascadeModel:
             say(f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from")
             break
         stage = train_stage(learned, judged, _rng(number))
-        groups.append(_model_group(pool, edges, stage.stumps))
-        reject.append(stage.reject)
-        model = _model(tiles, "stages", groups, reject, lesson, n_seen)
         say(
             f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and {stage.false_alarms:.4f} of "
             f"{lesson.others.shape[1]} others pass"
         )
+        if model is not None and stage.false_alarms > FALSE_ALARMS:
+            say(f"stage {number + 1} misses its goal and is left out: it would cost as many targets as one that meets it")
+            break
+        groups.append(_model_group(pool, edges, stage.stumps))
+        reject.append(stage.reject)
+        model = _model(tiles, "stages", groups, reject, lesson, n_seen)
     if model is None:
         raise UsageError(f"{tiles.folder}: too few tiles for a first stage. Render a set with at least {_JUDGES} missions to train on")
     return model
