@@ -167,8 +167,9 @@ class SessionRecorder:
             self._queue, self._queued_bytes = [], 0
             self._counters["session.chunks_lost"] += len(given_up)
             self._counters["session.bytes_lost"] += sum(len(chunk.data) for chunk in given_up)
+            why = (error.strerror if isinstance(error, OSError) else None) or error
             text = (
-                f"recording into {self._place} has stopped: {error}. The mission goes on without it; what was recorded before can be read. "
+                f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded before can be read. "
                 "Free disk space or check the disk, then start again."
             )
             self._tell(Notice(code="session_stopped", text=text, place=self._place))

@@ -179,4 +179,4 @@ class SessionWriter:
     def _refuse_full_disk(self) -> None:
         free = self._free_bytes(self._folder)
         if free < self._reserve_bytes + self._pending_bytes:
-            raise OSError(errno.ENOSPC, f"{free / 1e6:.0f} MB are free, of which {self._reserve_bytes / 1e6:.0f} MB are kept for others")
+            raise OSError(errno.ENOSPC, f"only {free / 1e6:.1f} MB are free, {self._reserve_bytes / 1e6:.1f} MB are kept for others")
