@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from msgspec import structs
 
 from auv_mcm.records import NAN, NavSample, Notice
+from drivers.clocks import DeviceClock, wire_delay_s
 from drivers.navigation.corrections import (
     Attitude,
     Heading,
@@ -30,7 +31,6 @@ from drivers.navigation.health import Fallback, UnitHealth
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
 from drivers.navigation.seam import QUANTITIES, NavFix, Quantity
 from drivers.navigation.settings import NavMergeSettings, NavUnitSettings
-from drivers.navigation.unit_clock import UnitClock
 from drivers.stamps import Stamp
 
 Event: TypeAlias = NavSample | Notice
@@ -89,7 +89,7 @@ class NavMerge:
     """Several units' fixes to one stream of samples.
 
     `counters`, by quantity and source: nav.impossible.*, .same_instant.*, .jump.*, .refix.*, .gnss_<doubt>.*, .disagree.*; by source:
-    nav.not_valid.*, .clock_reset.*; nav.unknown_source, .too_late, .lever_arm_unknown, .reckoned.
+    nav.not_valid.*, .clock_anchored_anew.*; nav.unknown_source, .too_late, .lever_arm_unknown, .reckoned.
     """
 
     def __init__(self, settings: NavMergeSettings) -> None:
@@ -98,7 +98,7 @@ class NavMerge:
         self._settings = settings
         self._channels: dict[tuple[Quantity, str], _Channel] = {}
         self._fallbacks = {quantity: Fallback(settings.recover_s) for quantity in QUANTITIES}
-        self._clocks: dict[str, UnitClock] = {}
+        self._clocks: dict[str, DeviceClock] = {}
         self._unknown: set[str] = set()
         self._reckoner = Reckoner()
         self._lost: set[Quantity] = set()
@@ -122,7 +122,7 @@ class NavMerge:
             return events + self._unknown_source(fix.source)
         if not fix.valid:
             self.counters[f"nav.not_valid.{fix.source}"] += 1
-        age_s = self._age_s(fix, unit)
+        age_s = self._age_s(fix, unit, events)
         time_s = fix.received.mono_ns * 1e-9 - age_s
         utc_s = fix.received.utc_ns * 1e-9 - age_s
         readings, impossible = readings_of(fix, unit)
@@ -200,17 +200,19 @@ class NavMerge:
         text = f"navigation unit '{source}' is heard, but has no settings: its data is not used. Give it some, or ignore this."
         return [Notice(code="nav_unit_unknown", text=text)]
 
-    def _age_s(self, fix: NavFix, unit: NavUnitSettings) -> float:
+    def _age_s(self, fix: NavFix, unit: NavUnitSettings, events: list[Event]) -> float:
         """How old the measurement was when it arrived."""
-        wire_s = 0.0 if unit.baud is None else fix.n_bytes * 10.0 / unit.baud
+        delay_s = unit.latency_s + wire_delay_s(fix.n_bytes, unit.baud)
         if not unit.use_unit_time or fix.time_utc_s is None:
-            return unit.latency_s + fix.age_s + wire_s
-        clock = self._clocks.setdefault(fix.source, UnitClock())
-        n_resets = clock.n_resets
-        late_s = clock.delay_ns(fix.time_utc_s, fix.received.mono_ns) * 1e-9
-        if clock.n_resets > n_resets:
-            self.counters[f"nav.clock_reset.{fix.source}"] += 1
-        return unit.latency_s + late_s
+            return delay_s + fix.age_s
+        clock = self._clocks.get(fix.source)
+        if clock is None:
+            clock = self._clocks[fix.source] = DeviceClock(f"navigation unit '{fix.source}'")
+        told = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s)
+        if told.notice is not None:
+            self.counters[f"nav.clock_anchored_anew.{fix.source}"] += 1
+            events.append(told.notice)
+        return (fix.received.mono_ns - told.mono_ns) * 1e-9
 
     def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> _Channel:
         channel = self._channels.get((quantity, source))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, Literal, TypeAlias, get_args
+from collections import Counter
+from typing import Final, Literal, Protocol, TypeAlias, get_args
 
 import msgspec
 
@@ -48,3 +49,18 @@ class NavFix(msgspec.Struct, frozen=True, kw_only=True):
     attitude_sigma_rad: float = NAN
     depth_sigma_m: float = NAN
     speed_sigma_mps: float = NAN
+
+
+class NavDecoder(Protocol):
+    """Bytes of one link to fixes. Never raises, whatever the bytes; `counters` tell what was refused, by dotted name."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
+        """What a chunk completes, in order. stamp: when its last byte was read."""
+        ...
+
+    def finish(self) -> list[NavFix]:
+        """What waits for more, at the end of a log or link."""
+        ...

@@ -22,7 +22,6 @@ from drivers.navigation.corrections import Readings, arm_north_east_down, moved,
 from drivers.navigation.merge import Event, NavMerge
 from drivers.navigation.seam import QUANTITIES, NavFix, Quantity
 from drivers.navigation.settings import NavMergeSettings, NavUnitSettings
-from drivers.navigation.unit_clock import UnitClock
 from drivers.stamps import Stamp
 
 HOME = (54.0, 10.0)
@@ -376,20 +375,23 @@ def test_the_time_on_a_serial_wire_is_taken_off() -> None:
 
 def test_the_units_clock_takes_the_links_delays_off() -> None:
     random = np.random.Generator(np.random.PCG64(9))
-    delays = random.exponential(0.03, 400)
-    fixes = [fix("ins", t * 0.1 + float(delays[t]), time_utc_s=5e8 + t * 0.1, heading_rad=1.0) for t in range(400)]
+    sent_s = np.arange(400) * 0.1
+    arrived_s = np.maximum.accumulate(sent_s + random.exponential(0.03, 400))  # a link keeps the order
+    fixes = [
+        fix("ins", float(arrived), time_utc_s=5e8 + float(sent), heading_rad=1.0) for sent, arrived in zip(sent_s, arrived_s, strict=True)
+    ]
     samples, _ = run(merge(ins=NavUnitSettings(use_unit_time=True)), fixes)
     errors = [seconds(sample) - t * 0.1 for t, sample in enumerate(samples)]
     assert max(map(abs, errors[20:])) < 0.02
-    assert np.std(delays) > 0.02
+    assert np.std(arrived_s - sent_s) > 0.02
 
 
-def test_a_units_clock_that_is_set_begins_anew_in_both_directions() -> None:
-    for step_s in (-3600.0, 3600.0):
-        clock = UnitClock()
-        delays = [clock.delay_ns(1e9 + t + (step_s if t >= 50 else 0.0), round(t * 1e9 + 5e6 * (t % 3))) for t in range(100)]
-        assert max(delays) <= 20_000_000
-        assert clock.n_resets == (step_s < 0.0)
+def test_a_units_clock_that_is_set_is_told_and_moves_no_sample() -> None:
+    fixes = [fix("ins", t * 0.1, time_utc_s=5e8 + t * 0.1 + (3600.0 if t >= 100 else 0.0), heading_rad=1.0) for t in range(200)]
+    merged = merge(ins=NavUnitSettings(use_unit_time=True))
+    samples, notices = run(merged, fixes)
+    assert [seconds(sample) for sample in samples] == pytest.approx([t * 0.1 for t in range(200)], abs=0.01)
+    assert [notice.code for notice in notices] == ["device_clock_anchored_anew"]
 
 
 def test_units_of_one_bus_share_its_settings_unless_they_have_their_own() -> None:
