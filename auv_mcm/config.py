@@ -15,9 +15,8 @@ import yaml
 from msgspec import Meta, inspect
 
 from auv_mcm.errors import UsageError
+from auv_mcm.port_config import ArmLength, PortConfig, check_together
 from auv_mcm.strict_yaml import keyed, load_mapping
-
-ArmLength = Annotated[float, Meta(ge=-100.0, le=100.0)]
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,6 +73,15 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of heading, degrees")] = 1.0
     pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of pitch, degrees")] = 0.5
     sound_speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=50.0, description="1-sigma of sound speed, m/s")] = 5.0
+    max_speed_mps: Annotated[
+        float, Meta(gt=0.0, le=30.0, description="ports only: no position is believed that needs more than this, m/s")
+    ] = 6.0
+    recover_s: Annotated[
+        float, Meta(ge=0.0, le=600.0, description="ports only: a better unit serves again after being healthy this long, s")
+    ] = 5.0
+    surface_depth_m: Annotated[
+        float, Meta(gt=0.0, le=20.0, description="ports only: deeper than this no satellite receiver is believed, m")
+    ] = 1.0
 
 
 class WaterfallConfig(_Section, frozen=True, kw_only=True):
@@ -178,7 +186,8 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
 
     queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="pings waiting for perception at most")] = 512
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
-    source: Annotated[str, Meta(description="where pings come from, e.g. replay:///data/mission.xtf?speed=1")] = ""
+    source: Annotated[str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")] = ""
+    record: Annotated[bool, Meta(description="ports only: record every byte, both ways, beside the results, to be replayed")] = True
     output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = "auv-mcm-out"
 
 
@@ -194,6 +203,10 @@ class Config(_Section, frozen=True, kw_only=True):
     contacts: ContactsConfig = ContactsConfig()
     plan: PlanConfig = PlanConfig()
     service: ServiceConfig = ServiceConfig()
+    ports: Annotated[tuple[PortConfig, ...], Meta(description="wires to devices, for service.source: ports")] = ()
+
+    def __post_init__(self) -> None:
+        check_together(self.ports)
 
 
 def parse_config(text: str, place: str) -> Config:
@@ -203,11 +216,7 @@ def parse_config(text: str, place: str) -> Config:
     """
     data = load_mapping(text, place, f"expected sections such as 'sonar:' with indented keys. {_HELP}")
     try:
-        data = _without_empty(data, Config)
-        for field in msgspec.structs.fields(Config):
-            if isinstance(data.get(field.name), dict) and isinstance(field.default, _Section):
-                data[field.name] = _without_empty(data[field.name], type(field.default))
-        return msgspec.convert(data, Config)
+        return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
     except msgspec.ValidationError as error:
         raise UsageError(f"{place}: {keyed(error)}. {_HELP}") from error
 
@@ -223,6 +232,10 @@ def config_yaml(config: Config) -> str:
     assert isinstance(root, inspect.StructType)
     for field in root.fields:
         section = getattr(config, field.name)
+        if section and isinstance(section, tuple):
+            text = yaml.safe_dump({field.name: msgspec.to_builtins(section)}, sort_keys=False, allow_unicode=True, width=math.inf)
+            lines += [*_key_lines(field, (), "")[:-1], *text.splitlines(), ""]
+            continue
         if not isinstance(field.type, inspect.StructType):
             lines += [*_key_lines(field, section, ""), ""]
             continue
@@ -244,8 +257,19 @@ _WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far
 _HELP = "'auv-mcm config --schema' lists every key with its type and range"
 
 
-def _without_empty(data: dict[Any, Any], section: type[msgspec.Struct]) -> dict[Any, Any]:
-    return {key: value for key, value in data.items() if value is not None or key not in section.__struct_fields__}
+def _without_empty(data: Any, kind: inspect.Type) -> Any:
+    """Without the known keys that have no value, at any depth."""
+    if isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if isinstance(kind, inspect.UnionType):
+        kind = next((member for member in kind.types if isinstance(member, inspect.StructType)), kind)
+    if isinstance(kind, inspect.StructType) and isinstance(data, dict):
+        kinds = {field.name: field.type for field in kind.fields}
+        cleaned = {key: _without_empty(value, kinds.get(key, kind)) for key, value in data.items()}
+        return {key: value for key, value in cleaned.items() if value is not None or key not in kinds}
+    if isinstance(kind, inspect.VarTupleType) and isinstance(data, list):
+        return [_without_empty(item, kind.item_type) for item in data]
+    return data
 
 
 def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
@@ -266,6 +290,8 @@ def _kind(kind: inspect.Type) -> str:
         return "true or false"
     if isinstance(kind, inspect.StrType):
         return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
+    if isinstance(kind, inspect.VarTupleType):
+        return "list; 'auv-mcm run --example' prints one"
     if isinstance(kind, inspect.TupleType):
         return f"list of {len(kind.item_types)}: {_kind(kind.item_types[0])}"
     if isinstance(kind, inspect.UnionType):

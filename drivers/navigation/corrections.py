@@ -6,9 +6,9 @@ import math
 from typing import Final, NamedTuple
 
 from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
+from auv_mcm.port_config import NavUnitSettings, Quantity
 from auv_mcm.records import NAN
-from drivers.navigation.seam import NavFix, Quantity
-from drivers.navigation.settings import NavUnitSettings
+from drivers.navigation.seam import NavFix
 
 _TURN: Final = 2.0 * math.pi
 _MAX_DEPTH_M: Final = 12_000.0

@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
+from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NAN, NavSample, Notice
 from drivers.clocks import DeviceClock, wire_delay_s
 from drivers.navigation.corrections import (
@@ -29,8 +30,8 @@ from drivers.navigation.corrections import (
 from drivers.navigation.gnss_watch import Doubt, GnssWatch
 from drivers.navigation.health import Fallback, UnitHealth
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
-from drivers.navigation.seam import QUANTITIES, NavFix, Quantity
-from drivers.navigation.settings import NavMergeSettings, NavUnitSettings
+from drivers.navigation.seam import NavFix
+from drivers.navigation.settings import NavMergeSettings
 from drivers.stamps import Stamp
 
 Event: TypeAlias = NavSample | Notice

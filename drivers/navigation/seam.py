@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Final, Literal, Protocol, TypeAlias, get_args
+from typing import Protocol
 
 import msgspec
 
 from auv_mcm.records import NAN
 from drivers.stamps import Stamp
-
-Quantity: TypeAlias = Literal["position", "heading", "attitude", "depth", "altitude", "speed"]
-QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
 
 
 class NavFix(msgspec.Struct, frozen=True, kw_only=True):

@@ -17,11 +17,12 @@ from nav_damage import T0, at
 from auv_mcm.config import NavigationConfig
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.navigation import NavBuffer
+from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NavSample, Notice
 from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
 from drivers.navigation.merge import Event, NavMerge
-from drivers.navigation.seam import QUANTITIES, NavFix, Quantity
-from drivers.navigation.settings import NavMergeSettings, NavUnitSettings
+from drivers.navigation.seam import NavFix
+from drivers.navigation.settings import NavMergeSettings
 from drivers.stamps import Stamp
 
 HOME = (54.0, 10.0)
