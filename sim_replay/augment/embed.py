@@ -63,7 +63,7 @@ class Picture(NamedTuple):
 
 class Look(NamedTuple):
     """What one pass shows of an embedded object. visible_fraction: of its echo, 0 to 1; contrast_db: its highlight over the floor's level,
-    NaN if nothing of it is seen. n_samples: that were changed."""
+    NaN if nothing of either is heard. n_samples: that were changed."""
 
     ping: int
     side: Side
@@ -303,8 +303,8 @@ def _heard_anew(recorded: Floats, heard: Echoes, line: Line, spacing_m: float, s
     if not highlight.any():
         return new, changed, math.nan
     bright = highlight > 0.5 * highlight.max()
-    around = np.broadcast_to(level * heard.bare.mean(axis=0), recorded.shape)[bright].mean()
-    return new, changed, float(10.0 * math.log10(max(float(new[bright].mean()), 1e-30) / max(float(around), 1e-30)))
+    there, around = float(new[bright].mean()), float(np.broadcast_to(level * heard.bare.mean(axis=0), recorded.shape)[bright].mean())
+    return new, changed, 10.0 * (math.log10(there) - math.log10(around)) if there > 0.0 and around > 0.0 else math.nan
 
 
 def _level(recorded: Floats, bare: Floats, line: Line, spacing_m: float) -> Floats:

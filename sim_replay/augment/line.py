@@ -208,13 +208,13 @@ def _gain_law(range_m: Floats, log_level: Floats, absorption_per_m: float) -> tu
 
 
 def _quantiles(*sources: Sequence[Floats]) -> Floats:
-    """Of the first source with enough samples; an exponential law if none has."""
+    """Of the first source with enough samples that are not all 0; an exponential law if there is none."""
     probability = np.linspace(0.0, 1.0, _N_QUANTILES)
     for samples in sources:
         joined = np.concatenate(samples) if samples else np.empty(0)
-        if joined.size >= _MIN_QUANTILE_SAMPLES:
+        if joined.size >= _MIN_QUANTILE_SAMPLES and joined.any():
             quantiles = np.quantile(joined, probability)
-            return np.asarray(quantiles / max(float(np.trapezoid(quantiles, probability)), 1e-30))
+            return np.asarray(quantiles / float(np.trapezoid(quantiles, probability)))
     quantiles = -np.log1p(-np.minimum(probability, 1.0 - 0.25 / _N_QUANTILES))
     return np.asarray(quantiles / float(np.trapezoid(quantiles, probability)))
 

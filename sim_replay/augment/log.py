@@ -255,8 +255,8 @@ def _matches(ping: Ping, data: bytes) -> dict[Side, tuple[int, bool]]:
             if n_samples != trace.samples.shape[0] or start + n_samples * itemsize > len(data):
                 continue
             stored = np.frombuffer(data, trace.samples.dtype, n_samples, start)
-            turned = side == "port" and np.array_equal(stored[::-1], trace.samples)
-            if turned or np.array_equal(stored, trace.samples):
+            turned = side == "port" and np.array_equal(stored[::-1], trace.samples, equal_nan=True)
+            if turned or np.array_equal(stored, trace.samples, equal_nan=True):
                 found[side] = (start, turned)
                 break
         start += n_samples * itemsize
