@@ -146,6 +146,8 @@ def test_another_reader_sees_the_same_numbers(record: Record) -> None:
     pynmeagps = pytest.importorskip("pynmeagps", reason="pynmeagps, another NMEA reader, is not installed")
     if isinstance(record, PixseAttitudeSigma | PixsePositionSigma | PixseSpeedSigma):
         return
+    if isinstance(record, Pashr) and math.isnan(record.time_of_day_s):
+        return  # it tells the kinds of PASHR apart by the first character of the time
     message = pynmeagps.NMEAReader.parse(sentence(body_of(record)))
     degrees = {name: math.degrees(value) for name, value in record._asdict().items() if name.endswith("_rad")}
     mine = record._asdict() | degrees
