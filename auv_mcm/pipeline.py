@@ -148,7 +148,8 @@ class Pipeline:
 
     def _start(self) -> list[PipelineEvent]:
         """Decide the sample transfer from the first pings, then run them."""
-        transfer, notices = resolve_transfer(self._config.sonar, _traces(self._probe))
+        told = {ping.transfer for ping in self._probe}
+        transfer, notices = resolve_transfer(self._config.sonar, _traces(self._probe), told.pop() if len(told) == 1 else None)
         self._transfer = transfer
         self._waterfall = Waterfall(self._config, transfer, OVERLAP_M, self._counts)
         events: list[PipelineEvent] = [*notices, self._detector]

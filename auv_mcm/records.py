@@ -38,7 +38,10 @@ class EchoTrace(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """One transmission. `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages."""
+    """One transmission. `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages.
+
+    transfer: what the samples are, where the sonar's own protocol says so.
+    """
 
     number: int
     time_s: float
@@ -47,6 +50,7 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sound_speed_mps: float = 1500.0
     altitude_m: float = NAN
     place: str = ""
+    transfer: Literal["amplitude", "intensity"] | None = None
 
 
 class NavSample(msgspec.Struct, frozen=True, kw_only=True):

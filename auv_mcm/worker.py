@@ -20,6 +20,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
+import msgspec
 import numpy as np
 
 from auv_mcm import errors
@@ -199,7 +200,7 @@ class Perception:
             return placed
 
         port, starboard = place(ping.port), place(ping.starboard)
-        return _RingPing(ping.number, ping.time_s, port, starboard, ping.sound_speed_mps, ping.altitude_m, ping.place)
+        return _RingPing(msgspec.structs.replace(ping, port=None, starboard=None), port, starboard)
 
     def _send(self, message: Any) -> None:
         self._raise_if_dead()
@@ -250,13 +251,9 @@ class _RingTrace(NamedTuple):
 
 
 class _RingPing(NamedTuple):
-    number: int
-    time_s: float
+    rest: Ping  # without its traces
     port: _RingTrace | None
     starboard: _RingTrace | None
-    sound_speed_mps: float
-    altitude_m: float
-    place: str
 
 
 class _Failure(NamedTuple):
@@ -325,12 +322,4 @@ def _out_of_ring(ping: _RingPing, memory: SharedMemory) -> Ping:
         samples = np.ndarray(trace.shape, np.dtype(trace.dtype), memory.buf, trace.offset).copy()
         return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
 
-    return Ping(
-        number=ping.number,
-        time_s=ping.time_s,
-        port=copy(ping.port),
-        starboard=copy(ping.starboard),
-        sound_speed_mps=ping.sound_speed_mps,
-        altitude_m=ping.altitude_m,
-        place=ping.place,
-    )
+    return msgspec.structs.replace(ping.rest, port=copy(ping.port), starboard=copy(ping.starboard))

@@ -135,14 +135,18 @@ def recheck_transfer(transfer: Transfer, traces: Sequence[EchoTrace], place: str
     return Notice(code="transfer.disagrees", text=text, place=place)
 
 
-def resolve_transfer(sonar: SonarConfig, traces: Sequence[EchoTrace]) -> tuple[Transfer, tuple[Notice, ...]]:
+def resolve_transfer(
+    sonar: SonarConfig, traces: Sequence[EchoTrace], told: TransferKind | None = None
+) -> tuple[Transfer, tuple[Notice, ...]]:
     """The transfer to use for a mission whose first pings hold `traces`, with what a person should know about the choice.
 
-    A configured transfer is kept and only checked; "auto" takes what the speckle says.
+    A configured transfer is kept and only checked; "auto" takes what the sonar's protocol told or, if it told nothing, what the speckle
+    says.
     """
     evidence = speckle_evidence(traces)
     likely = kind_from_speckle(evidence)
-    kind = likely if sonar.transfer == "auto" else sonar.transfer
+    known = told if sonar.transfer == "auto" else sonar.transfer
+    kind = likely if known is None else known
     estimated_db = SINGLE_LOOK_STD_DB / evidence.std_counts if evidence.n_windows >= _MIN_WINDOWS else NAN
     db_per_count = NAN
     if kind == "log":
@@ -154,7 +158,7 @@ def resolve_transfer(sonar: SonarConfig, traces: Sequence[EchoTrace]) -> tuple[T
     if evidence.n_windows < _MIN_WINDOWS:
         text = f"too few usable samples to check the sample transfer; '{kind}' is used. Set sonar.transfer."
         notices.append(Notice(code="transfer.unchecked", text=text))
-    elif sonar.transfer == "auto":
+    elif known is None:
         detail = f", {db_per_count:.3f} dB per count" if kind == "log" else ""
         notices.append(
             Notice(
@@ -166,8 +170,8 @@ def resolve_transfer(sonar: SonarConfig, traces: Sequence[EchoTrace]) -> tuple[T
         notices.append(
             Notice(
                 code="transfer.disagrees",
-                text=f"sonar.transfer is '{kind}' but the samples look like '{likely}' ({measured}); "
-                "if it is wrong, contrast and false alarms suffer. Check the recorder's manual.",
+                text=f"{'the sonar tells' if sonar.transfer == 'auto' else 'sonar.transfer is'} '{kind}' but the samples look like "
+                f"'{likely}' ({measured}); if it is wrong, contrast and false alarms suffer. Check the recorder's manual.",
             )
         )
     configured_db = sonar.db_per_count

@@ -111,6 +111,21 @@ def test_a_configured_transfer_is_kept_and_doubted_aloud() -> None:
     assert [notice.code for notice in notices] == ["transfer.db_per_count"]
 
 
+def test_what_the_sonar_tells_beats_speckle_but_not_the_configuration() -> None:
+    averaged = traces(intensity_pings(4, "level"))
+    assert resolve_transfer(SonarConfig(), averaged)[0].kind == "amplitude"
+    assert resolve_transfer(SonarConfig(), averaged, "intensity")[0].kind == "intensity"
+    assert resolve_transfer(SonarConfig(transfer="amplitude"), averaged, "intensity")[0].kind == "amplitude"
+
+
+def test_what_the_sonar_tells_is_doubted_aloud() -> None:
+    logarithm = traces(10.0 * np.log10(intensity_pings(1, "level")) + 90.0)
+    transfer, notices = resolve_transfer(SonarConfig(), logarithm, "intensity")
+    assert transfer.kind == "intensity"
+    assert [notice.code for notice in notices] == ["transfer.disagrees"]
+    assert "the sonar tells 'intensity'" in notices[0].text
+
+
 @pytest.mark.parametrize("looks", [1, 4, 9])
 def test_a_configured_transfer_that_fits_raises_no_doubt(looks: int) -> None:
     intensity = intensity_pings(looks, "spreading")
