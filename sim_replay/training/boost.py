@@ -26,7 +26,7 @@ _TOTAL: Final = 2.0**40
 _LARGEST_LEAF: Final = 4.0
 _LARGEST_GROWTH: Final = 100.0  # of a weight since the first round: one mislabelled sample must not take over
 _TRIMMED_MASS: Final = 0.01
-_RIDGE: Final = 0.05  # share of the total weight that pulls leaves to 0: a handful of samples is no certainty
+_RIDGE: Final = 1e-3  # share of the total weight that pulls leaves to 0, so that a handful of samples is no certainty
 _FEATURE_SHARE: Final = 0.25  # of the features, drawn anew every round: a quarter of the time, and stumps more unlike each other
 _FEWEST_FEATURES: Final = 512
 

@@ -30,7 +30,7 @@ def _slow_gentle_split(bins: np.ndarray, is_target: np.ndarray, weight: np.ndarr
                 held = Fraction(int(weight[side].sum()))
                 signed = Fraction(int(np.where(is_target, weight, -weight)[side].sum()))
                 sides += held > 0
-                gain += signed**2 / (held + Fraction(0.05) * total)
+                gain += signed**2 / (held + Fraction(1, 1000) * total)
             if sides == 2 and (best is None or gain > best[0]):
                 best = gain, feature, last_below
     return best
