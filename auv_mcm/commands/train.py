@@ -21,6 +21,6 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.training.__main__ import main
+    from sim_replay.training.command import main
 
     return main(arguments.arguments)

@@ -8,7 +8,7 @@ from training_tiles import write_drawn_set
 
 from auv_mcm.detect.cascade.model import parse_model
 from auv_mcm.errors import UsageError
-from sim_replay.training.__main__ import main
+from sim_replay.training.command import main
 from sim_replay.training.spec import read_spec
 
 SPEC = "scenes: [flat]\nseeds: {train: {first: 600, count: 1}, validate: {first: 700, count: 1}}\n"
