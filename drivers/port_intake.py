@@ -1,0 +1,97 @@
+"""From the bytes of all ports to one stream of events: decoding, times, pairing of heads, merging of navigation. It reads no clock."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final
+
+from auv_mcm.config import Config
+from auv_mcm.records import Notice, Ping, SourceEvent
+from drivers.clocks import UtcAnchor, host_offset_ns
+from drivers.heads import HeadPairer
+from drivers.navigation.merge import NavMerge
+from drivers.navigation.seam import NavFix
+from drivers.port_stream import PortStream, Told
+from drivers.ports import merge_settings, read_ports
+from drivers.stamps import Stamp
+
+log = logging.getLogger(__name__)
+
+NO_PORT: Final = ""
+"""The name under which ticks of the clock are fed and recorded."""
+
+
+class PortIntake:
+    """Decoders and merging of all ports. What comes out depends on the configuration and on what is fed alone.
+
+    Navigation comes out in order of time, a fraction of a second after it was measured; each sonar's pings in order of theirs. Both are
+    in the UTC that this computer had when the bytes came, slewed where it was set by little, with a notice where it stepped.
+    """
+
+    def __init__(self, config: Config) -> None:
+        """Raises UsageError for ports that cannot be."""
+        ports = read_ports(config)
+        self._utc = UtcAnchor("this computer")
+        self._streams = {port.name: PortStream(port, config.sonar, self._utc) for port in ports}
+        self._heads = HeadPairer() if sum(port.is_sonar for port in ports) > 1 else None
+        self._merge = NavMerge(merge_settings(config, ports))
+        self._own: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        """By dotted name: those of each port behind `port.NAME.`, and nav.*, heads.*, intake.failed, intake.unknown_port."""
+        counters = self._own + self._merge.counters
+        if self._heads is not None:
+            counters += self._heads.counters
+        for name, stream in self._streams.items():
+            counters += Counter({f"port.{name}.{key}": count for key, count in stream.counters.items()})
+        return counters
+
+    def feed(self, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
+        """Bytes of one port, in the order in which they were read. Empty ones only say how late it is."""
+        stepped = self._utc.follow(host_offset_ns(stamp), stamp.mono_ns)
+        events: list[SourceEvent] = [] if stepped is None else [stepped]
+        stamp = Stamp(stamp.mono_ns, self._utc.utc_ns(stamp.mono_ns))
+        if data:
+            stream = self._streams.get(port)
+            if stream is None:
+                self._own["intake.unknown_port"] += 1
+            else:
+                events += self._merged(stream.feed(data, stamp))
+        return events + self._survived(partial(self._merge.advance, stamp))
+
+    def finish(self) -> list[SourceEvent]:
+        """No bytes follow."""
+        events: list[SourceEvent] = []
+        for stream in self._streams.values():
+            events += self._merged(stream.finish())
+        if self._heads is not None:
+            events += self._heads.finish()
+        return events + self._survived(self._merge.finish)
+
+    def _merged(self, told: list[Told]) -> list[SourceEvent]:
+        events: list[SourceEvent] = []
+        for item in told:
+            if isinstance(item, NavFix):
+                events += self._survived(partial(self._merge.feed, item))
+            elif isinstance(item, Ping) and self._heads is not None:
+                events += self._heads.add(item)
+            else:
+                events.append(item)
+        return events
+
+    def _survived(self, work: Callable[[], Sequence[SourceEvent]]) -> list[SourceEvent]:
+        """What merging says; if it fails, which is a defect, what it was given is lost, and that is counted and told."""
+        try:
+            return [*work()]
+        except Exception as error:
+            self._own["intake.failed"] += 1
+            if self._own["intake.failed"] > 1:
+                return []
+            log.exception("merging navigation failed")
+            text = f"merging navigation failed ({error!r}); what it was given is lost. "
+            text += "This is a defect: report it with the log and the recording."
+            return [Notice(code="intake_failed", text=text)]

@@ -1,0 +1,236 @@
+"""From the bytes of one port to pings and fixes. It reads no clock: live and replayed bytes take the same way with the same result."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from typing import Final, Protocol, TypeAlias
+
+from msgspec import structs
+
+from auv_mcm.config import SonarConfig
+from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
+from drivers.clocks import DeviceClock, SourceClock, UtcAnchor, wire_delay_s
+from drivers.links.can_frame import CanFrame
+from drivers.navigation.n2k_bus import N2kBus
+from drivers.navigation.registry import CAN_PROTOCOL, text_decoder
+from drivers.navigation.seam import NavFix
+from drivers.ports import Port
+from drivers.sonar.registry import sonar_named
+from drivers.sonar.seam import SonarFrame, SonarReply
+from drivers.stamps import Stamp
+
+log = logging.getLogger(__name__)
+
+Told: TypeAlias = Ping | NavFix | Notice
+_EXTENDED: Final = 1 << 31
+_ID_BYTES: Final = 4
+_SPOKEN: Final = {"pixse": "nmea0183"}  # bursts of an inertial unit are sentences like others
+
+
+def pack_can(frame: CanFrame) -> bytes:
+    """A CAN frame as the bytes that a session records: identifier, big-endian, with bit 31 set if it is extended; then the data."""
+    return (frame.can_id | _EXTENDED * frame.extended).to_bytes(_ID_BYTES, "big") + frame.data
+
+
+def unpack_can(data: bytes) -> CanFrame | None:
+    """The frame that `pack_can` packed, None for what is none."""
+    if len(data) < _ID_BYTES:
+        return None
+    can_id = int.from_bytes(data[:_ID_BYTES], "big")
+    return CanFrame(can_id & ~_EXTENDED, data[_ID_BYTES:], bool(can_id & _EXTENDED))
+
+
+class _Reader(Protocol):
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Told]: ...
+
+    def finish(self) -> list[Told]: ...
+
+
+class PortStream:
+    """One port's bytes to pings and fixes. Never raises: a decoder that does has a defect, which is counted, told, and survived by
+    starting it anew.
+
+    counters: those of the device's decoder and clock, sonar.accepted, sonar.refused, sonar.second_side, decoder.failed.
+    """
+
+    def __init__(self, port: Port, sonar: SonarConfig, utc: UtcAnchor) -> None:
+        """utc: shared by all ports; followed before the bytes are fed."""
+        self._port, self._sonar, self._utc = port, sonar, utc
+        self._before: Counter[str] = Counter()  # of decoders that failed
+        self._reader = self._new_reader()
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._before + self._reader.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+        """What a chunk completes, in order. stamp: when its last byte was read."""
+        try:
+            return self._reader.feed(data, stamp)
+        except Exception as error:
+            return self._survive(error)
+
+    def finish(self) -> list[Told]:
+        """What waits for more, at the end of a session."""
+        try:
+            return self._reader.finish()
+        except Exception as error:
+            return self._survive(error)
+
+    def _new_reader(self) -> _Reader:
+        port = self._port
+        if port.is_sonar:
+            return _SonarReader(port, self._sonar, self._utc)
+        if port.device == CAN_PROTOCOL:
+            return _BusReader(port.name)
+        return _UnitReader(port)
+
+    def _survive(self, error: Exception) -> list[Told]:
+        self._before = self.counters
+        self._before["decoder.failed"] += 1
+        self._reader = self._new_reader()
+        if self._before["decoder.failed"] > 1:
+            return []
+        log.error("the decoder of port '%s' failed", self._port.name, exc_info=error)
+        text = (
+            f"the decoder of port '{self._port.name}' failed ({error!r}) and was started anew; what it was reading is lost. This is a "
+            "defect: report it with the log and the recording."
+        )
+        return [Notice(code="decoder_failed", text=text, place=self._port.name)]
+
+
+class _UnitReader:
+    def __init__(self, port: Port) -> None:
+        self._decoder = text_decoder(_SPOKEN.get(port.device, port.device), port.name)
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._decoder.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+        return [*self._decoder.feed(data, stamp)]
+
+    def finish(self) -> list[Told]:
+        return [*self._decoder.finish()]
+
+
+class _BusReader:
+    """Each chunk is one packed frame."""
+
+    def __init__(self, name: str) -> None:
+        self._bus = N2kBus(name)
+        self._own: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._bus.counters + self._own
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+        frame = unpack_can(data)
+        if frame is None or not frame.extended:
+            self._own["n2k.not_extended"] += 1
+            return []
+        return [*self._bus.feed(frame.can_id, frame.data, stamp)]
+
+    def finish(self) -> list[Told]:
+        return []
+
+
+class _SonarReader:
+    def __init__(self, port: Port, sonar: SonarConfig, utc: UtcAnchor) -> None:
+        device = sonar_named(port.device)
+        self._port, self._sonar = port, sonar
+        self._decoder = device.decoder()
+        self._device_clock = DeviceClock(f"port '{port.name}'", wrap_s=device.counter_period_s)
+        self._clock = SourceClock(self._device_clock, utc)
+        self._own: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._decoder.counters + self._device_clock.counters + self._own
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+        return self._told(self._decoder.feed(data, stamp))
+
+    def finish(self) -> list[Told]:
+        return self._told(self._decoder.finish())
+
+    def _told(self, items: list[SonarFrame | SonarReply]) -> list[Told]:
+        told: list[Told] = []
+        for item in items:
+            if isinstance(item, SonarFrame):
+                told += self._of_frame(item)
+            else:
+                told += self._of_reply(item)
+        return told
+
+    def _of_reply(self, reply: SonarReply) -> list[Told]:
+        self._own["sonar.accepted" if reply.accepted else "sonar.refused"] += 1
+        if reply.accepted or self._own["sonar.refused"] > 1:
+            return []
+        text = f"the sonar at port '{self._port.name}' refused command {reply.request}" + (f": {reply.text}" if reply.text else "")
+        return [Notice(code="sonar_refused", text=f"{text}. It pings as it was set before. More are counted.", place=self._port.name)]
+
+    def _of_frame(self, frame: SonarFrame) -> list[Told]:
+        name = self._port.name
+        traces = [trace for trace in (frame.port, frame.starboard) if trace is not None]
+        far_m: float = max(trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in traces)
+        delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + 2.0 * far_m / frame.sound_speed_mps
+        time = self._clock.time(frame.device_time_s, frame.received, delay_s=delay_s, number=frame.number)
+        told: list[Told] = [] if time.notice is None else [time.notice]
+        if frame.navigation is not None and self._port.unit is not None:
+            told.append(_fix(name, frame, frame.navigation))
+        sound_speed_mps = self._sonar.sound_speed_mps or frame.sound_speed_mps
+        port, starboard = (_rescaled(trace, sound_speed_mps / frame.sound_speed_mps) for trace in self._sides(frame))
+        told.append(
+            Ping(
+                number=frame.number,
+                time_s=time.utc_ns * 1e-9,
+                port=port,
+                starboard=starboard,
+                sound_speed_mps=sound_speed_mps,
+                altitude_m=frame.altitude_m,
+                place=f"port '{name}', ping {frame.number}",
+                transfer=frame.transfer,
+            )
+        )
+        return told
+
+    def _sides(self, frame: SonarFrame) -> tuple[EchoTrace | None, EchoTrace | None]:
+        """Port and starboard as the head is mounted."""
+        match self._port.sides:
+            case "as_told":
+                return frame.port, frame.starboard
+            case "swapped":
+                return frame.starboard, frame.port
+        if frame.port is not None and frame.starboard is not None:
+            self._own["sonar.second_side"] += 1
+        only = frame.starboard if frame.port is None else frame.port
+        return (only, None) if self._port.sides == "port" else (None, only)
+
+
+def _rescaled(trace: EchoTrace | None, factor: float) -> EchoTrace | None:
+    if trace is None or factor == 1.0:
+        return trace
+    return structs.replace(trace, first_range_m=factor * trace.first_range_m, spacing_m=factor * trace.spacing_m)
+
+
+def _fix(source: str, frame: SonarFrame, told: NavSample) -> NavFix:
+    return NavFix(
+        source=source,
+        received=frame.received,
+        n_bytes=frame.n_bytes,
+        time_utc_s=frame.device_time_s if frame.device_time_is_utc else None,
+        latitude_deg=told.latitude_deg,
+        longitude_deg=told.longitude_deg,
+        heading_rad=told.heading_rad,
+        pitch_rad=told.pitch_rad,
+        roll_rad=told.roll_rad,
+        depth_m=told.depth_m,
+        altitude_m=told.altitude_m if told.altitude_m > 0.0 else NAN,
+        speed_mps=told.speed_mps,
+    )

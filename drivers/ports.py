@@ -1,0 +1,100 @@
+"""What the `ports:` of a configuration come to, checked before anything is opened: addresses, commands, mounting of units."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from msgspec import structs
+
+from auv_mcm.config import Config
+from auv_mcm.errors import UsageError
+from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
+from drivers.links.uri import CanAddress, LinkAddress, SerialAddress, SlcanAddress, parse_link_uri
+from drivers.navigation.registry import CAN_PROTOCOL
+from drivers.navigation.settings import NavMergeSettings
+from drivers.sonar.registry import sonar_named
+from drivers.sonar.seam import SonarSettings
+
+
+class Port(NamedTuple):
+    """One wire and the device at its end.
+
+    baud: of a serial line, None where bytes take no time. sides: what a sonar looks to. commands: what to send so that it pings as
+    configured; ask_every_s: and how often, None for once. unit: how the navigation from here is mounted, None if none is used.
+    """
+
+    name: str
+    device: str
+    address: LinkAddress
+    baud: int | None
+    is_sonar: bool
+    sides: Sides
+    commands: tuple[bytes, ...]
+    ask_every_s: float | None
+    unit: NavUnitSettings | None
+
+    @property
+    def is_bus(self) -> bool:
+        """Whether CAN frames come from it instead of bytes."""
+        return isinstance(self.address, CanAddress | SlcanAddress)
+
+
+def read_ports(config: Config) -> tuple[Port, ...]:
+    """The ports of a configuration. Raises UsageError, with the key's path, for a link or setting that its device cannot have."""
+    return tuple(_port(port, f"ports[{index}]") for index, port in enumerate(config.ports))
+
+
+def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
+    """How the navigation of all ports becomes one track."""
+    return NavMergeSettings(
+        units={port.name: port.unit for port in ports if port.unit is not None},
+        max_speed_mps=config.navigation.max_speed_mps,
+        recover_s=config.navigation.recover_s,
+        surface_depth_m=config.navigation.surface_depth_m,
+    )
+
+
+def _port(port: PortConfig, key: str) -> Port:
+    address = parse_link_uri(port.link, f"{key}.link")
+    is_bus = isinstance(address, CanAddress | SlcanAddress)
+    if is_bus != (port.device == CAN_PROTOCOL):
+        needed = "a slcan:// or socketcan:// link" if port.device == CAN_PROTOCOL else "a serial://, tcp:// or udp:// link"
+        raise UsageError(f"{key}.link '{port.link}': a device '{port.device}' cannot be there; give it {needed}")
+    baud = address.baud if isinstance(address, SerialAddress) else None
+    is_sonar = port.device in SONAR_NAMES
+    unit = port.navigation if is_sonar else port.navigation or NavUnitSettings()
+    if unit is not None and unit.baud is None:
+        unit = structs.replace(unit, baud=baud)
+    sonar = port.sonar or SonarPortConfig()
+    commands, asked = _commands(port, sonar, key) if is_sonar else ((), False)
+    return Port(
+        name=port.name,
+        device=port.device,
+        address=address,
+        baud=baud,
+        is_sonar=is_sonar,
+        sides=sonar.sides,
+        commands=commands,
+        ask_every_s=sonar.ping_interval_s if asked and commands else None,
+        unit=unit,
+    )
+
+
+def _commands(port: PortConfig, sonar: SonarPortConfig, key: str) -> tuple[tuple[bytes, ...], bool]:
+    """What to send, and whether for each ping anew."""
+    device = sonar_named(port.device)
+    if sonar.range_m is None:
+        if device.asked_per_ping:
+            raise UsageError(f"{key}.sonar.range_m is empty, but a '{port.device}' pings only when it is told a range: give one")
+        return (), False
+    settings = SonarSettings(
+        range_m=sonar.range_m,
+        enabled=sonar.enabled,
+        gain=sonar.gain,
+        n_samples=sonar.n_samples,
+        sound_speed_mps=sonar.sound_speed_mps,
+    )
+    try:
+        return device.commands(settings), device.asked_per_ping
+    except UsageError as error:
+        raise UsageError(f"{key}.sonar: {error}") from error
