@@ -14,7 +14,7 @@ from auv_mcm.detect.cascade.codes import Plane
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
 from auv_mcm.detect.cascade.peaks import apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
-from auv_mcm.detect.prescreen import Floor, Peak, ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.prescreen import NO_ECHO, Floor, Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.records import CONTRAST_SHARE, NAN, Tile
 
 STEP_M: Final = 0.4
@@ -68,7 +68,10 @@ def by_both(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluatio
     passed = run_plane(plane, model, None if max_evaluations is None else max_evaluations - n_spent)
     most = config.max_candidates_per_tile
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
-    best = apart(passed.rows, passed.columns, passed.scores, half_rows, half_columns, _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST)
+    # Where nothing around echoes no comparison holds, and a cascade passes all windows or none.
+    heard = np.flatnonzero(maps.background[passed.rows, passed.columns] > NO_ECHO)
+    n_kept = _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST
+    best = heard[apart(passed.rows[heard], passed.columns[heard], passed.scores[heard], half_rows, half_columns, n_kept)]
     windows = [_clearest(maps, int(passed.rows[k]), int(passed.columns[k]), half_rows, half_columns) for k in best]
     cascade_scores = np.concatenate((passed.scores[best], peak_scores)) / SCORE_UNIT
     places = [*windows, *peaks]

@@ -38,7 +38,8 @@ _HOLLOW_NEAR_M: Final = 0.4
 _HOLLOW_FAR_M: Final = 1.2
 _BACKGROUND_CLIP: Final = 6.0  # times the local mean: one speckle in 400 is brighter
 _MIN_BACKGROUND: Final = 0.3
-_NO_ECHO: Final = np.float32(1e-6)
+NO_ECHO: Final = np.float32(1e-6)
+"""Background where nothing around echoes, and the least that there is."""
 _MIN_SHADOW: Final = 0.6
 
 _LOOKS_ROWS_M: Final = 5.0
@@ -166,9 +167,9 @@ class _Boxes:
         outer, hollow, area = self.frame()
         total = self._seabed.box(*outer) - self._seabed.box(*hollow)
         weight = self._seabed_weight.box(*outer) - self._seabed_weight.box(*hollow)
-        mean = np.maximum(np.maximum(total, 0.0) / np.maximum(weight, 1.0), _NO_ECHO).astype(np.float32)
+        mean = np.maximum(np.maximum(total, 0.0) / np.maximum(weight, 1.0), NO_ECHO).astype(np.float32)
         # Without any echo around, as in a stretch of dropped samples, there is no contrast to speak of.
-        return mean, (weight >= _MIN_BACKGROUND * area) & (mean > _NO_ECHO)
+        return mean, (weight >= _MIN_BACKGROUND * area) & (mean > NO_ECHO)
 
 
 class _Spread(NamedTuple):

@@ -1,0 +1,307 @@
+"""Extreme tiles and extreme models through the trained cascade: exact sums, no wrap, the same windows wherever and however a tile lies."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
+
+from auv_mcm import kernels
+from auv_mcm.config import Config, DetectConfig
+from auv_mcm.detect.candidates import STEP_M
+from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, Box, areas, band_edges, margins_px, pixel_boxes
+from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
+from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
+from auv_mcm.detect.cascade.run import CascadeResult, run_cascade, run_plane, tables_of
+from auv_mcm.detect.stage import TileDetections, detect_tile
+from auv_mcm.kernels.cascade import open_windows, open_windows_numpy, run_groups, run_groups_numpy
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
+
+Codes = NDArray[np.uint16]
+
+HIGHLIGHT = Box(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
+BEFORE = Box(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
+SHADOW = Box(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
+ANY_SCORE = -MAX_STUMPS * MAX_LEAF
+CONFIG = Config(detect=DetectConfig(max_candidates_per_tile=40))
+
+
+def ratio(a: Box, b: Box, threshold: float, leaf: int = SCORE_UNIT) -> Stump:
+    return Stump(kind="ratio", a=a, b=b, threshold=threshold, below=-leaf, above=leaf)
+
+
+def contrast(a: Box, b: Box, threshold: float, leaf: int = SCORE_UNIT) -> Stump:
+    return Stump(kind="contrast", a=a, b=b, w=WINDOW, threshold=threshold, below=-leaf, above=leaf)
+
+
+def model_of(*groups: tuple[Stump, ...], reject: int = 0) -> CascadeModel:
+    model = CascadeModel(
+        kind="soft",
+        trained_on="nothing",
+        training_sha256="",
+        row_spacing_m=(0.001, 10.0),
+        column_spacing_m=(0.001, 10.0),
+        calibration=Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0)),
+        reject=(reject,) * len(groups),
+        groups=groups,
+    )
+    check_model(model, "made here")
+    return model
+
+
+MODEL = model_of((ratio(HIGHLIGHT, BEFORE, 3.0),), (contrast(BEFORE, SHADOW, 0.5),), (ratio(HIGHLIGHT, SHADOW, 10.0),))
+"""Bright before something dark."""
+ALL_PASS = msgspec.structs.replace(MODEL, reject=(ANY_SCORE,) * 3)
+
+
+def drawn_model(seed: int, n_stumps: int = 12, largest: float = 3.0) -> CascadeModel:
+    """Random comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest, that drop nothing."""
+    random = np.random.Generator(np.random.PCG64(seed))
+
+    def box() -> Box:
+        top, near = random.uniform(-1.0, 0.4, 2)
+        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
+        return Box(float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0)))
+
+    stumps = []
+    for k in range(n_stumps):
+        threshold = float(largest ** random.uniform(-1.0, 1.0))
+        leaf = int(random.integers(-900, 900))
+        stumps.append(ratio(box(), box(), threshold, leaf) if k % 2 else contrast(box(), box(), threshold - 1.0 / threshold, leaf))
+    return model_of(tuple(stumps), reject=ANY_SCORE)
+
+
+def looked_at(tile: Tile, model: CascadeModel = MODEL) -> TileDetections:
+    """Detections with every floating-point flag but underflow an error."""
+    with np.errstate(all="raise", under="ignore"):
+        result = detect_tile(tile, CONFIG, model)
+    for d in result.detections:
+        assert np.isfinite([d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.length_m, d.width_m]).all()
+        assert np.isfinite(d.covariance_m2).all()
+    return result
+
+
+def run(tile: Tile, model: CascadeModel = ALL_PASS) -> CascadeResult:
+    with np.errstate(all="raise", under="ignore"):
+        return run_cascade(tile, model, None)
+
+
+def scores(result: CascadeResult, first_row: int = 0) -> dict[tuple[int, int], int]:
+    return {
+        (row + first_row, column): score
+        for row, column, score in zip(result.rows.tolist(), result.columns.tolist(), result.scores.tolist(), strict=True)
+    }
+
+
+# --- extreme pictures ---
+
+
+@pytest.mark.parametrize("model", [MODEL, ALL_PASS], ids=["model", "all pass"])
+@pytest.mark.parametrize("name", PICTURES)
+def test_no_picture_raises_a_floating_point_flag(name: str, model: CascadeModel) -> None:
+    looked_at(tile_of(PICTURES[name]), model)
+
+
+@pytest.mark.parametrize("first_silent", [0, 110])
+def test_nothing_is_detected_where_nothing_echoes(first_silent: int) -> None:
+    """Comparisons of nothing with nothing all come out alike, and some cascade passes just that."""
+    frame = round(2.5 / COLUMN_M) if first_silent else 0  # around an object, in which the sea floor is measured
+    for nothing in (0.0, 1e-42):
+        result = looked_at(tile_of(np.where(np.indices(SHAPE)[1] < first_silent, speckle(), nothing)), ALL_PASS)
+        assert not [d for d in result.detections if d.column >= first_silent + frame]
+
+
+@pytest.mark.parametrize("share", [0.001, 0.1, 0.5, 0.95, 1.0])
+def test_no_mask_raises_a_floating_point_flag(share: float) -> None:
+    for model in (MODEL, ALL_PASS):
+        looked_at(tile_of(with_object(speckle()), holes(share)), model)
+
+
+@pytest.mark.parametrize("bit", [SATURATED, TURN, LOW_RESOLUTION])
+def test_flags_on_half_the_picture_raise_none(bit: int) -> None:
+    mask = np.full(SHAPE, VALID, dtype=np.uint8)
+    mask[:, 110:] |= np.uint8(bit)
+    looked_at(tile_of(with_object(speckle()), mask), ALL_PASS)
+
+
+@pytest.mark.parametrize("first_return_m", [0.0, 1e-9, 0.3, 1.0, 30.0, 190.0, math.nan, math.inf])
+@pytest.mark.parametrize("spacing", [(0.02, 0.02), (0.12, 0.06), (2.0, 2.0), (0.05, 2.0), (2.0, 0.02)])
+def test_windows_are_accounted_for_at_every_altitude_on_every_grid(first_return_m: float, spacing: tuple[float, float]) -> None:
+    tile = tile_of(speckle(3, (40, 60)), row_m=spacing[0], column_m=spacing[1], first_return_m=first_return_m)
+    result = run(tile, msgspec.structs.replace(ALL_PASS, reject=(0, 0, 0)))
+    assert 0 <= result.n_windows <= 40 * 60
+    entered = (result.n_windows, *result.n_alive[:-1])
+    assert result.n_evaluations == sum(n * len(group) for n, group in zip(entered, MODEL.groups, strict=True))
+    assert len(result.rows) == result.n_alive[-1]
+
+
+# --- exact sums ---
+
+
+def test_the_largest_box_admitted_full_of_the_brightest_echoes_does_not_overflow() -> None:
+    row_m, column_m = 0.0117, 0.0117
+    largest = Box(-1.0, 1.0, -1.0, 0.0, WINDOW_FAR_M, WINDOW_SHADOWS)
+    boxes = pixel_boxes([largest], row_m, column_m)
+    area = int(areas(boxes).max())
+    assert 0.95 * MAX_BOX_PX < area <= MAX_BOX_PX
+    rows, near, far = margins_px(row_m, column_m)
+    bright = np.full((2 * rows + 1, near + far + 1), 16384, dtype=np.uint16)
+    everywhere = np.ones(bright.shape, dtype=np.bool_)
+    plane = make_plane(bright, everywhere, everywhere, np.full(len(bright), 5.0), row_m, column_m)
+    middle = np.array([rows]), np.array([near])
+    assert box_sums(plane, *middle, boxes[-1]).tolist() == [area * 16384]
+
+
+def test_the_largest_model_does_not_wrap() -> None:
+    stumps = (contrast(BEFORE, SHADOW, 1e4, MAX_LEAF),) * MAX_STUMPS
+    tile = tile_of(np.ones((12, 60)))
+    for sign in (1, -1):
+        model = model_of(tuple(msgspec.structs.replace(stump, below=sign * MAX_LEAF) for stump in stumps), reject=ANY_SCORE)
+        result = run(tile, model)
+        assert set(result.scores.tolist()) == {sign * MAX_STUMPS * MAX_LEAF}
+        assert set(model.calibration.log_odds_of(result.scores).tolist()) == {sign * 6.0}
+
+
+@pytest.mark.skipif(kernels.backend() != "c", reason="compares the C kernels with their twins")
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), largest=st.sampled_from([1.0, 3.0, 1e3]))
+def test_c_and_numpy_agree_on_ties_and_on_the_darkest_and_brightest_codes(seed: int, largest: float) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    codes = random.choice(np.array([0, 0, 1, 1024, 16383, 16384], dtype=np.uint16), (12, 40))
+    codes[:, 10:25] = random.choice([0, 1024, 16384])
+    everywhere = np.ones(codes.shape, dtype=np.bool_)
+    plane, model = make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35), drawn_model(seed, largest=largest)
+    tables = tables_of(model, 0.3, 0.35, plane.sums.shape[1])
+    corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
+    arguments = (plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35), tables)
+    (windows, n_windows, _), twin = open_windows(*arguments, 1), open_windows_numpy(*arguments, 1)
+    assert n_windows == twin.n_windows
+    for one, other in zip(windows, twin.windows, strict=True):
+        np.testing.assert_array_equal(one, other)
+    again = windows._replace(score=np.zeros_like(windows.score))
+    (one_by_one, _), (slow, _) = (f(plane.sums, tables, again, 0, 1) for f in (run_groups, run_groups_numpy))
+    np.testing.assert_array_equal(one_by_one.score, slow.score)
+    np.testing.assert_array_equal(one_by_one.score, windows.score)
+
+
+# --- what may be done to a tile without a score changing ---
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 2**32 - 1), power=st.sampled_from([-3, -1, 1, 3]))
+def test_gain_of_a_power_of_two_changes_no_score(seed: int, power: int) -> None:
+    """Ratios know no gain, and differences over the mean of the window none either."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    codes = 8 * np.minimum(np.rint(64 * random.exponential(size=(16, 100))), 250)
+    everywhere, usable = np.ones(codes.shape, dtype=np.bool_), np.zeros(codes.shape, dtype=np.bool_)
+    usable[5:-5, 4:70] = True  # away from the margins, which stay as they are
+    loud, quiet = (
+        run_plane(make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35), drawn_model(seed), None)
+        for one in (codes * 2.0**power, codes)
+    )
+    assert quiet.n_windows == usable.sum()
+    assert scores(loud) == scores(quiet)
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_reversing_the_track_reverses_the_windows(seed: int) -> None:
+    def reversed_box(box: Box) -> Box:
+        return msgspec.structs.replace(box, top_m=-box.bottom_m, bottom_m=-box.top_m)
+
+    def reversed_stump(stump: Stump) -> Stump:
+        w = None if stump.w is None else reversed_box(stump.w)
+        return msgspec.structs.replace(stump, a=reversed_box(stump.a), b=reversed_box(stump.b), w=w)
+
+    model, plane, mask = drawn_model(seed), speckle(seed, (24, 70)), holes(0.1)[:24, :70]
+    back = msgspec.structs.replace(model, groups=tuple(tuple(reversed_stump(stump) for stump in group) for group in model.groups))
+    one, other = run(tile_of(plane, mask), model), run(tile_of(plane[::-1], mask[::-1]), back)
+    assert {(23 - row, column): score for (row, column), score in scores(other).items()} == scores(one)
+
+
+def test_a_side_is_as_good_as_the_other() -> None:
+    port = tile_of(with_object(speckle()))
+    assert scores(run(port)) == scores(run(msgspec.structs.replace(port, side="starboard")))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 0), (0, 1), (20, 50)])
+def test_a_masked_border_changes_no_window(rows: int, columns: int) -> None:
+    model, mask = drawn_model(1), holes(0.05)
+    plain = run(tile_of(speckle(), mask), model)
+    around = ((rows, rows), (0, columns))
+    framed = run(tile_of(np.pad(speckle(), around, constant_values=7.0), np.pad(mask, around)), model)
+    assert plain.n_windows > 10_000
+    assert scores(framed, -rows) == scores(plain)
+
+
+@pytest.mark.parametrize("origin", [0, 1, 17, 38])
+def test_every_window_of_a_strip_is_found_wherever_it_is_cut_into_tiles(origin: int) -> None:
+    strip, model, overlap, length = speckle(7, (170, 90)), drawn_model(2), 20, 39
+    whole = scores(run(tile_of(strip), model))
+    found: dict[tuple[int, int], int] = {}
+    for start in range(origin - length, len(strip), length):
+        first, last = max(start - overlap, 0), min(start + length + overlap, len(strip))
+        core = slice(max(start, 0), min(start + length, len(strip)))
+        if core.start >= core.stop:
+            continue
+        tile = msgspec.structs.replace(tile_of(strip[first:last]), core_start=core.start - first, core_stop=core.stop - first)
+        found |= {place: score for place, score in scores(run(tile, model), first).items() if core.start <= place[0] < core.stop}
+    assert found == whole
+
+
+def test_every_pixel_doubled_finds_the_same_object() -> None:
+    plane = with_object(speckle(6))
+    finer = np.repeat(np.repeat(plane, 2, axis=0), 2, axis=1)
+    coarse = looked_at(tile_of(plane)).detections[0]
+    fine = looked_at(tile_of(finer, row_m=0.5 * ROW_M, column_m=0.5 * COLUMN_M)).detections[0]
+    assert fine.cascade_score == coarse.cascade_score == 3.0
+    assert fine.row * 0.5 == pytest.approx(coarse.row, abs=1.0)
+    assert fine.column * 0.5 == pytest.approx(coarse.column, abs=1.5)
+
+
+# --- order ---
+
+
+def test_of_windows_that_are_all_alike_the_first_are_kept_however_often_asked() -> None:
+    tile = tile_of(np.ones(SHAPE))
+    first, again = looked_at(tile, ALL_PASS), looked_at(tile, ALL_PASS)
+    places = [(d.row, d.column) for d in first.detections]
+    assert places == [(d.row, d.column) for d in again.detections]
+    assert len(places) == 40
+    assert first.n_over_budget > 0
+    alike = run(tile, ALL_PASS)
+    assert len(set(alike.scores.tolist())) == 1
+    assert list(scores(alike)) == sorted(scores(alike))
+
+
+def told(result: TileDetections) -> list[object]:
+    detections = [
+        (d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes())
+        for d in result.detections
+    ]
+    return [detections, *result[1:]]
+
+
+@pytest.mark.parametrize("max_evaluations", [None, 60_000])
+def test_the_same_tile_gives_the_same_bits_alone_and_among_threads(max_evaluations: int | None) -> None:
+    detect = CONFIG.detect if max_evaluations is None else msgspec.structs.replace(CONFIG.detect, max_evaluations_per_tile=max_evaluations)
+    config = Config(detect=detect)
+    tiles = [tile_of(with_object(speckle(k))) for k in range(2)]
+    alone = [told(detect_tile(tile, config, MODEL)) for tile in tiles]
+    with ThreadPoolExecutor(2) as threads:
+        together = list(threads.map(lambda tile: told(detect_tile(tile, config, MODEL)), tiles))
+    assert together == alone
+
+
+def test_one_pixel_missing_in_a_hundred_does_not_lose_an_object() -> None:
+    for seed in range(3):
+        found = looked_at(tile_of(with_object(speckle(seed)), holes(0.01))).detections[0]
+        assert abs(found.row - 62.5) * ROW_M < STEP_M
+        assert abs(found.column - 103.0) * COLUMN_M < STEP_M
