@@ -7,6 +7,7 @@ what is queued is still worked off and everything is written. A second signal en
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import importlib
 import json
@@ -14,10 +15,10 @@ import logging
 import os
 import signal
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from auv_mcm import __version__, kernels
@@ -29,10 +30,18 @@ from auv_mcm.outputs import Journal, Tally, contact_totals, make_directory, plan
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent
 from auv_mcm.worker import Finished, MakePipeline, Perception, standard_pipeline
 
+if TYPE_CHECKING:
+    from drivers.stamps import Stamp
+
 log = logging.getLogger(__name__)
 
 # Who opens a source, by the scheme of its URI: module and function, imported when asked for.
-SOURCES: Final[dict[str, str]] = {"replay": "sim_replay.recorded:open_source"}
+SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.recorded:open_source"}
+RECORDER: Final = "sim_replay.session.start:start_recording"
+RECORDING: Final = "recording"
+"""The folder, among the results, for what live ports received and were sent."""
+
+_STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
 _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
 
@@ -52,20 +61,54 @@ class Source(Protocol):
     @property
     def lossless(self) -> bool: ...
 
-    def events(self) -> AsyncIterator[SourceEvent]: ...
+    def events(self) -> AsyncGenerator[SourceEvent, None]: ...
 
     def counters(self) -> Counter[str]:
         """What it skipped or mended so far."""
 
 
+Record: TypeAlias = "Callable[[str, Literal['in', 'out'], Stamp, bytes], None]"
+"""Takes bytes of a port, by its name, that were received or sent; neither waits nor raises."""
+
+
+@runtime_checkable
+class LiveSource(Source, Protocol):
+    """Ports, which never end by themselves."""
+
+    def record_with(self, record: Record) -> None:
+        """Hand every byte to `record`. Called once, before `events`."""
+
+    def stop(self) -> None:
+        """Let go of the ports; `events` then ends with what was held back."""
+
+    def health(self) -> str:
+        """How each port is, for the health line."""
+
+
+class Recorder(Protocol):
+    """Keeps what live ports received and were sent."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def record(self, port: str, direction: Literal["in", "out"], stamp: Stamp, data: bytes) -> None: ...
+
+    def take_notices(self) -> list[Notice]: ...
+
+    def close(self) -> None: ...
+
+
 OpenSource = Callable[[SourceUri, Config, Clock], Source]
+StartRecording = Callable[[Path, Config, Clock], Recorder]
 
 
 def parse_source_uri(text: str) -> SourceUri:
-    """Raises UsageError for anything but scheme:path?option=value&..."""
-    known = ", ".join(f"{scheme}:" for scheme in sorted(SOURCES))
+    """Raises UsageError for anything but `ports` and scheme:path?option=value&..."""
+    known = "ports, " + ", ".join(f"{scheme}:" for scheme in sorted(SOURCES) if scheme != "ports")
     if not text:
         raise UsageError("service.source is empty: say where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
+    if text == "ports":
+        return SourceUri(text, text, "", {})
     try:
         parts = urlsplit(text)
         options = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
@@ -82,9 +125,14 @@ def parse_source_uri(text: str) -> SourceUri:
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> Source:
     """The source `uri` names. Raises UsageError, BadInputError or HardwareError."""
-    module, _, function = SOURCES[uri.scheme].partition(":")
-    opener: OpenSource = getattr(importlib.import_module(module), function)
+    opener: OpenSource = _imported(SOURCES[uri.scheme])
     return opener(uri, config, clock)
+
+
+def _imported(place: str) -> Any:
+    """What stands at module:name."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 class EventQueue:
@@ -174,6 +222,7 @@ class Service:
         self._lag_s = 0.0
         self._pipeline_counters: Counter[str] = Counter()
         self._snippets: dict[str, bytes] = {}
+        self._recorder: Recorder | None = None
 
     def stop(self) -> None:
         """Stop the source; `run` then works off the queue, writes everything and returns."""
@@ -191,7 +240,7 @@ class Service:
         perception = Perception(self._config, self._make_pipeline)
         failure: AuvMcmError | None = None
         try:
-            await perception.start()
+            await asyncio.gather(perception.start(), asyncio.to_thread(self._start_recording))
             gc.collect()
             gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
             log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
@@ -206,6 +255,9 @@ class Service:
             failure = _first(group)
         finally:
             perception.close()
+            if self._recorder is not None:
+                self._recorder.close()
+                self._tell_of_recording()
             try:
                 journal.close()
             except OSError as error:  # as on a full disk; what is known is still worth writing
@@ -215,6 +267,18 @@ class Service:
             raise failure
         return self._folder
 
+    def _start_recording(self) -> None:
+        if not isinstance(self._source, LiveSource) or not self._config.service.record:
+            return
+        start: StartRecording = _imported(RECORDER)
+        self._recorder = start(self._folder / RECORDING, self._config, self._clock)
+        self._source.record_with(self._recorder.record)
+
+    def _tell_of_recording(self) -> None:
+        if self._recorder is not None:
+            for notice in self._recorder.take_notices():
+                self._announce(notice)
+
     async def _take_in(self, queue: EventQueue) -> None:
         """Source to queue, until the source ends or the service is told to stop."""
         reading = asyncio.ensure_future(self._read(queue))
@@ -223,6 +287,9 @@ class Service:
             await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
             if not reading.done():
                 log.info("stopping: %d pings still queued", queue.pings)
+                if isinstance(self._source, LiveSource):
+                    self._source.stop()
+                    await asyncio.wait({reading}, timeout=_STOP_S)
                 reading.cancel()
                 await asyncio.wait({reading})
             if not reading.cancelled() and (error := reading.exception()) is not None:
@@ -235,8 +302,9 @@ class Service:
             await queue.close()
 
     async def _read(self, queue: EventQueue) -> None:
-        async for event in self._source.events():
-            await queue.put(event)
+        async with contextlib.aclosing(self._source.events()) as events:
+            async for event in events:
+                await queue.put(event)
 
     async def _feed(self, queue: EventQueue, perception: Perception) -> None:
         try:
@@ -312,6 +380,7 @@ class Service:
         pings = 0
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
+            self._tell_of_recording()
             log.info("health %s", self._health(queue, perception))
             if self._tally.pings == pings and perception.in_flight and queue.pings:
                 log.warning("perception has taken no ping for %g s although pings wait", self._config.service.health_period_s)
@@ -322,7 +391,7 @@ class Service:
         return (
             f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
             f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts) - clutter} clutter={clutter} "
-            f"lag_ms={self._lag_s * 1e3:.1f}"
+            f"lag_ms={self._lag_s * 1e3:.1f}" + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
         )
 
     def _write(self) -> None:
@@ -338,10 +407,14 @@ class Service:
             **contact_totals(contacts, self._coverage),
             "waypoints": len(waypoints),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
-            "counters": dict(sorted((self._counters + self._source.counters() + self._pipeline_counters).items())),
+            "counters": dict(sorted(self._all_counters().items())),
             "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in self._notices],
         }
         write_json(self._folder / "summary.json", summary)
+
+    def _all_counters(self) -> Counter[str]:
+        counters = self._counters + self._source.counters() + self._pipeline_counters
+        return counters if self._recorder is None else counters + self._recorder.counters
 
 
 def serve(config: Config, *, make_pipeline: MakePipeline = standard_pipeline) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncGenerator, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -108,7 +108,7 @@ class ReplaySource:
         self._mission = mission
         self._pace = pace
 
-    async def events(self) -> AsyncIterator[SourceEvent]:
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
         stream = self._mission.events()
         while batch := await asyncio.to_thread(lambda: list(islice(stream, _BATCH))):
             for event in batch:

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ class Events:
         self._events = events
         self._endless = endless
 
-    async def events(self) -> AsyncIterator[SourceEvent]:
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
         for event in self._events:
             if isinstance(event, Exception):
                 raise event
@@ -208,7 +208,7 @@ def test_the_queue_drops_the_oldest_ping_and_bounds_everything_else_too() -> Non
     [
         ("", "is empty"),
         ("/data/mission.xtf", "unknown scheme"),
-        ("ftp:///mission.xtf", "unknown scheme 'ftp'. Known: replay:"),
+        ("ftp:///mission.xtf", "unknown scheme 'ftp'. Known: ports, replay:"),
         ("replay://mission.xtf", "three slashes"),
         ("replay:///m.xtf?speed", "not a URI"),
         ("replay:///m.xtf?speed=1&speed=2", "given twice"),

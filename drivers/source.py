@@ -1,0 +1,227 @@
+"""The live source: every port listened to, asked and recorded, until it is told to stop.
+
+What the bytes say is `PortIntake`'s affair; here is only what needs an event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter, deque
+from collections.abc import AsyncGenerator, Callable, Coroutine
+from functools import partial
+from typing import Any, Final
+
+from auv_mcm.clock import Clock
+from auv_mcm.config import Config
+from auv_mcm.errors import UsageError
+from auv_mcm.records import Notice, Ping, SourceEvent
+from auv_mcm.service import Record, SourceUri
+from drivers.links.can_frame import CanFrame
+from drivers.links.link import Link, LinkState
+from drivers.links.registry import byte_link, can_link
+from drivers.port_intake import NO_PORT, PortIntake
+from drivers.port_stream import pack_can
+from drivers.ports import Port, read_ports
+from drivers.stamps import Stamp
+
+log = logging.getLogger(__name__)
+
+OnBytes = Callable[[bytes, Stamp], None]
+OnState = Callable[[LinkState, str], None]
+OpenLink = Callable[[Port, OnBytes, OnState, Clock], Link[bytes] | Link[CanFrame]]
+
+_TICK_S: Final = 0.25
+_ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its settings with its supply
+_MAX_EVENTS: Final = 4096
+_MAX_STATE_NOTICES: Final = 20  # per port; a loose contact has no end of them
+_RESTART_S: Final = 1.0
+
+
+def open_link(port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes] | Link[CanFrame]:
+    """The link of a port; of a bus, each frame comes packed into bytes."""
+    if port.is_bus:
+        return can_link(port.address, lambda frame, stamp: on_bytes(pack_can(frame), stamp), on_state, clock)
+    return byte_link(port.address, on_bytes, on_state, clock)
+
+
+def open_source(uri: SourceUri, config: Config, clock: Clock) -> PortSource:
+    """The ports of the configuration. Raises UsageError for ports that cannot be, or if there are none."""
+    if uri.path or uri.options:
+        raise UsageError(f"service.source '{uri.text}': what the ports are stands in the section 'ports'; write source: ports")
+    if not config.ports:
+        raise UsageError("service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one")
+    return PortSource(config, clock)
+
+
+class PortSource:
+    """The ports as a source of the service, which cannot make devices wait. Whatever a wire or device does, it goes on.
+
+    counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent, port.NAME.commands_refused (by the wire),
+    port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), source.ping_dropped and source.event_dropped.
+    """
+
+    lossless = False
+
+    def __init__(self, config: Config, clock: Clock, open_link: OpenLink = open_link) -> None:
+        """Raises UsageError for ports that cannot be."""
+        self._clock = clock
+        self._intake = PortIntake(config)
+        self._record: Record | None = None
+        self._own: Counter[str] = Counter()
+        self._events: deque[SourceEvent] = deque()
+        self._changed = asyncio.Event()
+        self._stopping = False
+        self._ports = [_ServedPort(port, self, open_link, clock) for port in read_ports(config)]
+
+    def record_with(self, record: Record) -> None:
+        """Hand every byte to `record`, both ways, from now on."""
+        self._record = record
+
+    def stop(self) -> None:
+        """Close all ports; `events` ends with what was still held back."""
+        self._stopping = True
+        self._changed.set()
+
+    @property
+    def is_stopping(self) -> bool:
+        return self._stopping
+
+    def health(self) -> str:
+        return "ports=" + ",".join(f"{port.name}:{port.state}" for port in self._ports)
+
+    def counters(self) -> Counter[str]:
+        counters = self._intake.counters + self._own
+        for port in self._ports:
+            counters += port.counters
+        return counters
+
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+        jobs = [job for port in self._ports for job in port.jobs()]
+        tasks = [asyncio.ensure_future(job) for job in (*jobs, self._tick())]
+        try:
+            while not self._stopping:
+                await self._changed.wait()
+                self._changed.clear()
+                while self._events:
+                    yield self._events.popleft()
+        finally:
+            self._stopping = True
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        self._put(self._intake.finish())
+        while self._events:
+            yield self._events.popleft()
+
+    def take(self, port: str, data: bytes, stamp: Stamp) -> None:
+        """Bytes of a port, or none: a tick."""
+        if self._record is not None:
+            self._record(port, "in", stamp, data)
+        self._put(self._intake.feed(port, data, stamp))
+
+    def sent(self, port: str, data: bytes) -> None:
+        """Bytes went out to a port."""
+        if self._record is not None:
+            self._record(port, "out", self._now(), data)
+
+    def tell(self, notice: Notice) -> None:
+        self._put([notice])
+
+    async def _tick(self) -> None:
+        """Say how late it is, for units that went silent are missed by the clock alone."""
+        while True:
+            await asyncio.sleep(_TICK_S)
+            self.take(NO_PORT, b"", self._now())
+
+    def _now(self) -> Stamp:
+        return Stamp(mono_ns=round(self._clock.monotonic_s() * 1e9), utc_ns=round(self._clock.utc_s() * 1e9))
+
+    def _put(self, events: list[SourceEvent]) -> None:
+        for event in events:
+            if len(self._events) >= _MAX_EVENTS:
+                lost = self._events.popleft()
+                self._own["source.ping_dropped" if isinstance(lost, Ping) else "source.event_dropped"] += 1
+            self._events.append(event)
+        if events:
+            self._changed.set()
+
+
+class _ServedPort:
+    """One port while the source runs: its link kept up, its sonar told how to ping, its states told to a person."""
+
+    def __init__(self, port: Port, source: PortSource, open_link: OpenLink, clock: Clock) -> None:
+        self.name = port.name
+        self._port = port
+        self._source = source
+        self._clock = clock
+        self._make_link = partial(open_link, port, partial(source.take, port.name), self._on_state, clock)
+        self._link = self._make_link()
+        self._own: Counter[str] = Counter()
+        self._links_before: Counter[str] = Counter()  # of links that failed
+
+    @property
+    def state(self) -> LinkState:
+        return self._link.state
+
+    @property
+    def counters(self) -> Counter[str]:
+        counted = self._links_before + self._link.counters + self._own
+        return Counter({f"port.{self.name}.{key}": count for key, count in counted.items()})
+
+    def jobs(self) -> list[Coroutine[Any, Any, None]]:
+        """What has to run for this port."""
+        if not self._port.commands:
+            return [self._keep_link()]
+        return [self._keep_link(), self._wake() if self._port.ask_every_s is None else self._ask()]
+
+    async def _keep_link(self) -> None:
+        """A link ends only by a defect; then there is another."""
+        while True:
+            try:
+                await self._link.run()
+            except Exception as error:
+                self._own["failed"] += 1
+                log.exception("the link of port '%s' failed", self.name)
+                text = f"the link of port '{self.name}' failed ({error!r}) and is opened anew. This is a defect: report it with the log."
+                if self._own["failed"] == 1:
+                    self._source.tell(Notice(code="port_failed", text=text, place=self.name))
+            self._links_before += self._link.counters
+            self._link = self._make_link()
+            await asyncio.sleep(_RESTART_S)
+
+    async def _ask(self) -> None:
+        """Ping after ping of a sonar that has to be asked."""
+        assert self._port.ask_every_s is not None
+        due_s = self._clock.monotonic_s()
+        while True:
+            if self.state != "down":
+                self._send_commands()
+            due_s = max(due_s + self._port.ask_every_s, self._clock.monotonic_s())
+            await asyncio.sleep(due_s - self._clock.monotonic_s())
+
+    async def _wake(self) -> None:
+        while True:
+            await asyncio.sleep(_ASK_AGAIN_S)
+            if self.state == "silent":
+                self._send_commands()
+
+    def _on_state(self, state: LinkState, reason: str) -> None:
+        if self._source.is_stopping:
+            return
+        self._own["state_changes"] += 1
+        log.info("port '%s' is %s: %s", self.name, state, reason)
+        if state == "up" and self._port.ask_every_s is None:
+            self._send_commands()  # also when it is heard again: it may have started anew, with settings of its own
+        if self._own["state_changes"] <= _MAX_STATE_NOTICES:
+            last = " More changes of this port are counted only." if self._own["state_changes"] == _MAX_STATE_NOTICES else ""
+            text = f"port '{self.name}' is {state}: {reason}{last}"
+            self._source.tell(Notice(code=f"port_{state}", text=text, place=self.name))
+
+    def _send_commands(self) -> None:
+        for command in self._port.commands:
+            if self._link.write(command):  # type: ignore[arg-type]  # no sonar is on a bus
+                self._own["commands_sent"] += 1
+                self._source.sent(self.name, command)
+            else:
+                self._own["commands_refused"] += 1
