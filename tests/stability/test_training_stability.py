@@ -1,0 +1,253 @@
+"""Boosting, thresholds and calibration on samples as bad as they come: no flag, bounded leaves, models that can be read back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from tile_pictures import PICTURES
+
+from auv_mcm.detect.cascade.codes import Plane, make_plane
+from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, check_model, encode_model, parse_model
+from auv_mcm.detect.cascade.run import trace_plane
+from auv_mcm.kernels.cascade import encode
+from sim_replay.training.boost import N_BINS, Bins, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
+from sim_replay.training.pool import Pool, bin_edges, box_means, feature_pool, model_stump, quantise
+from sim_replay.training.soft import best_windows, reject_thresholds
+from sim_replay.training.stages import Samples, threshold, train_stage
+from sim_replay.training.validation import Sighting, calibrate, expected_pd
+
+Labels = NDArray[np.bool_]
+Booster = Callable[[Bins, Labels, int, float, np.random.Generator], Iterator[BoostedStump]]
+
+BOOSTERS: dict[str, Booster] = {"gentle": gentle_stumps, "ada": ada_stumps}
+EVERY_BOOSTER = pytest.mark.parametrize("booster", BOOSTERS)
+POOL = feature_pool()
+SOME = Pool(POOL.boxes, POOL.features[::41])
+SHAPE = (40, 160)
+MOST = MAX_STUMPS * MAX_LEAF
+
+
+def generator(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def plane_of(picture: NDArray[np.float64], first_return_m: float = 6.0, spacing: tuple[float, float] = (0.12, 0.06)) -> Plane:
+    codes, valid = encode(picture.astype(np.float32), np.ones(picture.shape, dtype=np.uint8))
+    return make_plane(codes, valid, valid, np.full(len(picture), first_return_m), *spacing)
+
+
+def places(n: int = 300) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    return generator(1).integers(0, SHAPE[0], n), generator(2).integers(0, SHAPE[1], n)
+
+
+def model_of(stumps: list[BoostedStump], edges: NDArray[np.float32]) -> CascadeModel:
+    model = CascadeModel(
+        kind="soft",
+        trained_on="nothing",
+        training_sha256="",
+        row_spacing_m=(0.1, 0.2),
+        column_spacing_m=(0.05, 0.1),
+        calibration=Calibration(score=(0, 1), log_odds=(0.0, 0.0)),
+        reject=(-MOST,),
+        groups=(tuple(model_stump(SOME, edges, stump) for stump in stumps),),
+    )
+    check_model(model, "trained here")
+    return model
+
+
+# --- features of extreme tiles ---
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_what_is_learned_of_a_picture_is_what_the_model_says_of_it(name: str) -> None:
+    plane = plane_of(PICTURES[name][45 : 45 + SHAPE[0], : SHAPE[1]])
+    rows, columns = places()
+    is_target = (rows > 20) | (columns > 110)
+    with np.errstate(all="raise", under="ignore"):
+        means = box_means(plane, SOME.boxes, rows, columns)
+        edges = bin_edges(SOME, means)
+        bins = quantise(SOME, edges, means)
+        for stumps_of in BOOSTERS.values():
+            stumps = list(stumps_of(bins, is_target, 8, 3.0, generator(3)))
+            if not stumps:
+                assert name == "constant"
+                continue
+            model = model_of(stumps, edges)
+            assert parse_model(encode_model(model), "written here") == model
+            learned = np.sum([stump.scores(bins) for stump in stumps], axis=0)
+            # Where there are few values, many are equal to an edge, and rounding puts them on either side of it.
+            assert (trace_plane(plane, model, rows, columns)[:, -1] == learned).mean() > 0.9
+
+
+@pytest.mark.parametrize("first_return_m", [0.0, 0.3, 1.0, 30.0, math.nan])
+@pytest.mark.parametrize("spacing", [(0.12, 0.06), (2.0, 2.0), (0.02, 0.02)])
+def test_box_means_stay_within_the_codes_at_every_altitude_on_every_grid(first_return_m: float, spacing: tuple[float, float]) -> None:
+    plane = plane_of(np.where(generator(4).random(SHAPE) < 0.5, 16.0, 0.0), first_return_m, spacing)
+    with np.errstate(all="raise"):
+        means = box_means(plane, SOME.boxes, *places(20))
+        edges = bin_edges(SOME, means)
+    assert means.min() >= 0.0
+    assert means.max() <= 16384.0
+    assert np.isfinite(edges).all()
+
+
+@pytest.mark.parametrize("power", [-3, 1, 3])
+def test_gain_of_a_power_of_two_changes_no_bin(power: int) -> None:
+    codes = 8 * np.minimum(np.rint(64 * generator(5).exponential(size=SHAPE)), 250)
+    everywhere = np.ones(SHAPE, dtype=np.bool_)
+    inside = generator(6).integers(10, 30, 200), generator(7).integers(20, 40, 200)  # margins stay as they are
+    quiet, loud = (
+        box_means(
+            make_plane((codes * gain).astype(np.uint16), everywhere, everywhere, np.full(SHAPE[0], 6.0), 0.12, 0.06), SOME.boxes, *inside
+        )
+        for gain in (1.0, 2.0**power)
+    )
+    edges = bin_edges(SOME, quiet)
+    np.testing.assert_array_equal(bin_edges(SOME, loud), edges)
+    np.testing.assert_array_equal(quantise(SOME, edges, loud), quantise(SOME, edges, quiet))
+
+
+# --- boosting ---
+
+
+def hard_samples() -> dict[str, tuple[Bins, Labels]]:
+    random = generator(8)
+    values = random.integers(0, 256, (6, 400)).astype(np.uint8)
+    alike = np.repeat(np.array([[3], [200]], dtype=np.uint8), 400, axis=1)
+    one_apart = np.zeros((2, 400), dtype=np.uint8)
+    one_apart[1, 7] = 255
+    return {
+        "separable": (values, values[2] > 100),
+        "one target": (values, np.arange(400) == 5),
+        "one other": (values, np.arange(400) != 5),
+        "told apart by one sample alone": (one_apart, np.arange(400) < 30),
+        "labels by chance": (values, random.random(400) < 0.5),
+        "equal samples with either label": (alike, np.arange(400) % 2 == 0),
+        "one mislabelled": (values, (values[2] > 100) ^ (np.arange(400) == 11)),
+        "first and last bin": (np.where(values > 128, 255, 0).astype(np.uint8), values[0] > 128),
+    }
+
+
+@EVERY_BOOSTER
+@pytest.mark.parametrize("asymmetry", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("case", hard_samples())
+def test_boosting_raises_no_flag_and_bounds_its_leaves(booster: str, asymmetry: float, case: str) -> None:
+    bins, is_target = hard_samples()[case]
+    with np.errstate(all="raise", under="ignore"):
+        stumps = list(BOOSTERS[booster](bins, is_target, 120, asymmetry, generator(9)))
+    assert all(abs(leaf) <= 4 * SCORE_UNIT for stump in stumps for leaf in (stump.below, stump.above))
+    assert all(0 <= stump.last_below < N_BINS - 1 for stump in stumps)
+    assert bool(stumps) == (case != "equal samples with either label")
+
+
+@EVERY_BOOSTER
+def test_one_mislabelled_sample_does_not_take_over(booster: str) -> None:
+    bins, is_target = hard_samples()["one mislabelled"]
+    stumps = list(BOOSTERS[booster](bins, is_target, 200, 1.0, generator(9)))
+    said = np.sum([stump.scores(bins) for stump in stumps], axis=0) > 0
+    assert (said == (bins[2] > 100)).mean() > 0.99
+
+
+@EVERY_BOOSTER
+def test_the_same_samples_give_the_same_stumps_on_two_threads_at_once(booster: str) -> None:
+    bins, is_target = generator(10).integers(0, 256, (700, 300)).astype(np.uint8), generator(11).random(300) < 0.3
+
+    def trained(seed: int) -> list[BoostedStump]:
+        return list(BOOSTERS[booster](bins, is_target, 10, 2.0, generator(seed)))
+
+    alone = [trained(seed) for seed in (1, 2)]
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(trained, (1, 2))) == alone
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), largest=st.sampled_from([1, 2**20, 2**34]))
+def test_weights_add_up_to_the_same_bits_in_any_order_and_split_alike(seed: int, largest: int) -> None:
+    random = generator(seed)
+    bins, is_target = random.integers(0, 256, (3, 60)).astype(np.uint8), random.random(60) < 0.5
+    weight, order = random.integers(0, largest + 1, 60).astype(np.float64), random.permutation(60)
+    features = np.arange(3)
+    parts = [histograms(bins, features, np.flatnonzero(label), weight[label]) for label in (is_target, ~is_target)]
+    mixed = [
+        histograms(bins[:, order], features, np.flatnonzero(label), weight[order][label]) for label in (is_target[order], ~is_target[order])
+    ]
+    for one, other in zip(parts, mixed, strict=True):
+        assert one.tobytes() == other.tobytes()
+    for split in (gentle_split, ada_split):
+        if weight.any():
+            with np.errstate(all="raise"):
+                found = split(*parts)
+            assert found is None or np.isfinite(found).all()
+
+
+# --- thresholds ---
+
+
+@pytest.mark.parametrize("level", [-MOST, -1, 0, MOST])
+@pytest.mark.parametrize("detection", [1e-6, 0.5, 1.0])
+def test_thresholds_of_equal_scores_are_that_score(level: int, detection: float) -> None:
+    trace = np.full((1000, 3), level, dtype=np.int32)
+    bag = np.repeat(np.arange(100), 10)
+    with np.errstate(all="raise"):
+        assert reject_thresholds(trace, bag, detection) == (level,) * 3
+        assert threshold(trace[:, 0], detection) == level
+
+
+def test_scores_at_both_ends_of_the_numbers_keep_their_order() -> None:
+    ends = np.array([-(2**31), 2**31 - 1, 0, 2**31 - 1], dtype=np.int32)
+    assert best_windows(ends, np.zeros(4, dtype=np.intp)).tolist() == [1]
+    merit = ends.astype(np.int64) + np.array([0, 0, 2**32, 0]) * 60  # stages passed count before any score
+    assert best_windows(merit, np.zeros(4, dtype=np.intp)).tolist() == [2]
+    trace = np.stack((ends, ends[::-1]), axis=1)
+    assert reject_thresholds(trace, np.arange(4), 1.0) == (-(2**31), -(2**31))
+
+
+def test_a_stage_that_nothing_tells_apart_lets_all_pass_and_says_so() -> None:
+    alike = Samples(np.full((3, 50), 9, dtype=np.uint8), np.arange(50) < 20)
+    with np.errstate(all="raise"):
+        stage = train_stage(alike, alike, generator(12))
+    assert stage == ((), 0, 1.0, 1.0)
+
+
+# --- calibration ---
+
+
+@pytest.mark.parametrize("spread", [1, 1000, MOST - 1])
+@pytest.mark.parametrize("share", [0.0, 1e-4, 0.5, 1.0])
+def test_any_scores_are_calibrated_to_odds_that_can_be_written_and_read(spread: int, share: float) -> None:
+    random = generator(13)
+    score = random.integers(-spread, spread + 1, 20_000).astype(np.int32)
+    for labels in (random.random(score.size) < share, score >= np.quantile(score, 1.0 - share), score < np.quantile(score, share)):
+        with np.errstate(all="raise"):
+            found = calibrate(score, labels)
+            odds = found.log_odds_of(np.array([-MOST, -spread, 0, spread, MOST]))
+        assert (np.diff(odds) >= 0.0).all()
+        assert np.abs(odds).max() <= 12.0
+        model = msgspec.structs.replace(model_of([BoostedStump(0, 0, 1, -1)], np.ones((1, 1), dtype=np.float32)), calibration=found)
+        assert parse_model(encode_model(model), "written here") == model
+
+
+@pytest.mark.parametrize("is_target", [True, False])
+def test_a_single_detection_is_no_certainty(is_target: bool) -> None:
+    with np.errstate(all="raise"):
+        found = calibrate(np.array([7], dtype=np.int32), np.array([is_target]))
+    assert found.log_odds == pytest.approx((math.copysign(math.log(3.0), is_target - 0.5),) * 2, abs=1e-4)
+
+
+def test_targets_at_no_range_count_in_no_cell() -> None:
+    model = model_of([BoostedStump(0, 0, 1, -1)], np.ones((1, 1), dtype=np.float32))
+    passing = np.zeros(1, dtype=np.int32)
+    seen = [
+        Sighting("mud", ground_range_m, passing) for ground_range_m in (math.nan, -1e-9, 200.0, math.inf, 0.0, math.nextafter(200.0, 0.0))
+    ]
+    with np.errstate(all="raise"):
+        told = expected_pd(model, seen)
+    assert [(cell.near_m, cell.n_targets) for cell in told] == [(0.0, 1), (120.0, 1)]
