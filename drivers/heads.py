@@ -63,5 +63,5 @@ def _joined(one: Ping, other: Ping) -> Ping:
 def _echo_time_s(ping: Ping) -> float:
     trace = ping.port if ping.port is not None else ping.starboard
     assert trace is not None, "a ping has a side"
-    far_m: float = trace.first_range_m + trace.spacing_m * trace.samples.shape[0]
+    far_m: float = trace.first_range_m + trace.spacing_m * (trace.samples.shape[0] - 0.5)
     return 2.0 * far_m / ping.sound_speed_mps

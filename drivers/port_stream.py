@@ -178,7 +178,7 @@ class _SonarReader:
     def _of_frame(self, frame: SonarFrame) -> list[Told]:
         name = self._port.name
         traces = [trace for trace in (frame.port, frame.starboard) if trace is not None]
-        far_m: float = max(trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in traces)
+        far_m: float = max(trace.first_range_m + trace.spacing_m * (trace.samples.shape[0] - 0.5) for trace in traces)
         delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + 2.0 * far_m / frame.sound_speed_mps
         time = self._clock.time(frame.device_time_s, frame.received, delay_s=delay_s, number=frame.number)
         told: list[Told] = [] if time.notice is None else [time.notice]

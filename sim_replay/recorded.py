@@ -8,7 +8,9 @@ from collections import Counter
 from collections.abc import AsyncGenerator, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
+
+import msgspec
 
 from auv_mcm.clock import Clock
 from auv_mcm.config import Config, SonarConfig
@@ -20,6 +22,56 @@ from sim_replay.xtf import XtfLog
 CHUNK_BYTES: Final = 1 << 18
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
 _BATCH: Final = 32  # events read at once off the event loop
+
+
+class Mission(Protocol):
+    """What can be replayed."""
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each file in use, in order of time."""
+        ...
+
+    @property
+    def fraction_done(self) -> float:
+        """How much of the files `events` has read, 0..1."""
+        ...
+
+    def counters(self) -> Counter[str]:
+        """What reading skipped or mended so far."""
+        ...
+
+    def events(self) -> Iterator[SourceEvent]: ...
+
+
+def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> Mission:
+    """Logs of pings, or one recorded session of ports, whose bytes then go through their decoders.
+
+    The session is decoded as `config` says about its ports, where it says nothing as it was recorded. Raises UsageError or BadInputError.
+    """
+    from sim_replay.session.open import SessionMission, is_session, recorded_config
+    from sim_replay.session.reader import Session
+
+    sessions = [path for path in paths if is_session(path)]
+    if not sessions:
+        return RecordedMission(paths, config.sonar, chunk_bytes)
+    if len(paths) > 1:
+        raise UsageError(f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart.")
+
+    from drivers.port_intake import PortIntake
+
+    session = Session(sessions[0])
+    if not config.ports:
+        config = msgspec.structs.replace(config, ports=recorded_config(session).ports)
+    return SessionMission(session, PortIntake(config))
+
+
+def session_config(paths: Sequence[Path]) -> Config | None:
+    """The configuration that the recorded session among `paths` was recorded with, None if there is no session. Raises BadInputError."""
+    from sim_replay.session.open import is_session, recorded_config
+    from sim_replay.session.reader import Session
+
+    return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
 
 
 class RecordedMission:
@@ -104,7 +156,7 @@ class ReplaySource:
 
     lossless = True
 
-    def __init__(self, mission: RecordedMission, pace: Pace) -> None:
+    def __init__(self, mission: Mission, pace: Pace) -> None:
         self._mission = mission
         self._pace = pace
 
@@ -121,14 +173,14 @@ class ReplaySource:
 
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
-    """replay:///path/to/mission.xtf?speed=1; speed: times real time, or max. Raises UsageError or BadInputError."""
+    """replay:///path/to/mission.xtf?speed=1, or the folder of a recorded session; speed: times real time, or max. Raises UsageError or BadInputError."""
     unknown = sorted(set(uri.options) - {"speed"})
     if unknown:
         raise UsageError(f"service.source '{uri.text}': unknown option '{unknown[0]}'. Known: speed")
     if not uri.path:
         raise UsageError(f"service.source '{uri.text}' names no log. Example: replay:///data/mission.xtf?speed=1")
     speed = parse_speed(uri.options.get("speed", "1"), f"service.source '{uri.text}'")
-    return ReplaySource(RecordedMission([Path(uri.path)], config.sonar), Pace(speed, clock))
+    return ReplaySource(open_mission([Path(uri.path)], config), Pace(speed, clock))
 
 
 def parse_speed(text: str, place: str) -> float:

@@ -21,7 +21,7 @@ from auv_mcm.contacts.picture import snippet_png
 from auv_mcm.outputs import Tally, contact_totals, make_directory, plan_waypoints, write_file, write_json, write_results, write_snippets
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
-from sim_replay.recorded import CHUNK_BYTES, Pace, RecordedMission
+from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, render_report
 
 MAX_TRACK_POINTS: Final = 4000
@@ -41,13 +41,13 @@ def replay(
     clock: Clock | None = None,
     progress: Progress = lambda fraction: None,
 ) -> dict[str, Any]:
-    """Replay `logs` as one mission and write every result into `folder`, replacing those of an earlier replay.
+    """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`, replacing those of an earlier replay.
 
     speed: times real time; inf does not wait. progress: called with the fraction done, 0..1. Returns what summary.json holds.
     Raises UsageError for a folder that cannot be written to, BadInputError if there is nothing to replay.
     """
     clock = clock or SystemClock()
-    mission = RecordedMission(logs, config.sonar, chunk_bytes)
+    mission = open_mission(logs, config, chunk_bytes)
     make_directory(folder)
     (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
     pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)

@@ -15,13 +15,16 @@ def add(commands: Commands) -> None:
         "replay recorded missions and write contacts, maps and a report",
         "Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,\n"
         "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
-        "in the same directory are replaced. Several logs are one mission, taken in order of time.",
+        "in the same directory are replaced. Several logs are one mission, taken in order of time. A session that\n"
+        "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with unless\n"
+        "another is given.",
         [
             "auv-mcm replay mission.xtf --out results",
             "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
+            "auv-mcm replay auv-mcm-out/latest/recording --out results",
         ],
     )
-    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF file with side-scan pings")
+    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF file with side-scan pings, or the folder of a recorded session")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
     add_config_option(parser)
     parser.add_argument(
@@ -44,10 +47,11 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    config = read_config(arguments.config)
-
-    from sim_replay.recorded import parse_speed
+    from sim_replay.recorded import parse_speed, session_config
     from sim_replay.replay import replay
+
+    recorded = session_config(arguments.logs) if arguments.config is None else None
+    config = read_config(arguments.config) if recorded is None else recorded
 
     with Progress("replay") as progress:
         summary = replay(
