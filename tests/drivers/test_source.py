@@ -1,0 +1,238 @@
+"""Live ports as a source: everything taken, recorded, asked and told, whatever wires do. The wires are in memory."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from port_traffic import PORTS, config_of, fix, profile, traffic
+
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.config import Config
+from auv_mcm.errors import HardwareError, UsageError
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.service import LiveSource, parse_source_uri
+from drivers.links.link import Link
+from drivers.port_intake import PortIntake
+from drivers.ports import Port, read_ports
+from drivers.source import OnBytes, OnState, PortSource, open_source
+from drivers.stamps import Stamp
+
+GENEROUS_S = 10.0
+ASKED = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.02}}]"
+
+
+class Wire:
+    """A far end in memory."""
+
+    def __init__(self) -> None:
+        self.note = ""
+        self.has_unsent = False
+        self.plugged = True
+        self.written: list[bytes] = []
+        self._waiting: deque[bytes] = deque()
+
+    def send(self, data: bytes) -> None:
+        self._waiting.append(data)
+
+    def fileno(self) -> int:
+        return -1
+
+    def read(self) -> list[bytes]:
+        if not self.plugged:
+            raise HardwareError("the wire was pulled; plug it in again")
+        items = list(self._waiting)
+        self._waiting.clear()
+        return items
+
+    def write(self, item: bytes) -> bool:
+        self.written.append(item)
+        return True
+
+    def flush(self) -> None: ...
+
+    def on_silence(self) -> str:
+        return "Look at the wire."
+
+    def close(self) -> None: ...
+
+
+class Bench:
+    """A source on wires in memory, and what came of it."""
+
+    def __init__(self, text: str = PORTS, silent_s: float = 60.0) -> None:
+        self.config: Config = config_of(text)
+        self.wires = {port.name: Wire() for port in read_ports(self.config)}
+        self.events: list[SourceEvent] = []
+        self.recorded: list[tuple[str, str, Stamp, bytes]] = []
+        self.defects: list[Exception] = []
+        self._silent_s = silent_s
+        self.source = PortSource(self.config, SystemClock(), self._open)
+        self.source.record_with(lambda *chunk: self.recorded.append(chunk))
+
+    def _open(self, port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes]:
+        async def open_port(counters: Counter[str]) -> Any:
+            if self.defects:
+                raise self.defects.pop()
+            if not self.wires[port.name].plugged:
+                raise HardwareError("there is no wire; plug one in")
+            return self.wires[port.name]
+
+        return Link(port.name, open_port, on_bytes, on_state, clock, self._silent_s)
+
+    def run(self, *steps: Callable[[], bool | None]) -> None:
+        """Run the source while each step in turn is done or, if it says False, waited for."""
+
+        async def main() -> None:
+            reading = asyncio.ensure_future(self._read())
+            for step in steps:
+                async with asyncio.timeout(GENEROUS_S):
+                    while step() is False:
+                        await asyncio.sleep(0.005)
+            self.source.stop()
+            async with asyncio.timeout(GENEROUS_S):
+                await reading
+
+        asyncio.run(main())
+
+    async def _read(self) -> None:
+        async for event in self.source.events():
+            self.events.append(event)
+
+    def state_is(self, name: str, state: str) -> Callable[[], bool]:
+        return lambda: f"{name}:{state}" in self.source.health()
+
+    def codes(self) -> list[str]:
+        return [event.code for event in self.events if isinstance(event, Notice)]
+
+
+def test_what_comes_live_is_what_its_recording_comes_to() -> None:
+    bench = Bench()
+
+    def send() -> None:
+        for chunk in traffic(20):
+            bench.wires[chunk.port].send(chunk.data)
+
+    bench.run(bench.state_is("sonar", "up"), bench.state_is("gnss", "up"), send, lambda: sum(c[1] == "in" for c in bench.recorded) >= 60)
+    intake = PortIntake(bench.config)
+    replayed = [event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)]
+    told = [event for event in bench.events if not isinstance(event, Notice)]
+    assert [str(event) for event in told] == [str(event) for event in replayed + intake.finish()]
+    assert sum(isinstance(event, Ping) for event in told) == 20
+    assert any(isinstance(event, NavSample) for event in told)
+    assert isinstance(bench.source, LiveSource)
+
+
+def test_a_sonar_is_told_how_to_ping_at_the_start_and_when_it_comes_back() -> None:
+    bench = Bench()
+    wire, commands = bench.wires["sonar"], list(read_ports(bench.config)[0].commands)
+
+    def plug(there: bool) -> Callable[[], None]:
+        return lambda: setattr(wire, "plugged", there)
+
+    bench.run(bench.state_is("sonar", "up"), plug(False), bench.state_is("sonar", "down"), plug(True), bench.state_is("sonar", "up"))
+    assert wire.written == commands * 2
+    assert [(port, data) for port, way, _, data in bench.recorded if way == "out"] == [("sonar", command) for command in commands * 2]
+    assert bench.wires["gnss"].written == []
+    assert bench.source.counters()["port.sonar.commands_sent"] == 4
+
+
+def test_a_silent_sonar_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.source._ASK_AGAIN_S", 0.05)
+    bench = Bench(silent_s=0.1)
+    bench.run(bench.state_is("sonar", "silent"), lambda: len(bench.wires["sonar"].written) >= 6)
+
+
+def test_a_sonar_that_pings_when_asked_is_asked_without_end() -> None:
+    bench = Bench(ASKED)
+    bench.run(lambda: len(bench.wires["s"].written) >= 5)
+    assert len(set(bench.wires["s"].written)) == 1
+
+
+def test_states_are_told_and_shown() -> None:
+    bench = Bench(silent_s=0.1)
+    assert bench.source.health() == "ports=sonar:down,gnss:down"
+    bench.run(
+        bench.state_is("sonar", "silent"),
+        lambda: bench.wires["sonar"].send(profile(1, 0, 0.0)),
+        bench.state_is("sonar", "up"),
+        lambda: setattr(bench.wires["sonar"], "plugged", False),
+        bench.state_is("sonar", "down"),
+    )
+    told = [event for event in bench.events if isinstance(event, Notice) and event.place == "sonar"]
+    assert [notice.code for notice in told][:4] == ["port_up", "port_silent", "port_up", "port_down"]
+    assert "the wire was pulled; plug it in again" in told[3].text
+
+
+def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.source._MAX_STATE_NOTICES", 3)
+    bench = Bench()
+    wire = bench.wires["gnss"]
+    flaps = [
+        step
+        for there in (False, True) * 2
+        for step in (lambda there=there: setattr(wire, "plugged", there), bench.state_is("gnss", "up" if there else "down"))
+    ]
+    bench.run(bench.state_is("gnss", "up"), *flaps)
+    told = [event.text for event in bench.events if isinstance(event, Notice) and event.place == "gnss"]
+    assert len(told) == 3
+    assert told[-1].endswith("counted only.")
+    assert bench.source.counters()["port.gnss.state_changes"] >= 5
+
+
+def test_a_link_that_fails_by_a_defect_is_told_and_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.source._RESTART_S", 0.01)
+    bench = Bench()
+    bench.defects = [ZeroDivisionError("a defect")]
+    bench.run(bench.state_is("sonar", "up"), bench.state_is("gnss", "up"))
+    assert bench.codes().count("port_failed") == 1
+    counters = bench.source.counters()
+    assert counters["port.sonar.failed"] + counters["port.gnss.failed"] == 1
+
+
+def test_units_that_fall_silent_are_missed_by_the_clock() -> None:
+    bench = Bench(PORTS.replace("nmea0183", "nmea0183, navigation: {valid_s: 0.2}"))
+    bench.run(
+        bench.state_is("gnss", "up"), lambda: bench.wires["gnss"].send(fix(0.0, 43.0, 5.0)), lambda: "nav_quantity_lost" in bench.codes()
+    )
+
+
+def test_at_the_end_what_was_held_back_is_given() -> None:
+    bench = Bench()
+    bench.run(
+        bench.state_is("gnss", "up"),
+        lambda: bench.wires["gnss"].send(fix(0.0, 43.0, 5.0)),
+        lambda: any(port == "gnss" for port, *_ in bench.recorded),
+    )
+    assert any(isinstance(event, NavSample) for event in bench.events)
+    assert bench.codes()[-1] != "port_down"
+
+
+def test_what_nobody_takes_is_lost_oldest_first_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.source._MAX_EVENTS", 4)
+    source = PortSource(config_of(), SystemClock())
+    for chunk in traffic(20):
+        source.take(*chunk)
+    counters = source.counters()
+    assert counters["source.ping_dropped"] + counters["source.event_dropped"] > 20
+
+
+@pytest.mark.parametrize(
+    ("uri", "text", "message"),
+    [
+        ("ports", "", "'auv-mcm run --example'"),
+        ("ports:?speed=1", PORTS, "stands in the section 'ports'"),
+        ("ports:/dev/ttyS0", PORTS, "stands in the section 'ports'"),
+    ],
+)
+def test_ports_that_are_not_configured_are_asked_for(uri: str, text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        open_source(parse_source_uri(uri), config_of(text), SystemClock())
+
+
+@pytest.mark.parametrize("uri", ["ports", "ports:"])
+def test_ports_are_a_source(uri: str) -> None:
+    assert open_source(parse_source_uri(uri), config_of(), SystemClock()).lossless is False
