@@ -1,0 +1,156 @@
+"""A mission over serial ports, whole: what its recording comes to is what was found live."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from port_traffic import fix, profile
+
+from auv_mcm.clock import SystemClock
+from auv_mcm.commands import read_config
+from auv_mcm.config import parse_config
+from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
+from auv_mcm.service import RECORDING, Service
+from drivers.source import PortSource
+from sim_replay.fakes.port import FakePort
+from sim_replay.recorded import session_config
+from sim_replay.replay import replay
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, Recorder, Scene, SceneObject, Seabed, Sonar, Track, World
+
+SONAR_BAUD: Final = 4_000_000
+UNIT_BAUD: Final = 115_200
+FASTER: Final = 6.0
+RANGE_M: Final = 22.0
+FULL_SCALE_DB: Final = 80.0
+CONFIG: Final = """
+mission: over serial ports
+service: {{source: ports, output_directory: "{folder}/out", health_period_s: 0.5}}
+navigation: {{max_speed_mps: 30}}
+ports:
+  - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: ping_protocol, sonar: {{range_m: 22, n_samples: 512}}}}
+  - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: nmea0183}}
+"""
+
+
+def flown() -> list[SourceEvent]:
+    """Past a cylinder and a sphere on bare sand."""
+    scene = Scene(
+        seed=3,
+        world=World(depth_m=25.0, seabeds=(Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0),), relief_rms_m=0.0),
+        objects=(
+            SceneObject(kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
+            SceneObject(kind="sphere", leg=0, along_m=30.0, across_m=-14.0, width_m=0.8),
+        ),
+        sonar=Sonar(range_m=RANGE_M, n_samples=512, ping_rate_hz=12.0, recorder=Recorder(samples="amplitude_float32", seabed_counts=100.0)),
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=44.0), altitude_m=4.0, motion=STEADY),
+        navigation_error=EXACT,
+    )
+    return list(Mission(scene).events())
+
+
+def side(number: int, channel: int, time_s: float, trace: EchoTrace | None) -> bytes:
+    assert trace is not None
+    power_db = 20.0 * np.log10(np.maximum(trace.samples, 1e-3))
+    return profile(number, channel, time_s, np.clip(np.rint(power_db / FULL_SCALE_DB * 65535.0), 0, 65535), RANGE_M)
+
+
+def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
+    """When each message is due, s since the beginning, at which port; sooner than at sea by FASTER, so that nobody waits."""
+    messages = []
+    start_s = next(event.time_s for event in events if isinstance(event, Ping))
+    for event in events:
+        if isinstance(event, NavSample):
+            time_s = (event.time_s - start_s) / FASTER
+            data = fix(time_s, event.latitude_deg, event.longitude_deg, event.heading_rad, FASTER * event.speed_mps)
+            messages.append((time_s, "ins", data))
+        elif isinstance(event, Ping):
+            time_s = (event.time_s - start_s) / FASTER
+            due_s = time_s + 2.0 * RANGE_M / 1500.0
+            messages.append((due_s, "sonar", side(event.number, 0, time_s, event.port) + side(event.number, 1, time_s, event.starboard)))
+    return sorted(messages, key=lambda message: message[0])
+
+
+class Devices(threading.Thread):
+    """Both devices, at ports in a folder; they begin when told to."""
+
+    def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
+        super().__init__(name="devices", daemon=True)
+        self.plugged = threading.Event()
+        self.begin = threading.Event()
+        self.done = threading.Event()
+        self.commands: list[bytes] = []
+        self._folder, self._messages = folder, messages
+
+    def run(self) -> None:
+        asyncio.run(self._run())
+
+    async def _run(self) -> None:
+        ports = {
+            "sonar": FakePort(self._folder / "sonar", SONAR_BAUD, on_bytes=self.commands.append),
+            "ins": FakePort(self._folder / "ins", UNIT_BAUD),
+        }
+        for port in ports.values():
+            port.plug()
+        self.plugged.set()
+        while not self.begin.is_set():
+            await asyncio.sleep(0.01)
+        loop = asyncio.get_running_loop()
+        start_s = loop.time()
+
+        async def play(name: str) -> None:
+            for due_s, at, data in self._messages:
+                if at == name:
+                    await asyncio.sleep(start_s + due_s - loop.time())
+                    await ports[name].send(data)
+            await ports[name].drain()
+
+        await asyncio.gather(*(play(name) for name in ports))
+        self.done.set()
+        while self.begin.is_set():
+            await asyncio.sleep(0.01)
+        for port in ports.values():
+            port.unplug()
+
+
+async def served(folder: Path, devices: Devices) -> Path:
+    config = parse_config(CONFIG.format(folder=folder), "vehicle.yaml")
+    source = PortSource(config, SystemClock())
+    service = Service(config, source, console=lambda line: None)
+    serving = asyncio.ensure_future(service.run())
+    try:
+        while not (source.health() == "ports=sonar:up,ins:up" or serving.done()):
+            await asyncio.sleep(0.01)
+        devices.begin.set()
+        while not (devices.done.is_set() or serving.done()):
+            await asyncio.sleep(0.05)
+    finally:
+        service.stop()
+        devices.begin.clear()
+    return await serving
+
+
+def test_a_recorded_session_gives_the_same_contacts_to_the_byte(tmp_path: Path) -> None:
+    devices = Devices(tmp_path, messages_of(flown()))
+    devices.start()
+    assert devices.plugged.wait(10.0)
+    live = asyncio.run(served(tmp_path, devices))
+    devices.join(10.0)
+
+    config = session_config([live / RECORDING])
+    assert config == parse_config(CONFIG.format(folder=tmp_path), "vehicle.yaml") != read_config(None)
+    replay([live / RECORDING], tmp_path / "again", config)
+    for name in ("contacts.geojson", "contacts.csv", "coverage.geojson", "waypoints.geojson"):
+        assert (live / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
+
+    found = sorted(feature["properties"]["class"] for feature in json.loads((live / "contacts.geojson").read_bytes())["features"])
+    assert {"cylinder", "sphere"} <= set(found)
+    assert b"".join(devices.commands).startswith(b"BR")
+    summary = json.loads((live / "summary.json").read_bytes())
+    assert summary["counters"]["port.sonar.commands_sent"] == 2
+    assert not [name for name in summary["counters"] if name.endswith(("_lost", "_dropped"))]
