@@ -10,11 +10,12 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, get_args
 
 from auv_mcm import __version__
 from auv_mcm.config import Config
 from auv_mcm.errors import AuvMcmError, SelfCheckError
+from auv_mcm.records import Detector
 from auv_mcm.service import parse_source_uri
 
 _PACKAGES: Final = {
@@ -127,7 +128,8 @@ def _odds() -> Finding:
     from auv_mcm.classify.odds import shipped_odds
 
     try:
-        return Finding("odds of the close look", "ok", f"from {shipped_odds('contrast').fitted_on}")
+        told = "; ".join(f"{detector}: {shipped_odds(detector).fitted_on}" for detector in get_args(Detector))
+        return Finding("odds of the close look", "ok", told)
     except (AuvMcmError, OSError) as error:
         return Finding("odds of the close look", "FAILED", str(error))
 

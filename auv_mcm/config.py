@@ -110,7 +110,7 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
 
 
 class DetectConfig(_Section, frozen=True, kw_only=True):
-    """The detector: a trained cascade where there is a model for the sonar, else contrasts of highlight and shadow."""
+    """Contrasts of highlight and shadow and, where there is a model for the pixels, a trained cascade."""
 
     model: Annotated[
         str,
@@ -119,7 +119,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
             description="the trained cascade: shipped, none, or the path of a model file; one that does not fit the pixel sizes below does "
             "not serve, which is told",
         ),
-    ] = "none"
+    ] = "shipped"
     max_evaluations_per_tile: Annotated[
         int,
         Meta(
@@ -134,7 +134,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         Meta(
             ge=1e-12,
             lt=0.5,
-            description="without a cascade: tail probability of one pair of boxes in pure speckle; the best of many pairs counts, "
+            description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs counts, "
             "so that one pixel in eighty of white speckle is above the default",
         ),
     ] = 1e-4

@@ -208,8 +208,6 @@ class Pipeline:
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
-            elif result.n_windows and not (result.detections or result.n_over_budget or result.n_without_position):
-                self._counts["detect.tile_left_by_cascade"] += 1
             self._counts["detect.candidate"] += len(result.detections)
             if result.n_over_budget and not self._counts["detect.over_budget"]:
                 events.append(_over_budget(tile, result))

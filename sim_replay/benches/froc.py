@@ -35,7 +35,7 @@ from sim_replay.augment.command import augment
 from sim_replay.augment.targets import Scatter, TargetSpec
 from sim_replay.benches.arguments import count
 from sim_replay.benches.layout import columns, density_cell, markdown, share_cell
-from sim_replay.benches.scenes import HELD_OUT, SCENES, as_after, config_for
+from sim_replay.benches.scenes import HELD_OUT, SCENES, as_after, config_for, untrained_alone
 from sim_replay.recorded import RecordedMission
 from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
@@ -187,7 +187,7 @@ def comparison_model(name: str) -> bytes:
 def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]) -> Flown:
     place = f"{line.group}, seed {line.seed}"
     alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
-    untrained = msgspec.structs.replace(alone, detect=msgspec.structs.replace(alone.detect, model="none"))
+    untrained = untrained_alone(config)
     stages = parse_model(comparison_model("stages"), "stages.json")
     classical = parse_classical(comparison_model("classical"), "classical.json")
     pipelines = {

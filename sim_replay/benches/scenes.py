@@ -21,6 +21,7 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import look_closely
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
+from auv_mcm.detect.cascade.choose import NONE
 from auv_mcm.errors import UsageError
 from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
@@ -42,12 +43,12 @@ _LIMIT_PER_KM2: Final = 100.0
 System: TypeAlias = Literal["chain", "detector", "rival"]
 SYSTEMS: Final[tuple[System, ...]] = get_args(System)
 STEPS: Final[dict[LookStep, str]] = {
-    "detector": "+ odds from the detector's measures",
+    "detector": "the trained detector, with odds from what it measures",
     "contours": "+ contours",
     "shape": "+ Markov field and solids: the chain",
 }
 _ORDER: Final = {step: number for number, step in enumerate(STEPS)}
-_KEPT: Final = 0.98  # of the detector's Pd
+_KEPT: Final = 0.98  # of the Pd of contrasts alone
 _HEADER: Final = (
     "scene",
     "system",
@@ -67,7 +68,7 @@ _STEP_HEADER: Final = (
     f"Pd at {_LIMIT_PER_KM2:g} FA/km²",
     "Pd at p_mine 0.5",
     "FA/km² at p_mine 0.5",
-    f"FA/km² at {_KEPT:.0%} of the detector's Pd",
+    f"FA/km² at {_KEPT:.0%} of contrasts' Pd",
     "of them not on objects",
     "looks",
     "s per hour of survey",
@@ -75,7 +76,7 @@ _STEP_HEADER: Final = (
 
 
 class Flown(NamedTuple):
-    """One mission as all systems reported it. detector: the chain without a close look. steps: the chain as far as that step.
+    """One mission as all systems reported it. detector: contrasts alone, without a close look. steps: the chain as far as that step.
 
     n_looks: close looks that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
     that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
@@ -154,7 +155,7 @@ def fly(name: str, seed: int) -> Flown:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
     config = config_for(scene)
-    odds, beam_width_rad = shipped_odds("contrast"), math.radians(config.sonar.beam_width_deg)
+    odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
     looks_s: dict[LookStep, list[float]] = {step: [] for step in STEPS}
 
     def timed_look(detection: Detection) -> Detection:
@@ -165,7 +166,7 @@ def fly(name: str, seed: int) -> Flown:
         return looked_at
 
     chain = Pipeline(config, timer=time.perf_counter, look=timed_look)
-    alone = Pipeline(msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False)))
+    alone = Pipeline(untrained_alone(config), timer=time.perf_counter)
     kept: list[NavSample | Ping] = []
     for event in mission.events():
         kept.append(event)
@@ -187,8 +188,17 @@ def fly(name: str, seed: int) -> Flown:
         steps={step: told([as_after(contact, step, odds.prior) for contact in chain.contacts]) for step in STEPS},
         n_looks={step: sum(len(looks_s[later]) for later in STEPS if _ORDER[later] >= _ORDER[step]) for step in STEPS},
         looks_s=tuple(looks_s["shape"]),
-        costs_s=_costs_s(chain.costs_s, looks_s),
+        costs_s=_costs_s(alone.costs_s, chain.costs_s, looks_s),
         survey_s=pings[-1] - pings[0],
+    )
+
+
+def untrained_alone(config: Config) -> Config:
+    """The configuration with contrasts as detector, whose detections nobody looks at closely."""
+    return msgspec.structs.replace(
+        config,
+        detect=msgspec.structs.replace(config.detect, model=NONE),
+        confirm=msgspec.structs.replace(config.confirm, enabled=False),
     )
 
 
@@ -203,12 +213,17 @@ def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
     return msgspec.structs.replace(contact, p_mine=fuse(views, prior).p_mine)
 
 
-def _costs_s(stages_s: Mapping[str, float], looks_s: Mapping[LookStep, Sequence[float]]) -> dict[str, float]:
+def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s: Mapping[LookStep, Sequence[float]]) -> dict[str, float]:
     """Seconds up to and with each step; contours of looks that went on cost what those of looks that ended there did."""
-    alone = sum(cost for stage, cost in stages_s.items() if stage != "confirm")
+    found = sum(cost for stage, cost in chain_s.items() if stage != "confirm")
     odds, ended, whole = (sum(looks_s[step]) for step in STEPS)
     contours = ended + min(ended / max(len(looks_s["contours"]), 1) * len(looks_s["shape"]), whole)
-    return {"alone": alone, "detector": alone + odds, "contours": alone + odds + contours, "shape": alone + odds + ended + whole}
+    return {
+        "alone": sum(alone_s.values()),
+        "detector": found + odds,
+        "contours": found + odds + contours,
+        "shape": found + odds + ended + whole,
+    }
 
 
 def config_for(scene: Scene) -> Config:
@@ -263,7 +278,7 @@ def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
     hours = sum(mission.survey_s for mission in missions) / 3600.0
     alone = score_missions([mission.detector for mission in missions])
     wanted = _KEPT * (alone.at_threshold.pd.value or 0.0)
-    told: list[tuple[str, str, str, Score]] = [("the detector alone", "alone", "", alone)]
+    told: list[tuple[str, str, str, Score]] = [("contrasts alone, nothing trained", "alone", "", alone)]
     for step, words in STEPS.items():
         n_looks = str(sum(mission.n_looks[step] for mission in missions))
         told.append((words, step, n_looks, score_missions([mission.steps[step] for mission in missions])))
