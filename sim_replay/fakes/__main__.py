@@ -1,0 +1,98 @@
+"""A fake device as a process of its own: python -m sim_replay.fakes JOB.yaml
+
+It says what happens in lines of JSON on standard output, first `ready` with the address of its wire. It begins at the instant that a line
+`start SECONDS` on standard input names (of the monotonic clock, which all processes share), or at once with --now. It ends, leaving no port
+behind, when standard input ends, on SIGTERM or SIGINT, and with --now when its mission is over.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from auv_mcm.errors import AuvMcmError, UsageError
+from sim_replay.fakes.device import FakeDevice
+from sim_replay.fakes.feed import mission_events, time_line
+from sim_replay.fakes.job import read_job
+
+_SETTLE_S: Final = 0.3  # for the host to open the port
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m sim_replay.fakes", description="Play a mission as one device on a port.")
+    parser.add_argument("job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, speed, seed")
+    parser.add_argument("--now", action="store_true", help="begin at once instead of when told on standard input")
+    arguments = parser.parse_args()
+    try:
+        asyncio.run(_serve(arguments.job, arguments.now))
+    except AuvMcmError as error:
+        print(f"fake device: {error}", file=sys.stderr)
+        return error.exit_code
+    except (asyncio.CancelledError, BrokenPipeError):
+        pass  # told to stop, or nobody reads what it says
+    return 0
+
+
+async def _serve(path: Path, now: bool) -> None:
+    job = read_job(path)
+    log = None if job.log is None else Path(job.log)
+    device = FakeDevice(job, time_line(mission_events(log, job.scene), job.speed), _report)
+    serving = asyncio.ensure_future(_played_now(device) if now else _played_as_told(device))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
+    try:
+        await serving
+    finally:
+        _report("counters", dict(device.counters))
+        await device.wire.set_plugged(False)
+
+
+async def _played_now(device: FakeDevice) -> None:
+    start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
+    start.set_result(time.monotonic() + _SETTLE_S)
+    await device.run(start)
+
+
+async def _played_as_told(device: FakeDevice) -> None:
+    """Until standard input ends, even if the mission ends before."""
+    commands = asyncio.StreamReader()
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(commands), sys.stdin)
+    start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
+    playing = asyncio.ensure_future(device.run(start))
+    listening = asyncio.ensure_future(_listen(commands, start))
+    try:
+        await asyncio.wait({playing, listening}, return_when=asyncio.FIRST_COMPLETED)
+        if not listening.done():
+            playing.result()
+        await listening
+    finally:
+        for task in (playing, listening):
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+
+async def _listen(commands: asyncio.StreamReader, start: asyncio.Future[float]) -> None:
+    while line := await commands.readline():
+        word, _, seconds = line.decode("ascii", "replace").partition(" ")
+        try:
+            if word != "start" or start.done():
+                raise ValueError
+            start.set_result(float(seconds))
+        except ValueError:
+            raise UsageError(f"standard input: expected one line 'start SECONDS', got {line!r}") from None
+
+
+def _report(what: str, details: dict[str, Any]) -> None:
+    print(json.dumps({"mono_s": round(time.monotonic(), 4), "what": what, **details}), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

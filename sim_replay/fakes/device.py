@@ -1,0 +1,199 @@
+"""A fake device at work: it plays a mission on a wire, answers its host, and fails as it was told to."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from msgspec import structs
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import NavSample, Ping
+from sim_replay.fakes.feed import Fed
+from sim_replay.fakes.job import ClockStep, Damage, Fault, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
+from sim_replay.fakes.navigation import NAVIGATION_UNITS, FakeNavigation, Message
+from sim_replay.fakes.sonar import DeviceTime, FakeSonar, JsfSonar, PingProtocolSonar, SportScanSonar
+from sim_replay.fakes.wires import Weather, Wire, make_wire
+
+Report = Callable[[str, dict[str, Any]], None]
+SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
+
+_LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
+_BATCH: Final = 16  # events read at once off the event loop
+_GARBAGE_BYTES: Final = 256
+
+
+class FakeDevice:
+    """One device of one run. report(what, details): what happens to it, as it happens.
+
+    Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and `mended` (do),
+    `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters: device.messages, .skipped (events
+    left out, since wire or computer were busy), .latest_ms (the latest that an event was through, after it was due), and those of the
+    wire and its damage.
+    """
+
+    def __init__(self, job: Job, events: Iterator[Fed], report: Report) -> None:
+        self._job = job
+        self._events = events
+        self._report = report
+        self._own: Counter[str] = Counter()
+        self._weather = Weather(job.seed)
+        self._random = random.Random(job.seed)
+        kind = job.device.device
+        self._sonar: FakeSonar | None = SONARS[kind]() if kind in SONARS else None
+        self._navigation: FakeNavigation | None = NAVIGATION_UNITS[kind]() if kind in NAVIGATION_UNITS else None
+        on_bytes = None if self._sonar is None else self._hear
+        self.wire: Wire = make_wire(job.device, Path(job.folder) / job.name, self._weather, on_bytes)
+        self._power_up_s = self._start_s = time.monotonic()
+        self._stepped_s = 0.0
+        self._has_power = True
+        self._freeze = False
+        self._offset = Offset(at_s=0.0)
+        self._told: NavSample | None = None
+        self._tasks: asyncio.TaskGroup | None = None
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._own + self.wire.counters + self._weather.counters
+
+    async def run(self, start: Awaitable[float]) -> None:
+        """Be there for the host, and play the mission from the instant of the monotonic clock that `start` gives.
+
+        Ends with the mission, and with the last fault that ends.
+        """
+        async with asyncio.TaskGroup() as tasks:
+            self._tasks = tasks
+            await self.wire.start()
+            reading = self._read_on()
+            self._report("ready", {"uri": self.wire.uri})
+            self._start_s = await start
+            for fault in self._job.device.faults:
+                tasks.create_task(self._fail(fault, tasks))
+            while batch := await reading:
+                reading = self._read_on()
+                for fed in batch:
+                    await self._play(fed)
+            self._report("done", {})
+
+    def _read_on(self) -> asyncio.Future[list[Fed]]:
+        return asyncio.ensure_future(asyncio.to_thread(lambda: list(islice(self._events, _BATCH))))
+
+    async def _play(self, fed: Fed) -> None:
+        event = fed.event
+        is_ping = isinstance(event, Ping)
+        if is_ping != (self._sonar is not None):
+            return
+        due_s = fed.at_s + (_travel_s(event) if isinstance(event, Ping) else 0.0)
+        await self._sleep_until(due_s)
+        if not self._has_power:
+            return
+        if self._elapsed_s() - due_s > _LATE_S:
+            self._own["device.skipped"] += 1
+            return
+        for message in self._messages(event, fed.at_s):
+            await self.wire.send(message)
+            self._own["device.messages"] += 1
+        self._own["device.latest_ms"] = max(self._own["device.latest_ms"], round(1e3 * (self._elapsed_s() - due_s)))
+
+    def _messages(self, event: Ping | NavSample, at_s: float) -> list[bytes] | list[Message]:
+        if isinstance(event, Ping):
+            assert self._sonar is not None
+            return self._sonar.ping(event, self._time(self._start_s + at_s))
+        assert self._navigation is not None
+        if not self._freeze or self._told is None:
+            self._told = _wrong_by(event, self._offset)
+        return self._navigation.measured(self._told, self._time(self._start_s + self._told.time_s).utc_s)
+
+    def _hear(self, data: bytes) -> None:
+        """What the host writes; answers go out as soon as the wire is free."""
+        sonar = self._sonar
+        if sonar is None or self._tasks is None or not self._has_power:
+            return
+        before = sonar.settings
+        answers = sonar.heard(data, self._time(time.monotonic()))
+        if sonar.settings != before:
+            self._report("settings", {"told": sonar.settings})
+        for answer in answers:
+            self._tasks.create_task(self.wire.send(answer))
+
+    async def _fail(self, fault: Fault, tasks: asyncio.TaskGroup) -> None:
+        do = str(fault.__struct_config__.tag)
+        await self._sleep_until(fault.at_s)
+        self._report("fault", {"do": do})
+        garbage = tasks.create_task(self._send_garbage()) if isinstance(fault, Garbage) else None
+        await self._set(fault, on=True)
+        if fault.for_s is None:
+            return
+        await self._sleep_until(fault.at_s + fault.for_s)
+        if garbage is not None:
+            garbage.cancel()
+        await self._set(fault, on=False)
+        mended_s = time.monotonic()
+        self._report("mended", {"do": do})
+        if isinstance(fault, Unplug | PowerOff):
+            await self.wire.opened()
+            self._report("reopened", {"after_s": round(time.monotonic() - mended_s, 4)})
+
+    async def _set(self, fault: Fault, *, on: bool) -> None:
+        match fault:
+            case Unplug():
+                await self.wire.set_plugged(not on)
+            case PowerOff():
+                self._has_power = not on
+                if not on:
+                    self._power_up_s = time.monotonic()
+                    if self._sonar is not None:
+                        self._sonar.power_up()
+                await self.wire.set_plugged(not on)
+            case Stall():
+                self.wire.set_stalled(on)
+            case Damage():
+                self._weather.set_rates(fault.rates if on else None)
+            case WrongBaud():
+                self.wire.set_baud(fault.baud if on else None)
+            case ClockStep():
+                self._stepped_s += fault.by_s if on else -fault.by_s
+            case Freeze():
+                self._freeze = on
+            case Offset():
+                self._offset = fault if on else Offset(at_s=0.0)
+
+    async def _send_garbage(self) -> None:
+        while True:
+            await self.wire.send_garbage(self._random.randbytes(_GARBAGE_BYTES))
+
+    def _time(self, mono_s: float) -> DeviceTime:
+        """What the device's clocks show at an instant of the monotonic clock."""
+        utc_s = time.time() + mono_s - time.monotonic() + self._stepped_s
+        return DeviceTime(max(mono_s - self._power_up_s + self._stepped_s, 0.0), utc_s)
+
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self._start_s
+
+    async def _sleep_until(self, at_s: float) -> None:
+        wait_s = at_s - self._elapsed_s()
+        if wait_s > 0.0:
+            await asyncio.sleep(wait_s)
+
+
+def _travel_s(ping: Ping) -> float:
+    """How long the sound is under way to the end of the trace and back; before that nothing can be sent."""
+    ends_m = [trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in (ping.port, ping.starboard) if trace is not None]
+    return 2.0 * max(ends_m, default=0.0) / ping.sound_speed_mps
+
+
+def _wrong_by(sample: NavSample, offset: Offset) -> NavSample:
+    if offset.heading_deg:
+        sample = structs.replace(sample, heading_rad=sample.heading_rad + math.radians(offset.heading_deg))
+    if offset.east_m or offset.north_m:
+        frame = LocalFrame(latitude_deg=sample.latitude_deg, longitude_deg=sample.longitude_deg)
+        latitude_deg, longitude_deg, _ = frame.to_geodetic((offset.east_m, offset.north_m, 0.0))
+        sample = structs.replace(sample, latitude_deg=float(latitude_deg), longitude_deg=float(longitude_deg))
+    return sample

@@ -1,0 +1,61 @@
+"""What fake devices have to tell and when: a mission, recorded or simulated, on the time line of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from msgspec import structs
+
+from auv_mcm.config import SonarConfig
+from auv_mcm.errors import UsageError
+from auv_mcm.records import NavSample, Ping, SourceEvent
+from sim_replay.recorded import RecordedMission
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.recording import complete
+from sim_replay.simulator.scene_file import read_scene
+
+
+class Fed(NamedTuple):
+    """A ping or navigation sample and when it happens, in seconds after the run's start; its own time_s is the same."""
+
+    at_s: float
+    event: Ping | NavSample
+
+
+def mission_events(log: Path | None, scene: str | None) -> Iterator[SourceEvent]:
+    """Events of an XTF log, or of a scene: a file or the name of one that ships with the package.
+
+    Echo samples are taken for amplitudes. Raises UsageError unless exactly one is given, or for a scene that stores logarithms;
+    BadInputError for a log that cannot be used.
+    """
+    if (log is None) == (scene is None):
+        raise UsageError("a fake device plays one mission: give either a log or a scene")
+    if log is not None:
+        return RecordedMission([log], SonarConfig()).events()
+    assert scene is not None
+    mission = Mission(read_scene(scene))
+    samples = complete(mission.sea.recorder).samples
+    if samples.startswith("log"):
+        raise UsageError(f"scene {scene} stores '{samples}', but fake sonars are fed with amplitudes: give sonar.samples an amplitude")
+    return mission.events()
+
+
+def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[Fed]:
+    """Events at `speed` times real time, from the first one on, never going back; what has no time is left out.
+
+    The vehicle really is that much faster then: it tells `speed` times its speed, so that times, places and speeds agree.
+    """
+    start_s, last_s = math.nan, 0.0
+    for event in events:
+        if not isinstance(event, Ping | NavSample) or not math.isfinite(event.time_s):
+            continue
+        if math.isnan(start_s):
+            start_s = event.time_s
+        last_s = max(last_s, (event.time_s - start_s) / speed)
+        if isinstance(event, NavSample):
+            yield Fed(last_s, structs.replace(event, time_s=last_s, speed_mps=event.speed_mps * speed))
+        else:
+            yield Fed(last_s, structs.replace(event, time_s=last_s))

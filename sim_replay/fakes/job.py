@@ -1,0 +1,135 @@
+"""What a fake device is told: who it is, at which wire, what it plays, and what goes wrong when."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from auv_mcm.errors import UsageError
+from auv_mcm.port_config import NavUnitName, SonarName
+from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from drivers.links.uri import BAUD_RATES, CAN_BITRATES
+from sim_replay.fakes.faults import FaultRates
+
+Seconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=3600.0)]
+LinkKind: TypeAlias = Literal["serial", "slcan", "tcp", "udp"]
+CAN_DEVICES: Final = ("nmea2000",)
+
+
+class _Told(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class _Fault(_Told, frozen=True, kw_only=True, tag_field="do"):
+    """at_s: after the run's start. for_s: how long, empty for until the end; times are real ones, whatever the mission's speed."""
+
+    at_s: Seconds
+    for_s: Annotated[float, Meta(gt=0.0, le=3600.0)] | None = None
+
+
+class Unplug(_Fault, frozen=True, kw_only=True, tag="unplug"):
+    """The cable is out; the device goes on and notices nothing."""
+
+
+class PowerOff(_Fault, frozen=True, kw_only=True, tag="power_off"):
+    """The cable is out and the device without power: it forgets its settings, and its counters start again from 0."""
+
+
+class Stall(_Fault, frozen=True, kw_only=True, tag="stall"):
+    """Nothing passes in either direction, and nobody is told."""
+
+
+class Garbage(_Fault, frozen=True, kw_only=True, tag="garbage"):
+    """Random bytes between all messages, as fast as the wire carries them; 1 MB/s on a network."""
+
+
+class Damage(_Fault, frozen=True, kw_only=True, tag="damage"):
+    """Flipped, lost and repeated bytes and messages."""
+
+    rates: FaultRates
+
+
+class WrongBaud(_Fault, frozen=True, kw_only=True, tag="wrong_baud"):
+    """The device speaks at another rate than it should; the host hears what a UART makes of it."""
+
+    baud: int
+
+
+class ClockStep(_Fault, frozen=True, kw_only=True, tag="clock_step"):
+    """The device's clocks, counter and UTC, are by_s ahead of what they should be."""
+
+    by_s: Annotated[float, Meta(ge=-1e6, le=1e6)]
+
+
+class Freeze(_Fault, frozen=True, kw_only=True, tag="freeze"):
+    """Navigation only: the last sample is told again and again, times and all."""
+
+
+class Offset(_Fault, frozen=True, kw_only=True, tag="offset"):
+    """Navigation only: what is told is wrong by this much."""
+
+    east_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
+    north_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
+    heading_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0
+
+
+Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset
+
+
+class Device(_Told, frozen=True, kw_only=True):
+    """A device at the end of a wire. baud: its own rate; host_baud: what the host believes, if that is another. silent_s: of the link."""
+
+    device: SonarName | NavUnitName
+    link: LinkKind = "serial"
+    baud: int = 115_200
+    host_baud: int | None = None
+    bus_bitrate: int = 250_000
+    silent_s: Annotated[float, Meta(gt=0.0, le=3600.0)] | None = None
+    faults: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        if (self.link == "slcan") != (self.device in CAN_DEVICES):
+            raise ValueError(f"a device '{self.device}' does not go with a link '{self.link}'")
+        bauds = [self.baud, self.host_baud, *(fault.baud for fault in self.faults if isinstance(fault, WrongBaud))]
+        for baud in bauds:
+            if baud is not None and baud not in BAUD_RATES:
+                raise ValueError(f"a rate of {baud} baud is not standard; give one of {', '.join(map(str, BAUD_RATES))}")
+        if self.bus_bitrate not in CAN_BITRATES:
+            raise ValueError(f"a bus of {self.bus_bitrate} bit/s is not standard; give one of {', '.join(map(str, CAN_BITRATES))}")
+        serial = self.link in ("serial", "slcan")
+        for fault in self.faults:
+            if isinstance(fault, WrongBaud) and not serial:
+                raise ValueError(f"a link '{self.link}' has no baud rate that could be wrong")
+            if isinstance(fault, Freeze | Offset) and self.is_sonar:
+                raise ValueError(f"a device '{self.device}' is no navigation unit: freeze and offset are for those")
+
+    @property
+    def is_sonar(self) -> bool:
+        return self.device in SONARS
+
+
+SONARS: Final = ("ping_protocol", "jsf", "sportscan")
+
+
+class Job(_Told, frozen=True, kw_only=True):
+    """One device of one run. folder: where its port appears; log or scene: the mission; speed: times real time."""
+
+    name: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+    device: Device
+    folder: str
+    log: str | None = None
+    scene: str | None = None
+    speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 1.0
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
+
+
+def read_job(path: Path) -> Job:
+    """A job from a YAML file. Raises UsageError with the key's path for anything that is not understood."""
+    data = load_mapping(read_text(path, "job of a fake device"), str(path), "expected keys such as 'name:' and 'device:'")
+    try:
+        return msgspec.convert(data, Job)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{path}: {keyed(error)}") from error

@@ -1,0 +1,248 @@
+"""The wires of fake devices, of one shape: pseudo-terminals, CAN adapters, TCP and UDP of this computer."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import termios
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, Protocol, TypeAlias
+
+from drivers.links.can_frame import CanFrame
+from sim_replay.fakes.faults import FaultRates, Faults
+from sim_replay.fakes.job import Device
+from sim_replay.fakes.net import FakeTcpServer, FakeUdpDevice
+from sim_replay.fakes.port import FakePort
+from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
+
+OnBytes: TypeAlias = Callable[[bytes], None]
+_LOOK_S: Final = 0.002
+_NETWORK_BYTES_PER_S: Final = 1e6
+
+
+class Weather(Faults):
+    """Damage that sets in and ends; without any, messages pass as they are."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(FaultRates(), seed)
+        self._clear = True
+
+    def set_rates(self, rates: FaultRates | None) -> None:
+        self._clear = rates is None
+        self._rates = rates or FaultRates()
+
+    def passed(self, message: bytes) -> list[tuple[float, bytes]]:
+        return [(0.0, message)] if self._clear else super().passed(message)
+
+
+class Wire(Protocol):
+    """A device's end of a wire. Used in a running event loop."""
+
+    @property
+    def uri(self) -> str:
+        """What the host's configuration names it."""
+        ...
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    async def start(self) -> None:
+        """Appear, for the host to open."""
+        ...
+
+    async def send(self, message: bytes | CanFrame) -> None:
+        """Returns when the last byte has left."""
+        ...
+
+    async def send_garbage(self, data: bytes) -> None:
+        """Bytes that are no message, at the rate of the wire."""
+        ...
+
+    async def set_plugged(self, plugged: bool) -> None: ...
+
+    def set_stalled(self, stalled: bool) -> None: ...
+
+    def set_baud(self, baud: int | None) -> None:
+        """Of the device; None: the right one."""
+        ...
+
+    async def opened(self) -> None:
+        """Returns as soon as the host has opened the wire after it came back."""
+        ...
+
+
+class SerialWire:
+    """A pseudo-terminal."""
+
+    def __init__(self, device: Device, path: Path, weather: Weather, on_bytes: OnBytes | None) -> None:
+        self.port = FakePort(path, device.baud, weather, on_bytes)
+        self.uri = f"serial://{path}?baud={device.host_baud or device.baud}{_silence(device, '&')}"
+        self._baud = device.baud
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self.port.counters
+
+    async def start(self) -> None:
+        self.port.plug()
+
+    async def send(self, message: bytes | CanFrame) -> None:
+        assert isinstance(message, bytes)
+        await self.port.send(message)
+
+    async def send_garbage(self, data: bytes) -> None:
+        await self.port.send(data)
+
+    async def set_plugged(self, plugged: bool) -> None:
+        if plugged:
+            self.port.plug()
+        else:
+            self.port.unplug()
+
+    def set_stalled(self, stalled: bool) -> None:
+        self.port.stalled = stalled
+
+    def set_baud(self, baud: int | None) -> None:
+        self.port.baud = baud or self._baud
+
+    async def opened(self) -> None:
+        while not self.port.plugged or not _is_opened(self.port.path):
+            await asyncio.sleep(_LOOK_S)
+
+
+class SlcanWire(SerialWire):
+    """A CAN adapter at a pseudo-terminal, and the bus behind it. A device on a bus does not hear the host."""
+
+    def __init__(self, device: Device, path: Path, weather: Weather) -> None:
+        super().__init__(device, path, weather, None)
+        self.uri = f"slcan://{path}?bitrate={device.bus_bitrate}&baud={device.host_baud or device.baud}{_silence(device, '&')}"
+        self._adapter = FakeSlcanAdapter(self.port, device.bus_bitrate)
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self.port.counters + self._adapter.counters
+
+    async def send(self, message: bytes | CanFrame) -> None:
+        assert isinstance(message, CanFrame)
+        await self._adapter.send(message)
+
+    async def set_plugged(self, plugged: bool) -> None:
+        if plugged:
+            self._adapter.power_cycle()  # it takes its power from the same cable
+        await super().set_plugged(plugged)
+
+
+class TcpWire:
+    """A TCP server; without power it refuses connections."""
+
+    def __init__(self, device: Device, weather: Weather, on_bytes: OnBytes | None) -> None:
+        self._server = FakeTcpServer(weather, on_bytes)
+        self._silence = _silence(device, "?")
+
+    @property
+    def uri(self) -> str:
+        return f"tcp://127.0.0.1:{self._server.port}{self._silence}"
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._server.counters
+
+    async def start(self) -> None:
+        await self._server.start()
+
+    async def send(self, message: bytes | CanFrame) -> None:
+        assert isinstance(message, bytes)
+        await self._server.send(message)
+
+    async def send_garbage(self, data: bytes) -> None:
+        await self._server.send(data)
+        await asyncio.sleep(len(data) / _NETWORK_BYTES_PER_S)
+
+    async def set_plugged(self, plugged: bool) -> None:
+        if plugged:
+            await self._server.start()
+        else:
+            await self._server.stop(reset=True)
+
+    def set_stalled(self, stalled: bool) -> None:
+        self._server.stalled = stalled
+
+    def set_baud(self, baud: int | None) -> None:
+        raise AssertionError("a network has no baud rate; jobs that say so are refused")
+
+    async def opened(self) -> None:
+        while not self._server.n_clients:
+            await asyncio.sleep(_LOOK_S)
+
+
+class UdpWire:
+    """Datagrams to a port of this computer that was free when the wire was made."""
+
+    def __init__(self, device: Device, weather: Weather, on_bytes: OnBytes | None) -> None:
+        self._device = FakeUdpDevice(weather, on_bytes)
+        self._host_port = _free_udp_port()
+        self.uri = f"udp://127.0.0.1:{self._host_port}?peer=127.0.0.1:{self._device.port}{_silence(device, '&')}"
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._device.counters
+
+    async def start(self) -> None:
+        """A sender of datagrams is there from the beginning."""
+
+    async def send(self, message: bytes | CanFrame) -> None:
+        assert isinstance(message, bytes)
+        self._device.send(message, "127.0.0.1", self._host_port)
+
+    async def send_garbage(self, data: bytes) -> None:
+        self._device.send(data, "127.0.0.1", self._host_port)
+        await asyncio.sleep(len(data) / _NETWORK_BYTES_PER_S)
+
+    async def set_plugged(self, plugged: bool) -> None:
+        """A cable that is out looks like one through which nothing comes."""
+        self._device.stalled = not plugged
+
+    def set_stalled(self, stalled: bool) -> None:
+        self._device.stalled = stalled
+
+    def set_baud(self, baud: int | None) -> None:
+        raise AssertionError("a network has no baud rate; jobs that say so are refused")
+
+    async def opened(self) -> None:
+        """Nobody is told when a socket is opened; what can be said is that datagrams go out again."""
+
+
+def make_wire(device: Device, path: Path, weather: Weather, on_bytes: OnBytes | None) -> Wire:
+    """The wire of a device; path: where a serial port appears. on_bytes: what the host writes, None if nobody listens."""
+    match device.link:
+        case "serial":
+            return SerialWire(device, path, weather, on_bytes)
+        case "slcan":
+            return SlcanWire(device, path, weather)
+        case "tcp":
+            return TcpWire(device, weather, on_bytes)
+        case "udp":
+            return UdpWire(device, weather, on_bytes)
+
+
+def _is_opened(path: Path) -> bool:
+    """Whether a program has set up the serial port: it then ignores modem lines, which a new pseudo-terminal does not."""
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        return bool(termios.tcgetattr(descriptor)[2] & termios.CLOCAL)
+    finally:
+        os.close(descriptor)
+
+
+def _silence(device: Device, joint: str) -> str:
+    return "" if device.silent_s is None else f"{joint}silent_s={device.silent_s:g}"
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
