@@ -240,13 +240,15 @@ class Service:
         perception = Perception(self._config, self._make_pipeline)
         failure: AuvMcmError | None = None
         try:
-            await asyncio.gather(perception.start(), asyncio.to_thread(self._start_recording))
-            gc.collect()
-            gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
-            log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
             async with asyncio.TaskGroup() as tasks:
+                starting = tasks.create_task(perception.start())
+                await asyncio.to_thread(self._start_recording)
+                tasks.create_task(self._take_in(queue))  # what comes in while perception starts is not lost
+                await starting
+                gc.collect()
+                gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
+                log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
                 health = [tasks.create_task(self._watch_lag()), tasks.create_task(self._report_health(queue, perception))]
-                tasks.create_task(self._take_in(queue))
                 tasks.create_task(self._feed(queue, perception))
                 await tasks.create_task(self._publish(perception, journal))
                 for task in health:
