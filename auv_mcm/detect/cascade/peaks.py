@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+_STRETCH: Final = 4096
 
 
 def apart(
@@ -18,10 +23,22 @@ def apart(
 
     Of equal scores the first is better. More windows never lose one: it stays, or a better one within reach takes its place.
     """
-    left = np.argsort(-scores.astype(np.float64), kind="stable")
+    if not rows.size:
+        return np.empty(0, dtype=np.intp)
+    row, column = rows - int(rows.min()), columns - int(columns.min())
+    down, across = math.floor(half_rows), math.floor(half_columns)
+    covered = np.zeros((int(row.max()) + 1, int(column.max()) + 1), dtype=np.bool_)
+    order = np.argsort(-scores.astype(np.float64), kind="stable")
     kept: list[int] = []
-    while left.size and len(kept) < most:
-        best = int(left[0])
-        kept.append(best)
-        left = left[(np.abs(rows[left] - rows[best]) > half_rows) | (np.abs(columns[left] - columns[best]) > half_columns)]
+    # Most windows are near better ones: whole stretches of them are dropped at once.
+    for start in range(0, order.size, _STRETCH):
+        stretch = order[start : start + _STRETCH]
+        for k in stretch[~covered[row[stretch], column[stretch]]].tolist():
+            at, along = int(row[k]), int(column[k])
+            if covered[at, along]:
+                continue
+            kept.append(k)
+            if len(kept) == most:
+                return np.array(kept, dtype=np.intp)
+            covered[max(at - down, 0) : at + down + 1, max(along - across, 0) : along + across + 1] = True
     return np.array(kept, dtype=np.intp)

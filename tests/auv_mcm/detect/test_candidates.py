@@ -82,6 +82,20 @@ def test_detections_carry_the_cascades_score_and_rank_by_it() -> None:
 
 @settings(max_examples=60)
 @given(
+    seed=st.integers(0, 2**32 - 1), n=st.integers(0, 300), most=st.integers(1, 50), half=st.tuples(st.floats(0.0, 9.0), st.floats(0.0, 9.0))
+)
+def test_windows_apart_are_those_of_one_comparison_after_the_other(seed: int, n: int, most: int, half: tuple[float, float]) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    rows, columns, scores = (rng.integers(0, k, n).astype(np.int32) for k in (40, 60, 9))
+    slow: list[int] = []
+    for k in sorted(range(n), key=lambda k: (-scores[k], k)):
+        if len(slow) < most and all(abs(rows[k] - rows[o]) > half[0] or abs(columns[k] - columns[o]) > half[1] for o in slow):
+            slow.append(k)
+    assert apart(rows, columns, scores, *half, most).tolist() == slow
+
+
+@settings(max_examples=60)
+@given(
     places=st.lists(
         st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(-5, 5)), min_size=1, max_size=60, unique_by=lambda p: p[:2]
     ),
