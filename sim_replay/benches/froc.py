@@ -52,7 +52,8 @@ LIMITS_PER_KM2: Final = (10.0, 50.0, 100.0)
 
 _ROCKS_P: Final = 0.5
 _GATE_M: Final = 2.0
-_TARGETS_PER_LINE: Final = 12
+_TARGETS_PER_LINE: Final = 8  # and as many rocks
+_APART_M: Final = 5.0
 _STEPS: Final[dict[str, LookStep]] = {"confirmation": "contours", "chain": "shape"}
 SYSTEMS: Final = {
     "rival": "plain threshold",
@@ -221,8 +222,10 @@ def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetection
 
 
 def _scattered(seed: int) -> TargetSpec:
-    targets = Scatter(kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, is_target=True)
-    rocks = Scatter(kinds=("rock",), count=_TARGETS_PER_LINE, is_target=False)
+    targets = Scatter(
+        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=True
+    )
+    rocks = Scatter(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
     return TargetSpec(seed=seed, scatter=(targets, rocks))
 
 
