@@ -153,6 +153,8 @@ def _stages(tiles: _Tiles, pool: Pool, say: Say) -> CascadeModel:
             say(f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from")
             break
         stage = train_stage(learned, judged, _rng(number))
+        if not stage.stumps:
+            raise UsageError(f"{tiles.folder}: no feature tells targets from the rest. Render a set with more missions")
         say(
             f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and {stage.false_alarms:.4f} of "
             f"{lesson.others.shape[1]} others pass"
