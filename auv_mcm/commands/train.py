@@ -23,4 +23,4 @@ def add(commands: Commands) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.training.command import main
 
-    return main(arguments.arguments)
+    return main([argument for argument in arguments.arguments if argument != "--"])
