@@ -55,7 +55,15 @@ def read_config(path: Path | None) -> Config:
 
     if path is None:
         return Config()
-    return parse_config(read_text(path, "configuration"), str(path))
+    config = parse_config(read_text(path, "configuration"), str(path))
+    if config.ports:
+        from drivers.ports import read_ports
+
+        try:
+            read_ports(config)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from error
+    return config
 
 
 def write_new(path: Path, text: str) -> None:

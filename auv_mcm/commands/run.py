@@ -14,18 +14,32 @@ def add(commands: Commands) -> None:
         commands,
         "run",
         "run the live service until its source ends or SIGINT or SIGTERM arrives",
-        "The source is service.source of the configuration; replay:///path/to/mission.xtf?speed=1 plays a recorded\n"
-        "mission (speed: times real time, or max). Contacts go to the console once they are on disk, in contacts.jsonl of\n"
+        "The source is service.source of the configuration: ports for the devices in its section ports, whose every byte\n"
+        "is recorded beside the results; replay:///path/to/mission.xtf?speed=1 plays a recorded mission (speed: times\n"
+        "real time, or max). Contacts go to the console once they are on disk, in contacts.jsonl of\n"
         "a new session directory below service.output_directory; clutter stays off the console. Health lines go to\n"
         "standard error.\n"
         "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
-        ["auv-mcm run --config vehicle.yaml"],
+        [
+            "auv-mcm run --config vehicle.yaml",
+            "auv-mcm run --example >> vehicle.yaml                  begin with ports",
+            "auv-mcm run --interface --config vehicle.yaml          what goes in and out of each port, to the byte",
+        ],
     )
     add_config_option(parser)
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--interface", action="store_true", help="print every message in and out, with its port and layout, and end")
+    instead.add_argument("--example", action="store_true", help="print the ports of an example vehicle for a configuration, and end")
     parser.set_defaults(command=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.example or arguments.interface:
+        from drivers.interface import EXAMPLE, interface_text
+
+        sys.stdout.write(EXAMPLE if arguments.example else interface_text(read_config(arguments.config)))
+        return 0
+
     import logging
 
     from auv_mcm.service import serve

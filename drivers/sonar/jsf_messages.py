@@ -167,10 +167,10 @@ class SideScanHeader(NamedTuple):
         return self.time_s + 1e-3 * (self.milliseconds_today % 1000)
 
 
-_DATA: Final = Struct(
+DATA_HEADER: Final = Struct(
     "<iII4x3H6xhHxxh2h4xff24xfiih24sHIHh2xHHHiiHHiff5hhhhHhh4xhH6xhh4xIH4x6s4xH4xhf4xH2x",
 )
-DATA_HEADER_BYTES: Final = _DATA.size
+DATA_HEADER_BYTES: Final = DATA_HEADER.size
 _DATA_FORMAT: Final = Struct("<h")
 _SAMPLES: Final = Struct("<H96xH")  # msb at 16, low 16 bits at 114
 
@@ -204,7 +204,7 @@ def encode_data(data: SideScanData, subsystem: int, channel: int, sequence: int 
     n_samples = data.values.shape[0] // values_per_sample(data.header.data_format)
     header = data.header._replace(samples_low=n_samples & 0xFFFF, msb=data.header.msb & 0xF0FF | (n_samples >> 16 & 0xF) << 8)
     kind = "<u2" if header.data_format == DataFormat.ENVELOPE else "<i2"
-    body = _DATA.pack(*header) + data.values.astype(kind, copy=False).tobytes()
+    body = DATA_HEADER.pack(*header) + data.values.astype(kind, copy=False).tobytes()
     return to_wire(JsfMessage(SIDE_SCAN, body, subsystem=subsystem, channel=channel, sequence=sequence))
 
 
@@ -212,7 +212,7 @@ def decode_data(body: bytes) -> SideScanData | None:
     """The body of a data message; None if it is shorter than it says."""
     if len(body) < DATA_HEADER_BYTES:
         return None
-    header = SideScanHeader(*_DATA.unpack_from(body))
+    header = SideScanHeader(*DATA_HEADER.unpack_from(body))
     n_values = header.n_samples * values_per_sample(header.data_format)
     if len(body) < DATA_HEADER_BYTES + 2 * n_values:
         return None

@@ -134,7 +134,7 @@ Payload: TypeAlias = (
     | OsMonoProfile
 )
 
-_FIXED: Final[dict[int, tuple[Any, Struct]]] = {
+FIXED_LAYOUTS: Final[dict[int, tuple[Any, Struct]]] = {
     ACK: (Ack, Struct("<H")),
     DEVICE_INFORMATION: (DeviceInformation, Struct("<6B")),
     PROTOCOL_VERSION: (ProtocolVersion, Struct("<4B")),
@@ -143,12 +143,14 @@ _FIXED: Final[dict[int, tuple[Any, Struct]]] = {
     OLD_SET_SPEED_OF_SOUND: (SetSpeedOfSound, Struct("<I")),
     OS_PING_PARAMS: (OsPingParams, Struct("<3I4fhH4B")),
 }
-_ID_OF: Final[dict[type, int]] = {kind: number for number, (kind, _) in _FIXED.items() if number != OLD_SET_SPEED_OF_SOUND}
+# In the order of PROFILE_HEADER, which the results follow.
+PROFILE_FIELDS: Final = (*OsMonoProfile._fields[:6], "n_results", *OsMonoProfile._fields[6:8], "reserved", *OsMonoProfile._fields[8:14])
+_ID_OF: Final[dict[type, int]] = {kind: number for number, (kind, _) in FIXED_LAYOUTS.items() if number != OLD_SET_SPEED_OF_SOUND}
 _MAX_TEXT_BYTES: Final = 1024
 _MAX_OTHER_BYTES: Final = 4096
 
 _LENGTHS: Final[dict[int, tuple[int, int]]] = {
-    **{number: (layout.size, layout.size) for number, (_, layout) in _FIXED.items()},
+    **{number: (layout.size, layout.size) for number, (_, layout) in FIXED_LAYOUTS.items()},
     NACK: (2, 2 + _MAX_TEXT_BYTES),
     ASCII_TEXT: (0, _MAX_TEXT_BYTES),
     JSON_WRAPPER: (0, PROFILE_HEADER.size + 2 * MAX_RESULTS),
@@ -180,7 +182,7 @@ def encode(payload: Payload, source: int = 0, destination: int = 0) -> bytes:
         message_id, content = JSON_WRAPPER, json.dumps(payload.content).encode()
     else:
         message_id = _ID_OF[type(payload)]
-        content = _FIXED[message_id][1].pack(*payload)
+        content = FIXED_LAYOUTS[message_id][1].pack(*payload)
     return to_wire(PingMessage(message_id, content, source, destination))
 
 
@@ -191,8 +193,8 @@ def decode(message: PingMessage) -> Payload | None:
         return None
     if message_id == OS_MONO_PROFILE:
         return _decode_profile(payload)
-    if message_id in _FIXED:
-        kind, layout = _FIXED[message_id]
+    if message_id in FIXED_LAYOUTS:
+        kind, layout = FIXED_LAYOUTS[message_id]
         made: Payload = kind(*layout.unpack(payload))
         return made
     if message_id == NACK:

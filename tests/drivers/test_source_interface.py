@@ -1,0 +1,91 @@
+"""What is printed of the ports is what the decoders do."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from struct import Struct
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from port_traffic import PORTS, config_of
+
+from auv_mcm.cli import main
+from auv_mcm.config import Config
+from auv_mcm.port_config import SONAR_NAMES, NavUnitName
+from drivers.interface import EXAMPLE, interface_text, struct_fields
+from drivers.navigation.n2k_messages import MESSAGES
+from drivers.navigation.sentences import SENTENCES
+from drivers.ports import read_ports
+from drivers.sonar.jsf_messages import DATA_HEADER, SideScanHeader
+from drivers.sonar.ping_messages import FIXED_LAYOUTS, PROFILE_FIELDS, PROFILE_HEADER
+
+CODES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "f32": "f"}
+
+
+@pytest.mark.parametrize(
+    ("names", "layout"),
+    [
+        (PROFILE_FIELDS, PROFILE_HEADER),
+        (SideScanHeader._fields, DATA_HEADER),
+        *((kind._fields, layout) for kind, layout in FIXED_LAYOUTS.values()),
+    ],
+)
+def test_every_field_stands_at_its_offset(names: tuple[str, ...], layout: Struct) -> None:
+    data = bytes(range(layout.size % 256)) if layout.size < 128 else bytes(k % 120 for k in range(layout.size))
+    for line, value, name in zip(struct_fields(names, layout), layout.unpack(data), names, strict=True):
+        at, kind, told = re.fullmatch(r" *(\d+) (\d+ bytes|\w+) +(\w+)", line).groups()  # type: ignore[union-attr]
+        one = Struct(f"<{CODES[kind]}" if kind in CODES else f"{kind.split()[0]}s")
+        assert told == name
+        assert str(one.unpack_from(data, int(at))[0]) == str(value)
+
+
+@given(st.lists(st.sampled_from(["B", "2x", "H", "3s", "2i", "f"]), min_size=1, max_size=8))
+def test_padding_moves_what_follows(codes: list[str]) -> None:
+    layout = Struct("<" + "".join(codes))
+    n_fields = sum({"2x": 0, "2i": 2}.get(code, 1) for code in codes)
+    lines = struct_fields([f"f{k}" for k in range(n_fields)], layout)
+    assert len(lines) == n_fields
+    if lines and codes[-1] == "H":
+        assert int(lines[-1].split()[0]) == layout.size - 2
+
+
+def test_every_device_is_described_if_no_port_is_configured() -> None:
+    text = interface_text(Config())
+    for device in (*SONAR_NAMES, *get_args(NavUnitName)):
+        assert f"\ndevice {device}: " in text
+    assert all(f"PGN {pgn}, " in text for pgn in MESSAGES)
+    assert all(key in text for key in SENTENCES)
+    assert not re.search(r"[ \t]$", text, re.MULTILINE)
+
+
+def test_ports_are_printed_with_the_very_bytes_that_they_are_sent() -> None:
+    config = config_of()
+    text = interface_text(config)
+    assert "port 'gnss': serial:///dev/ttyS0, 115200 baud" in text
+    for command in read_ports(config)[0].commands:
+        assert command.hex(" ") in text
+    assert "device jsf" not in text
+
+
+def test_the_example_is_a_configuration() -> None:
+    config = config_of(EXAMPLE)
+    assert config.service.source == "ports"
+    assert len(read_ports(config)) == len(config.ports) == 5
+
+
+def test_the_command_prints_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--example"]) == 0
+    assert capsys.readouterr().out == EXAMPLE
+    (tmp_path / "vehicle.yaml").write_text(PORTS)
+    assert main(["run", "--interface", "--config", str(tmp_path / "vehicle.yaml")]) == 0
+    assert capsys.readouterr().out == interface_text(config_of())
+
+
+def test_ports_that_cannot_be_are_refused_by_every_command_that_reads_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "vehicle.yaml"
+    path.write_text(PORTS.replace("baud=115200", "baud=115201"))
+    assert main(["run", "--interface", "--config", str(path)]) == 2
+    assert f"{path}: ports[1].link" in capsys.readouterr().err
