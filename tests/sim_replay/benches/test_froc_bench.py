@@ -1,0 +1,87 @@
+"""The comparison of all detectors: what each reports of one short mission, rates at limits, and how rocks are counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from drawn_looks import contact, detection
+
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import Contact
+from sim_replay.benches import froc
+from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd
+from sim_replay.benches.scenes import config_for
+from sim_replay.scoring import Mission, parse_truth, score_missions
+from sim_replay.scoring.inputs import ReportedContact
+from sim_replay.simulator import mission as simulated
+from sim_replay.simulator.scene import Lawnmower, Scatter, Scene, Track
+from sim_replay.simulator.scene_file import read_scene
+
+PLACE = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
+
+
+def at(north_m: float, p_mine: float) -> ReportedContact:
+    latitude, longitude, _ = PLACE.to_geodetic((0.0, north_m, 0.0))
+    return ReportedContact(float(latitude), float(longitude), p_mine)
+
+
+def truth_of(*norths_m: float, kind: str = "sphere", is_target: bool = True) -> dict[str, object]:
+    places = [PLACE.to_geodetic((0.0, north_m, 0.0)) for north_m in norths_m]
+    things = [{"kind": kind, "lat": float(lat), "lon": float(lon), "is_target": is_target} for lat, lon, _ in places]
+    return {"area_km2": 0.01, "objects": things}
+
+
+def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed() -> None:
+    contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6), at(200.0, 0.5))
+    score = score_missions([Mission(contacts, parse_truth(truth_of(0.0, 100.0, 200.0), "here"), "here")])
+    assert [best_pd(score, limit)[:4] for limit in (0.0, 100.0, 200.0)] == ["0.33", "0.67", "1.00"]
+
+
+def test_without_contacts_the_best_pd_is_none_of_the_targets() -> None:
+    score = score_missions([Mission((), parse_truth(truth_of(0.0, 100.0), "here"), "here")])
+    assert best_pd(score, 10.0).startswith("0.00")
+
+
+def test_rocks_count_by_views_and_by_the_most_mine_like_contact_near_them() -> None:
+    truth = parse_truth(truth_of(0.0, 100.0, 200.0, kind="rock", is_target=False), "here")
+
+    def seen(north_m: float, p_mine: float, n_views: int) -> Contact:
+        latitude, longitude, _ = PLACE.to_geodetic((0.0, north_m, 0.0))
+        place: dict[str, Any] = {"latitude_deg": float(latitude), "longitude_deg": float(longitude)}
+        return contact(**place, p_mine=p_mine, views=tuple(detection(**place) for _ in range(n_views)))
+
+    found = list(froc._rocks([seen(0.5, 0.1, 1), seen(-0.5, 0.9, 2), seen(100.0, 0.2, 1)], Mission((), truth, "here")))
+    assert [(rock.n_views, rock.called) for rock in found] == [(2, True), (1, False), (0, False)]
+
+
+def test_missions_are_pooled_without_the_sea_floor_held_out() -> None:
+    def flown(group: str) -> Flown:
+        return Flown(group, {}, ())
+
+    groups = dict(froc._groups([flown("flat"), flown("ripple"), flown("seagrass"), flown("log1"), flown("log2")]))
+    assert [one.group for one in groups["all simulated but held-out sea floors"]] == ["flat", "ripple"]
+    assert [one.group for one in groups["all recorded"]] == ["log1", "log2"]
+    assert set(groups) >= {"flat", "ripple", "seagrass", "log1", "log2"}
+
+
+def test_every_system_reports_of_one_mission() -> None:
+    scene = Scene(
+        seed=3,
+        sonar=read_scene("flat").sonar,
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=40.0), altitude_m=6.0),
+        scatter=(Scatter(kind="rock", count=2), Scatter(kind="cylinder", count=2)),
+    )
+    mission = simulated.Mission(scene)
+    found = froc._seen(SimulatedLine("flat", 3), config_for(scene), mission.events(), mission.truth)
+    assert set(found.reported) == set(SYSTEMS)
+    assert all(one.truth is found.reported["chain"].truth for one in found.reported.values())
+    assert len(found.reported["chain"].contacts) == len(found.reported["confirmation"].contacts) > 0
+
+
+def test_a_scene_that_is_not_there_is_refused_by_name() -> None:
+    with pytest.raises(UsageError, match="nowhere"):
+        read_scene("nowhere")
+    assert AugmentedLine(Path("/data/line.xtf"), 1).group == "line"
