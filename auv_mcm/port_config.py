@@ -67,6 +67,9 @@ class SonarPortConfig(_Settings, frozen=True, kw_only=True):
     enabled: Annotated[bool, Meta(description="false: it is told not to ping")] = True
     n_samples: Annotated[int, Meta(ge=1, le=12_000, description="per side and ping, where the device lets it be set")] = 1200
     sound_speed_mps: Annotated[float, Meta(ge=1400.0, le=1600.0, description="for its ranges, m/s")] = 1500.0
+    command_link: Annotated[
+        str | None, Meta(description="a wire of its own for commands, as EdgeTech's TCP port 1600 beside 1601; empty: they go to link")
+    ] = None
     ping_interval_s: Annotated[float, Meta(ge=0.02, le=10.0, description="between two pings of a sonar that pings only when asked, s")] = (
         0.2
     )

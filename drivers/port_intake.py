@@ -36,7 +36,7 @@ class PortIntake:
         ports = read_ports(config)
         self._utc = UtcAnchor("this computer")
         self._streams = {port.name: PortStream(port, config.sonar, self._utc) for port in ports}
-        self._heads = HeadPairer() if sum(port.is_sonar for port in ports) > 1 else None
+        self._heads = HeadPairer() if {"port", "starboard"} <= {port.sides for port in ports} else None
         self._merge = NavMerge(merge_settings(config, ports))
         self._own: Counter[str] = Counter()
 

@@ -40,8 +40,11 @@ class Port(NamedTuple):
 
 
 def read_ports(config: Config) -> tuple[Port, ...]:
-    """The ports of a configuration. Raises UsageError, with the key's path, for a link or setting that its device cannot have."""
-    return tuple(_port(port, f"ports[{index}]") for index, port in enumerate(config.ports))
+    """The ports of a configuration; a wire for commands is a port NAME.commands of its own.
+
+    Raises UsageError, with the key's path, for a link or setting that its device cannot have.
+    """
+    return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]"))
 
 
 def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
@@ -54,13 +57,18 @@ def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
     )
 
 
+def _ports(port: PortConfig, key: str) -> tuple[Port, ...]:
+    served = _port(port, key)
+    if port.sonar is None or port.sonar.command_link is None:
+        return (served,)
+    address = _address(port.sonar.command_link, f"{key}.sonar.command_link", port.device)
+    commander = served._replace(name=f"{port.name}.commands", address=address, baud=_baud(address), unit=None)
+    return served._replace(commands=(), ask_every_s=None), commander
+
+
 def _port(port: PortConfig, key: str) -> Port:
-    address = parse_link_uri(port.link, f"{key}.link")
-    is_bus = isinstance(address, CanAddress | SlcanAddress)
-    if is_bus != (port.device == CAN_PROTOCOL):
-        needed = "a slcan:// or socketcan:// link" if port.device == CAN_PROTOCOL else "a serial://, tcp:// or udp:// link"
-        raise UsageError(f"{key}.link '{port.link}': a device '{port.device}' cannot be there; give it {needed}")
-    baud = address.baud if isinstance(address, SerialAddress) else None
+    address = _address(port.link, f"{key}.link", port.device)
+    baud = _baud(address)
     is_sonar = port.device in SONAR_NAMES
     unit = port.navigation if is_sonar else port.navigation or NavUnitSettings()
     if unit is not None and unit.baud is None:
@@ -78,6 +86,20 @@ def _port(port: PortConfig, key: str) -> Port:
         ask_every_s=sonar.ping_interval_s if asked and commands else None,
         unit=unit,
     )
+
+
+def _address(link: str, key: str, device: str) -> LinkAddress:
+    """Of a link that carries what the device speaks."""
+    address = parse_link_uri(link, key)
+    is_bus = isinstance(address, CanAddress | SlcanAddress)
+    if is_bus != (device == CAN_PROTOCOL):
+        needed = "a slcan:// or socketcan:// link" if device == CAN_PROTOCOL else "a serial://, tcp:// or udp:// link"
+        raise UsageError(f"{key} '{link}': a device '{device}' cannot be there; give it {needed}")
+    return address
+
+
+def _baud(address: LinkAddress) -> int | None:
+    return address.baud if isinstance(address, SerialAddress) else None
 
 
 def _commands(port: PortConfig, sonar: SonarPortConfig, key: str) -> tuple[tuple[bytes, ...], bool]:

@@ -23,6 +23,7 @@ from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can, unpack_can
 from drivers.ports import read_ports
 from drivers.sonar.imagenex import commands as sportscan_commands
+from drivers.sonar.jsf_messages import PING_RANGE, Command, JsfMessage, to_wire
 from drivers.sonar.ping_protocol import PingDecoder
 from drivers.sonar.registry import SONARS
 from drivers.sonar.seam import SonarSettings
@@ -241,6 +242,18 @@ def test_a_sonar_that_pings_when_asked_is_asked_at_its_interval() -> None:
     text = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.25}}]"
     (port,) = read_ports(config_of(text))
     assert (port.commands, port.ask_every_s) == (sportscan_commands(SonarSettings(range_m=30)), 0.25)
+
+
+def test_commands_may_have_a_wire_of_their_own() -> None:
+    text = "ports: [{name: s, link: 'tcp://10.0.0.2:1601', device: jsf, sonar: {range_m: 75, command_link: 'tcp://10.0.0.2:1600'}}]"
+    data, commands = read_ports(config_of(text))
+    assert (data.name, data.address.place, data.commands) == ("s", "tcp://10.0.0.2:1601", ())
+    assert (commands.name, commands.address.place) == ("s.commands", "tcp://10.0.0.2:1600")
+    assert commands.commands == SONARS["jsf"].commands(SonarSettings(range_m=75))
+    refusal = to_wire(JsfMessage(PING_RANGE, b"", Command.ERROR))
+    events, intake = taken_in(text, [Chunk("s.commands", refusal, stamp(0.0))])
+    assert [event.code for event in events if isinstance(event, Notice)] == ["sonar_refused"]
+    assert intake.counters["port.s.commands.sonar.refused"] == 1
 
 
 def test_the_names_in_the_configuration_are_those_of_the_drivers() -> None:
