@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,11 @@ import pytest
 from auv_mcm.config import Config, ServiceConfig
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from auv_mcm.service import EventQueue, Service, parse_source_uri
+from auv_mcm.service import RECORDING, EventQueue, Record, Service, parse_source_uri
 from auv_mcm.worker import MakePipeline, PerceptionError
+from drivers.stamps import Stamp
+from sim_replay.session.reader import Session
+from sim_replay.session.recorder import SessionRecorder
 
 TESTS = Path(__file__).parent
 
@@ -45,6 +49,32 @@ class Events:
         return Counter({"source.events": len(self._events)})
 
 
+class Ports(Events):
+    """A live source of given events, which gives the rest when told to stop. It hands a byte per event to the recorder."""
+
+    def __init__(self, events: Sequence[SourceEvent | Exception], rest: Sequence[SourceEvent] = ()) -> None:
+        super().__init__(events, lossless=False)
+        self._rest = rest
+        self._stopped = asyncio.Event()
+
+    def record_with(self, record: Record) -> None:
+        self._record = record
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def health(self) -> str:
+        return "ports=one:up"
+
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+        async for event in super().events():
+            self._record("one", "in", Stamp(1, 2), b"x")
+            yield event
+        await self._stopped.wait()
+        for event in self._rest:
+            yield event
+
+
 def mission(n_pings: int) -> list[SourceEvent | Exception]:
     return [event for number in range(n_pings) for event in (fake.navigation(number), fake.ping(number))]
 
@@ -54,6 +84,22 @@ def serve(
 ) -> Path:
     config = Config(service=ServiceConfig(output_directory=str(folder), queue_pings=queue_pings, health_period_s=0.05))
     return asyncio.run(Service(config, source, console=console, make_pipeline=make).run())
+
+
+def serve_ports(folder: Path, source: Ports, *, record: bool = True, console: Callable[[str], None] = lambda line: None) -> Path:
+    """Stops once the ninth ping's contact was announced."""
+
+    async def run() -> Path:
+        def stop_at_nine(line: str) -> None:
+            console(line)
+            if "C0009" in line:
+                service.stop()
+
+        config = Config(service=ServiceConfig(output_directory=str(folder), record=record, health_period_s=0.05))
+        service = Service(config, source, console=stop_at_nine, make_pipeline=fake.Base)
+        return await service.run()
+
+    return asyncio.run(run())
 
 
 def ids(results: Path) -> list[str]:
@@ -119,6 +165,45 @@ def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeyp
     results = serve(tmp_path, Events(mission(4)), console=lines.append)
     assert [line.split()[1] for line in lines] == ids(results)
     assert summary(results)["counters"]["service.journal_failed"] == 3
+
+
+def test_a_live_source_is_recorded_and_stopped_gently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    rest = [event for event in mission(12)[20:] if not isinstance(event, Exception)]
+    results = serve_ports(tmp_path, Ports(mission(10), rest))
+    content = summary(results)
+    assert content["pings"] == 12
+    assert content["counters"]["session.chunks_recorded"] == 20
+    assert [chunk.data for chunk in Session(results / RECORDING)] == [b"x"] * 20
+    assert any("ports=one:up" in record.getMessage() for record in caplog.records)
+
+
+def test_nothing_is_recorded_unless_it_is_wanted(tmp_path: Path) -> None:
+    class Unrecorded(Ports):
+        def record_with(self, record: Record) -> None:
+            raise AssertionError("nobody asked for it")
+
+        def __init__(self) -> None:
+            super().__init__(mission(10))
+            self._record = lambda *chunk: None
+
+    assert not (serve_ports(tmp_path, Unrecorded(), record=False) / RECORDING).exists()
+
+
+def test_a_live_source_that_does_not_let_go_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stuck(Ports):
+        def stop(self) -> None: ...
+
+    monkeypatch.setattr("auv_mcm.service._STOP_S", 0.05)
+    assert len(ids(serve_ports(tmp_path, Stuck(mission(10))))) == 5
+
+
+def test_what_became_of_the_recording_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_replay.session.start.SessionRecorder", partial(SessionRecorder, free_bytes=lambda folder: 0))
+    lines: list[str] = []
+    results = serve_ports(tmp_path, Ports(mission(10)), console=lines.append)
+    assert any(line.startswith("notice session_stopped") for line in lines)
+    assert summary(results)["pings"] == 10
 
 
 def test_a_slow_pipeline_makes_a_lossless_source_wait(tmp_path: Path) -> None:
