@@ -246,6 +246,11 @@ def config_yaml(config: Config) -> str:
     return "\n".join(lines[:-1]) + "\n"
 
 
+def port_keys() -> list[str]:
+    """Every key of one of the `ports`, with its kind, range, default and meaning, a line each."""
+    return _keys_of(inspect.type_info(PortConfig), "")
+
+
 def config_schema() -> str:
     """JSON Schema (draft 2020-12) of the configuration, for editors and scripts."""
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Config)}
@@ -259,10 +264,7 @@ _HELP = "'auv-mcm config --schema' lists every key with its type and range"
 
 def _without_empty(data: Any, kind: inspect.Type) -> Any:
     """Without the known keys that have no value, at any depth."""
-    if isinstance(kind, inspect.Metadata):
-        kind = kind.type
-    if isinstance(kind, inspect.UnionType):
-        kind = next((member for member in kind.types if isinstance(member, inspect.StructType)), kind)
+    kind = _bare(kind)
     if isinstance(kind, inspect.StructType) and isinstance(data, dict):
         kinds = {field.name: field.type for field in kind.fields}
         cleaned = {key: _without_empty(value, kinds.get(key, kind)) for key, value in data.items()}
@@ -270,6 +272,28 @@ def _without_empty(data: Any, kind: inspect.Type) -> Any:
     if isinstance(kind, inspect.VarTupleType) and isinstance(data, list):
         return [_without_empty(item, kind.item_type) for item in data]
     return data
+
+
+def _bare(kind: inspect.Type) -> inspect.Type:
+    """The kind without its description; of one that may be empty, the section that it may be."""
+    if isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if isinstance(kind, inspect.UnionType):
+        return next((member for member in kind.types if isinstance(member, inspect.StructType)), kind)
+    return kind
+
+
+def _keys_of(section: inspect.Type, path: str) -> list[str]:
+    assert isinstance(section, inspect.StructType)
+    lines = []
+    for field in section.fields:
+        if isinstance(_bare(field.type), inspect.StructType):
+            lines += _keys_of(_bare(field.type), f"{path}{field.name}.")
+            continue
+        description = str((field.type.extra_json_schema or {}).get("description", "")) if isinstance(field.type, inspect.Metadata) else ""
+        default = "required" if field.required else f"default {_scalar(field.default) or 'empty'}"
+        lines.append(f"{path}{field.name}: {_kind(field.type)}; {default}" + (f" - {description}" if description else ""))
+    return lines
 
 
 def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
@@ -291,7 +315,8 @@ def _kind(kind: inspect.Type) -> str:
     if isinstance(kind, inspect.StrType):
         return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
     if isinstance(kind, inspect.VarTupleType):
-        return "list; 'auv-mcm run --example' prints one"
+        item = _bare(kind.item_type)
+        return "list; 'auv-mcm run --example' prints one" if isinstance(item, inspect.StructType) else f"list: {_kind(item)}"
     if isinstance(kind, inspect.TupleType):
         return f"list of {len(kind.item_types)}: {_kind(kind.item_types[0])}"
     if isinstance(kind, inspect.UnionType):

@@ -9,14 +9,14 @@ from struct import Struct, calcsize
 from types import MappingProxyType, ModuleType
 from typing import Any, Final, NamedTuple, get_args
 
-from auv_mcm.config import Config
+from auv_mcm.config import Config, port_keys
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName
 from drivers.links.uri import EXAMPLES
 from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, nmea0183, sentences
 from drivers.ports import Port, read_ports
 from drivers.sonar import imagenex, jsf_messages, ping_messages
 
-EXAMPLE: Final = """\
+_EXAMPLE: Final = """\
 # Ports of a vehicle, for a configuration file. 'auv-mcm run --interface' prints what is spoken there.
 service:
   source: ports
@@ -53,6 +53,11 @@ ports:
 """
 
 _TYPES: Final = {"b": "i8", "B": "u8", "h": "i16", "H": "u16", "i": "i32", "I": "u32", "q": "i64", "Q": "u64", "f": "f32", "d": "f64"}
+
+
+def example_text() -> str:
+    """Ports for a configuration file, with what every key of a port means."""
+    return _EXAMPLE + "\n# All keys of a port:\n" + "".join(f"#   {line}\n" for line in port_keys())
 
 
 class Layout(NamedTuple):

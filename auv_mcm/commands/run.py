@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
         "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
         [
             "auv-mcm run --config vehicle.yaml",
-            "auv-mcm run --example >> vehicle.yaml                  begin with ports",
+            "auv-mcm run --example > vehicle.yaml                   begin with ports",
             "auv-mcm run --interface --config vehicle.yaml          what goes in and out of each port, to the byte",
         ],
     )
@@ -35,9 +35,9 @@ def add(commands: Commands) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.example or arguments.interface:
-        from drivers.interface import EXAMPLE, interface_text
+        from drivers.interface import example_text, interface_text
 
-        sys.stdout.write(EXAMPLE if arguments.example else interface_text(read_config(arguments.config)))
+        sys.stdout.write(example_text() if arguments.example else interface_text(read_config(arguments.config)))
         return 0
 
     import logging

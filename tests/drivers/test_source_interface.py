@@ -14,8 +14,8 @@ from port_traffic import PORTS, config_of
 
 from auv_mcm.cli import main
 from auv_mcm.config import Config
-from auv_mcm.port_config import SONAR_NAMES, NavUnitName
-from drivers.interface import EXAMPLE, interface_text, struct_fields
+from auv_mcm.port_config import SONAR_NAMES, NavUnitName, NavUnitSettings, PortConfig, SonarPortConfig
+from drivers.interface import example_text, interface_text, struct_fields
 from drivers.navigation.n2k_messages import MESSAGES
 from drivers.navigation.sentences import SENTENCES
 from drivers.ports import read_ports
@@ -71,14 +71,22 @@ def test_ports_are_printed_with_the_very_bytes_that_they_are_sent() -> None:
 
 
 def test_the_example_is_a_configuration() -> None:
-    config = config_of(EXAMPLE)
+    config = config_of(example_text())
     assert config.service.source == "ports"
     assert len(read_ports(config)) == len(config.ports) == 5
 
 
+def test_every_key_of_a_port_is_explained() -> None:
+    text = example_text()
+    for section, path in ((PortConfig, ""), (SonarPortConfig, "sonar."), (NavUnitSettings, "navigation.")):
+        for key in set(section.__struct_fields__) - {"sonar", "navigation"}:
+            assert re.search(rf"^#   {path}{key}: .+; (default .+|required)", text, re.MULTILINE), key
+    assert "#   navigation.roll_sign: one of -1, 1; default 1 - -1 for a unit" in text
+
+
 def test_the_command_prints_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--example"]) == 0
-    assert capsys.readouterr().out == EXAMPLE
+    assert capsys.readouterr().out == example_text()
     (tmp_path / "vehicle.yaml").write_text(PORTS)
     assert main(["run", "--interface", "--config", str(tmp_path / "vehicle.yaml")]) == 0
     assert capsys.readouterr().out == interface_text(config_of())
