@@ -51,7 +51,7 @@ async def _serve(path: Path, now: bool) -> None:
         await serving
     finally:
         _report("counters", dict(device.counters))
-        await device.wire.set_plugged(False)
+        await device.wire.close()
 
 
 async def _played_now(device: FakeDevice) -> None:

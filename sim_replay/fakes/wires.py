@@ -73,6 +73,10 @@ class Wire(Protocol):
         """Returns as soon as the host has opened the wire after it came back."""
         ...
 
+    async def close(self) -> None:
+        """Be gone for good."""
+        ...
+
 
 class SerialWire:
     """A pseudo-terminal."""
@@ -107,6 +111,9 @@ class SerialWire:
 
     def set_baud(self, baud: int | None) -> None:
         self.port.baud = baud or self._baud
+
+    async def close(self) -> None:
+        self.port.unplug()
 
     async def opened(self) -> None:
         while not self.port.plugged or not _is_opened(self.port.path):
@@ -173,6 +180,9 @@ class TcpWire:
     def set_baud(self, baud: int | None) -> None:
         raise AssertionError("a network has no baud rate; jobs that say so are refused")
 
+    async def close(self) -> None:
+        await self._server.stop()
+
     async def opened(self) -> None:
         while not self._server.n_clients:
             await asyncio.sleep(_LOOK_S)
@@ -210,6 +220,9 @@ class UdpWire:
 
     def set_baud(self, baud: int | None) -> None:
         raise AssertionError("a network has no baud rate; jobs that say so are refused")
+
+    async def close(self) -> None:
+        self._device.close()
 
     async def opened(self) -> None:
         """Nobody is told when a socket is opened; what can be said is that datagrams go out again."""

@@ -1,0 +1,287 @@
+"""One scenario from start to end: the mission, the fake devices, the real service, each a process of its own; then the evidence.
+
+Nothing outlives a run, however it ends: devices end with their standard input, which dies with this process; the service is the head of
+a process group of its own, which is killed when it has not ended by itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import json
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable, Coroutine, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import yaml
+
+from auv_mcm.config import Config
+from auv_mcm.errors import HardwareError
+from auv_mcm.outputs import make_directory
+from sim_replay.fakes.job import Job
+from sim_replay.hil.scenario import AsReplayed, Read, Scenario, service_config, service_yaml
+from sim_replay.hil.verdict import Evidence, Line, Placed, Report, contacts_of, targets_of
+from sim_replay.recorded import RecordedMission
+from sim_replay.replay import replay
+from sim_replay.simulate import simulate
+from sim_replay.simulator.scene_file import named_scenes, read_scene
+
+RESULTS: Final = "results"
+SERVICE_LOG: Final = "service.log"
+
+_READY_S: Final = 60.0  # for a process to come up on a computer that has much else to do
+_SETTLE_S: Final = 0.5  # for the service to open its ports
+_GRACE_S: Final = 5.0
+_TAIL_LINES: Final = 5
+_PR_SET_PDEATHSIG: Final = 1
+
+
+def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Evidence:
+    """Run a scenario; everything that it leaves goes into `folder`, made if it is not there. say: takes a line on how far it is.
+
+    Raises UsageError for a scene, folder or configuration that cannot be, BadInputError for a log that cannot be used, HardwareError for a
+    process that does not come up; KeyboardInterrupt after SIGINT or SIGTERM.
+    """
+    make_directory(folder)
+    scenario = read.scenario
+    say("mission")
+    log, targets = _mission(read, folder)
+    jobs = [_job(scenario, name, index, log, folder) for index, name in enumerate(scenario.devices)]
+    say("devices and service")
+    live = _interruptible(_Run(scenario, folder, say).live(jobs))
+    results = folder / RESULTS / "latest"
+    summary = _read_json(results / "summary.json")
+    contacts = _read_json(results / "contacts.geojson")
+    replayed = None
+    if any(isinstance(expectation.expected, AsReplayed) for expectation in scenario.expectations):
+        say("direct replay")
+        config = service_config(scenario, dict.fromkeys(scenario.devices, ""), read.name)
+        replayed = _replayed(log, folder / "replayed", config)
+    return Evidence(
+        exit_code=live.exit_code,
+        lines=live.lines,
+        reports=live.reports,
+        summary=summary,
+        contacts=contacts_of(contacts) if contacts else (),
+        targets=targets,
+        replayed=replayed,
+    )
+
+
+class _Live(msgspec.Struct):
+    """What the processes said while they ran. exit_code: of the service, None if it had to be killed."""
+
+    exit_code: int | None
+    lines: Sequence[Line]
+    reports: dict[str, list[Report]]
+
+
+class _Run:
+    def __init__(self, scenario: Scenario, folder: Path, say: Callable[[str], None]) -> None:
+        self._scenario = scenario
+        self._folder = folder
+        self._say = say
+
+    async def live(self, jobs: Sequence[Job]) -> _Live:
+        processes: list[_Process] = []
+        try:
+            for job in jobs:
+                processes.append(await self._device(job))
+            uris = {job.name: await _uri_of(process) for job, process in zip(jobs, processes, strict=True)}
+            service = await self._service(uris)
+            processes.append(service)
+            await service.said("ready: ", _READY_S)
+            if (limit_bytes := self._scenario.file_limit_bytes) is not None:
+                service.limit_files(limit_bytes)
+            start_s = time.monotonic() + _SETTLE_S
+            for process in processes[:-1]:
+                process.tell(f"start {start_s:.6f}\n")
+            exit_code = await self._served(service, start_s)
+        finally:
+            await asyncio.gather(*(process.end() for process in processes))
+        lines = [Line(at_s - start_s, text) for at_s, text in service.lines]
+        reports = {job.name: _reports(process, start_s) for job, process in zip(jobs, processes, strict=False)}
+        return _Live(exit_code=exit_code, lines=lines, reports=reports)
+
+    async def _device(self, job: Job) -> _Process:
+        path = self._folder / f"{job.name}.yaml"
+        path.write_text(yaml.safe_dump(msgspec.to_builtins(job), sort_keys=False), "utf-8")
+        arguments = ["-m", "sim_replay.fakes", str(path)]
+        return await _Process.begin(f"fake device '{job.name}'", arguments, self._folder / f"{job.name}.log")
+
+    async def _service(self, uris: dict[str, str]) -> _Process:
+        path = self._folder / "service.yaml"
+        path.write_text(service_yaml(self._scenario, uris, self._folder / RESULTS), "utf-8")
+        arguments = ["-m", "auv_mcm", "run", "--config", str(path)]
+        return await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
+
+    async def _served(self, service: _Process, start_s: float) -> int | None:
+        """Wait until the run is over, tell the service to stop, and wait for that."""
+        scenario = self._scenario
+        self._say(f"running for {scenario.run_s:g} s")
+        with contextlib.suppress(TimeoutError):
+            return await service.ended(max(0.0, start_s + scenario.run_s - time.monotonic()))
+        self._say("stopping")
+        service.signal(signal.SIGTERM)
+        try:
+            return await service.ended(scenario.stop_within_s)
+        except TimeoutError:
+            return None
+
+
+class _Process:
+    """A Python process whose output is kept, line by line, with the time at which it came, and written to a log."""
+
+    def __init__(self, what: str, process: asyncio.subprocess.Process, log: Path) -> None:
+        self.lines: list[tuple[float, str]] = []
+        self._what = what
+        self._process = process
+        self._log = log
+        self._more = asyncio.Condition()
+        self._reading = asyncio.ensure_future(self._read())
+
+    @classmethod
+    async def begin(cls, what: str, arguments: Sequence[str], log: Path) -> _Process:
+        libc = ctypes.CDLL(None)
+
+        def prepare() -> None:
+            """In the child: end with its parent, even one that is killed."""
+            libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-u",
+            *arguments,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            start_new_session=True,  # Ctrl-C is for us: whoever is to stop first is our affair
+            preexec_fn=prepare,
+        )
+        return cls(what, process, log)
+
+    async def said(self, text: str, within_s: float) -> str:
+        """The first line that contains a text. Raises HardwareError if none comes."""
+        try:
+            async with asyncio.timeout(within_s), self._more:
+                await self._more.wait_for(lambda: self._reading.done() or any(text in line for _, line in self.lines))
+        except TimeoutError:
+            raise HardwareError(f"{self._what} did not come up within {within_s:g} s{self._tail()}") from None
+        for _, line in self.lines:
+            if text in line:
+                return line
+        raise HardwareError(f"{self._what} ended before it was ready{self._tail()}")
+
+    def limit_files(self, n_bytes: int) -> None:
+        """Let no file of the process, though of none that it has started, grow beyond n_bytes."""
+        resource.prlimit(self._process.pid, resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
+
+    def tell(self, line: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(line.encode())
+
+    def signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(number)
+
+    async def ended(self, within_s: float) -> int:
+        """The exit code. Raises TimeoutError."""
+        async with asyncio.timeout(within_s):
+            return await self._process.wait()
+
+    async def end(self) -> None:
+        """End it, by force if it does not end by itself, with all that it has started."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self.signal(signal.SIGTERM)
+        with contextlib.suppress(TimeoutError):
+            await self.ended(_GRACE_S)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        await self._process.wait()
+        await self._reading
+
+    async def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._log.open("wb") as log:
+            async for line in self._process.stdout:
+                log.write(line)
+                async with self._more:
+                    self.lines.append((time.monotonic(), line.decode("utf-8", "replace").rstrip("\n")))
+                    self._more.notify_all()
+        async with self._more:
+            self._more.notify_all()
+
+    def _tail(self) -> str:
+        return "".join([f". {self._log} ends:", *(f"\n  {line}" for _, line in self.lines[-_TAIL_LINES:])])
+
+
+def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
+    """The log to play, simulated where the scenario names a scene, and its targets as far as they are known."""
+    if read.scenario.log is not None:
+        log = read.folder / read.scenario.log
+        RecordedMission([log], Config().sonar)  # refuses what cannot be used
+        return log, []
+    assert read.scenario.scene is not None
+    name = read.scenario.scene
+    scene = read_scene(name if name in named_scenes() else str(read.folder / name))
+    simulated = simulate(scene, folder)
+    return simulated.log, targets_of(_read_json(simulated.truth))
+
+
+def _job(scenario: Scenario, name: str, index: int, log: Path, folder: Path) -> Job:
+    return Job(
+        name=name,
+        device=scenario.devices[name],
+        folder=str(folder.resolve()),
+        log=str(log.resolve()),
+        speed=scenario.speed,
+        seed=scenario.seed + index,
+    )
+
+
+def _replayed(log: Path, folder: Path, config: Config) -> list[Placed]:
+    replay([log], folder, config)
+    return contacts_of(_read_json(folder / "contacts.geojson"))
+
+
+async def _uri_of(device: _Process) -> str:
+    return str(json.loads(await device.said('"what": "ready"', _READY_S))["uri"])
+
+
+def _reports(device: _Process, start_s: float) -> list[Report]:
+    reports = []
+    for _, line in device.lines:
+        if line.startswith("{"):
+            details = json.loads(line)
+            reports.append(Report(details.pop("mono_s") - start_s, details.pop("what"), details))
+    return reports
+
+
+def _read_json(path: Path) -> Any:
+    """What a file holds, {} if it is not there."""
+    try:
+        return json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return {}
+
+
+def _interruptible(live: Coroutine[Any, Any, _Live]) -> _Live:
+    """Run to the end, or until SIGINT or SIGTERM, which cleans up first."""
+
+    async def main() -> _Live:
+        running = asyncio.ensure_future(live)
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, running.cancel)
+        return await running
+
+    try:
+        return asyncio.run(main())
+    except asyncio.CancelledError:
+        raise KeyboardInterrupt from None

@@ -1,0 +1,238 @@
+"""Scenarios: what is at which wire, what goes wrong, and what is expected of the service then. One YAML file each, read strictly."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias
+
+import msgspec
+import yaml
+from msgspec import Meta
+
+from auv_mcm.config import Config, parse_config
+from auv_mcm.errors import UsageError
+from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from sim_replay.fakes.job import Device
+
+SCENARIOS: Final = Path(__file__).parent / "scenarios"
+_SUFFIX: Final = ".yaml"
+_DEVICE_NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,31}")
+_PLACEHOLDER: Final = re.compile(r"\{(.*)\}")
+_ANY_LINK: Final = "tcp://127.0.0.1:9"
+_SET_BY_US: Final = "output_directory"
+
+Window: TypeAlias = tuple[float, float]
+
+
+class _Told(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class _Rule(_Told, frozen=True, kw_only=True, tag_field="is"):
+    pass
+
+
+class _Count(_Rule, frozen=True, kw_only=True):
+    """A number within limits; one that is left out is no limit."""
+
+    at_least: float | None = None
+    at_most: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("neither at_least nor at_most is given: then anything would do")
+
+
+class ExitCode(_Rule, frozen=True, kw_only=True, tag="exit_code"):
+    """What the service ends with after it was told to stop; it has to end by itself."""
+
+    code: int = 0
+
+
+class CounterRule(_Count, frozen=True, kw_only=True, tag="counter"):
+    """A counter of summary.json, 0 where it is not there. name: whole, or with * for any characters: then their sum."""
+
+    name: str
+
+
+class SummaryRule(_Count, frozen=True, kw_only=True, tag="summary"):
+    """A number of summary.json, e.g. pings."""
+
+    key: str
+
+
+class NoticeRule(_Count, frozen=True, kw_only=True, tag="notice"):
+    """Notices of a code that the service told, in all or between two instants of the run, seconds after its start."""
+
+    code: str
+    between_s: Window | None = None
+
+
+class LineRule(_Count, frozen=True, kw_only=True, tag="line"):
+    """Lines of the service's output that a regular expression is found in."""
+
+    matching: str
+    between_s: Window | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            re.compile(self.matching)
+        except re.error as error:
+            raise ValueError(f"'{self.matching}' is no regular expression: {error}") from error
+
+
+class SettingsRule(_Count, frozen=True, kw_only=True, tag="settings"):
+    """How often the settings of a sonar changed to something that contains a text."""
+
+    device: str
+    containing: str
+
+
+class DeviceRule(_Count, frozen=True, kw_only=True, tag="device"):
+    """A counter of a fake device: device.skipped, for one, is 0 only if the computer was fast enough for the run to tell something."""
+
+    device: str
+    counter: str
+
+
+class Reopened(_Rule, frozen=True, kw_only=True, tag="reopened"):
+    """The service opens a device's wire this soon after every time that its cable was plugged in again."""
+
+    device: str
+    within_s: float
+
+
+class TargetsFound(_Count, frozen=True, kw_only=True, tag="targets_found"):
+    """Targets of the scene's truth that have a contact of their own this near, with this probability of a mine."""
+
+    within_m: float
+    min_p_mine: float
+
+
+class AsReplayed(_Rule, frozen=True, kw_only=True, tag="as_replayed"):
+    """The same contacts as of a direct replay of the mission: as many with min_p_mine or more, each of the same class and this near."""
+
+    within_m: float
+    min_p_mine: float
+    p_mine_within: float
+
+
+Counted: TypeAlias = CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound
+Rule: TypeAlias = Counted | ExitCode | Reopened | AsReplayed
+
+
+class Expectation(_Told, frozen=True, kw_only=True):
+    """test: what is looked at, in words. expected: what has to hold."""
+
+    test: Annotated[str, Meta(min_length=1)]
+    expected: Rule
+
+
+class Scenario(_Told, frozen=True, kw_only=True):
+    """One run. about: what it shows. scene or log: the mission, a path beside the scenario or the name of a shipped scene.
+
+    speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop. service: its
+    configuration; the link of a port is the name of its device in braces. file_limit_bytes: no file of the service, once it is ready, grows
+    beyond it, as on a disk that is full; room for its results must be left.
+    """
+
+    about: Annotated[str, Meta(min_length=1)]
+    devices: dict[str, Device]
+    service: dict[str, Any]
+    run_s: Annotated[float, Meta(gt=0.0, le=3600.0)]
+    expectations: Annotated[tuple[Expectation, ...], Meta(min_length=1)]
+    scene: str | None = None
+    log: str | None = None
+    speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 1.0
+    seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
+    stop_within_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 60.0
+    file_limit_bytes: Annotated[int, Meta(ge=1000)] | None = None
+
+
+class Read(NamedTuple):
+    """A scenario and its name; folder: what its paths are relative to."""
+
+    name: str
+    folder: Path
+    scenario: Scenario
+
+
+def shipped() -> list[str]:
+    """Names of the scenarios that come with the package."""
+    return sorted(path.stem for path in SCENARIOS.glob(f"*{_SUFFIX}"))
+
+
+def read_scenario(name: str) -> Read:
+    """A scenario from a file, or a shipped one by its name. Raises UsageError with the key's path for whatever is wrong with it."""
+    path = SCENARIOS / f"{name}{_SUFFIX}" if name in shipped() else Path(name)
+    if path.suffix != _SUFFIX:
+        raise UsageError(f"there is no scenario '{name}'. Give a {_SUFFIX} file or one of: {', '.join(shipped())}")
+    return Read(path.stem, path.parent, parse_scenario(read_text(path, "scenario"), str(path)))
+
+
+def parse_scenario(text: str, place: str) -> Scenario:
+    """A scenario from YAML text; place names it in messages. Raises UsageError."""
+    data = load_mapping(text, place, "expected keys such as 'devices:' and 'expectations:'")
+    try:
+        scenario = msgspec.convert(data, Scenario)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{place}: {keyed(error)}") from error
+    for problem in _contradictions(scenario):
+        raise UsageError(f"{place}: {problem}")
+    service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), place)
+    return scenario
+
+
+def service_yaml(scenario: Scenario, uris: Mapping[str, str], results: Path) -> str:
+    """The service's configuration as a file, with the addresses of the devices' wires and the folder for its results."""
+    filled = _filled(scenario.service, uris)
+    filled["service"] = {**(filled.get("service") or {}), _SET_BY_US: str(results)}
+    return yaml.safe_dump(filled, sort_keys=False, allow_unicode=True)
+
+
+def service_config(scenario: Scenario, uris: Mapping[str, str], place: str) -> Config:
+    """The same, typed. Raises UsageError for a configuration that the service would refuse."""
+    return parse_config(yaml.safe_dump(_filled(scenario.service, uris), sort_keys=False), f"{place}, `service`")
+
+
+def _contradictions(scenario: Scenario) -> Iterator[str]:
+    if (scenario.scene is None) == (scenario.log is None):
+        yield "give the mission once: either `scene` or `log`"
+    if not scenario.devices:
+        yield "`devices` is empty: at least one is needed"
+    for name in scenario.devices:
+        if not _DEVICE_NAME.fullmatch(name):
+            yield f"`devices.{name}`: a name has small letters, digits and underscores"
+    named = set(_placeholders(scenario.service))
+    if unknown := sorted(named - set(scenario.devices)):
+        yield f"`service` names '{{{unknown[0]}}}', which is none of `devices`"
+    if unused := sorted(set(scenario.devices) - named):
+        yield f"`devices.{unused[0]}` is at no port: write link: '{{{unused[0]}}}' below `service.ports`"
+    section = scenario.service.get("service")
+    if isinstance(section, dict) and _SET_BY_US in section:
+        yield f"`service.service.{_SET_BY_US}` is chosen for each run: leave it out"
+    for index, expectation in enumerate(scenario.expectations):
+        rule = expectation.expected
+        if isinstance(rule, SettingsRule | DeviceRule | Reopened) and rule.device not in scenario.devices:
+            yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
+        if isinstance(rule, TargetsFound) and scenario.scene is None:
+            yield f"`expectations[{index}]` needs the truth, which only a `scene` tells"
+
+
+def _placeholders(value: Any) -> Iterator[str]:
+    if isinstance(value, str) and (match := _PLACEHOLDER.fullmatch(value)):
+        yield match[1]
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _placeholders(inner)
+
+
+def _filled(value: Any, uris: Mapping[str, str]) -> Any:
+    if isinstance(value, dict):
+        return {key: _filled(inner, uris) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_filled(inner, uris) for inner in value]
+    match = _PLACEHOLDER.fullmatch(value) if isinstance(value, str) else None
+    return value if match is None else uris[match[1]]

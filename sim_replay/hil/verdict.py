@@ -1,0 +1,226 @@
+"""What came of a run, and whether it is what was expected."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from auv_mcm.geodesy import LocalFrame
+from sim_replay.hil.scenario import (
+    AsReplayed,
+    Counted,
+    CounterRule,
+    DeviceRule,
+    ExitCode,
+    Expectation,
+    LineRule,
+    NoticeRule,
+    Reopened,
+    Rule,
+    SettingsRule,
+    SummaryRule,
+    TargetsFound,
+    Window,
+)
+
+
+class Line(NamedTuple):
+    """A line of the service's output, and when it came, seconds after the run's start."""
+
+    at_s: float
+    text: str
+
+
+class Report(NamedTuple):
+    """What a fake device said: see sim_replay.fakes.device."""
+
+    at_s: float
+    what: str
+    details: Mapping[str, Any]
+
+
+class Placed(NamedTuple):
+    """A contact, or a target of the truth (p_mine 1)."""
+
+    latitude_deg: float
+    longitude_deg: float
+    p_mine: float
+    classification: str
+
+
+class Evidence(NamedTuple):
+    """All that is known of a run. exit_code: None if the service had to be killed. summary: {} if it wrote none.
+
+    targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it.
+    """
+
+    exit_code: int | None
+    lines: Sequence[Line]
+    reports: Mapping[str, Sequence[Report]]
+    summary: Mapping[str, Any]
+    contacts: Sequence[Placed]
+    targets: Sequence[Placed]
+    replayed: Sequence[Placed] | None
+
+
+class Verdict(NamedTuple):
+    """One expectation's outcome, in words for a person."""
+
+    test: str
+    expected: str
+    found: str
+    passed: bool
+
+
+def judge(expectation: Expectation, evidence: Evidence) -> Verdict:
+    """Whether the evidence is what was expected."""
+    expected, found, passed = _judged(expectation.expected, evidence)
+    return Verdict(expectation.test, expected, found, passed)
+
+
+def as_table(verdicts: Sequence[Verdict]) -> str:
+    """A line per verdict: passed or FAILED, test, what was expected, what was found."""
+    rows = [("", "Test", "Expected", "Found"), *(("passed" if v.passed else "FAILED", v.test, v.expected, v.found) for v in verdicts)]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    return "\n".join("  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]) for row in rows)
+
+
+def contacts_of(geojson: Mapping[str, Any]) -> list[Placed]:
+    """Contacts of a contacts.geojson."""
+    placed = []
+    for feature in geojson["features"]:
+        longitude_deg, latitude_deg = feature["geometry"]["coordinates"][:2]
+        placed.append(Placed(latitude_deg, longitude_deg, feature["properties"]["p_mine"], feature["properties"]["class"]))
+    return placed
+
+
+def targets_of(truth: Mapping[str, Any]) -> list[Placed]:
+    """Targets of a truth.json."""
+    return [Placed(thing["lat"], thing["lon"], 1.0, thing["kind"]) for thing in truth["objects"] if thing["is_target"]]
+
+
+def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
+    match rule:
+        case ExitCode():
+            code = evidence.exit_code
+            return f"exit code {rule.code}", "had to be killed" if code is None else f"exit code {code}", code == rule.code
+        case CounterRule():
+            counters = evidence.summary.get("counters", {})
+            value = float(sum(count for name, count in counters.items() if fnmatchcase(name, rule.name)))
+            return _limited(rule, value, rule.name, is_known=bool(evidence.summary))
+        case SummaryRule():
+            told = evidence.summary.get(rule.key)
+            if not isinstance(told, int | float):
+                return _limited(rule, math.nan, rule.key, is_known=False)
+            return _limited(rule, float(told), rule.key)
+        case NoticeRule():
+            matching = re.compile(rf"^notice {re.escape(rule.code)}: ")
+            return _limited(rule, _n_lines(evidence, matching, rule.between_s), f"notices {rule.code}{_window(rule.between_s)}")
+        case LineRule():
+            n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
+            return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
+        case SettingsRule():
+            told = [str(report.details["told"]) for report in evidence.reports[rule.device] if report.what == "settings"]
+            n_told = sum(rule.containing in settings for settings in told)
+            return _limited(rule, n_told, f"times '{rule.device}' is set to '{rule.containing}'")
+        case DeviceRule():
+            counters = next((report.details for report in evidence.reports[rule.device] if report.what == "counters"), {})
+            return _limited(rule, float(counters.get(rule.counter, 0)), f"{rule.counter} of '{rule.device}'")
+        case Reopened():
+            return _reopened(rule, evidence.reports[rule.device])
+        case TargetsFound():
+            likely = [contact for contact in evidence.contacts if contact.p_mine >= rule.min_p_mine]
+            n_found = len(_matched(evidence.targets, likely, rule.within_m))
+            what = f"of {len(evidence.targets)} targets with p_mine >= {rule.min_p_mine:g} within {rule.within_m:g} m"
+            return _limited(rule, n_found, what)
+        case AsReplayed():
+            return _as_replayed(rule, evidence)
+
+
+def _limited(rule: Counted, value: float, what: str, *, is_known: bool = True) -> tuple[str, str, bool]:
+    low, high = rule.at_least, rule.at_most
+    if low is not None and low == high:
+        limits = f"{low:g}"
+    elif low is not None and high is not None:
+        limits = f"{low:g} to {high:g}"
+    else:
+        limits = f"at least {low:g}" if low is not None else f"at most {high:g}"
+    passed = is_known and (low is None or value >= low) and (high is None or value <= high)
+    return f"{limits} {what}", f"{value:g}" if is_known else "not in summary.json", passed
+
+
+def _n_lines(evidence: Evidence, matching: re.Pattern[str], between_s: Window | None) -> int:
+    first_s, last_s = between_s or (-math.inf, math.inf)
+    return sum(first_s <= line.at_s <= last_s and matching.search(line.text) is not None for line in evidence.lines)
+
+
+def _window(between_s: Window | None) -> str:
+    return "" if between_s is None else f" from {between_s[0]:g} to {between_s[1]:g} s"
+
+
+def _reopened(rule: Reopened, reports: Sequence[Report]) -> tuple[str, str, bool]:
+    expected = f"'{rule.device}' is open again within {rule.within_s:g} s of every return"
+    n_returns = sum(report.what == "mended" and report.details["do"] in ("unplug", "power_off") for report in reports)
+    after_s = [float(report.details["after_s"]) for report in reports if report.what == "reopened"]
+    if not n_returns:
+        return expected, "it was never plugged in again", False
+    if len(after_s) < n_returns:
+        return expected, f"not opened after {n_returns - len(after_s)} of {n_returns} returns", False
+    return expected, "after " + ", ".join(f"{value:.3f}" for value in after_s) + " s", max(after_s) <= rule.within_s
+
+
+def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
+    """Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as missing."""
+    expected = f"contacts as replayed, within {rule.within_m:g} m and {rule.p_mine_within:g} in p_mine, of the same class"
+    replayed = evidence.replayed or ()
+    problems = []
+    partner = {first: (second, distance_m) for first, second, distance_m in _matched(replayed, evidence.contacts, rule.within_m)}
+    n_likely = 0
+    largest_m = largest_p = 0.0
+    for index, contact in enumerate(replayed):
+        if contact.p_mine < rule.min_p_mine:
+            continue
+        n_likely += 1
+        if index not in partner:
+            problems.append(f"a {contact.classification} with p_mine {contact.p_mine:.2f} has none within {rule.within_m:g} m")
+            continue
+        second, distance_m = partner[index]
+        other = evidence.contacts[second]
+        largest_m, largest_p = max(largest_m, distance_m), max(largest_p, abs(other.p_mine - contact.p_mine))
+        if abs(other.p_mine - contact.p_mine) > rule.p_mine_within:
+            problems.append(f"p_mine {other.p_mine:.2f} where {contact.p_mine:.2f} was replayed")
+        if other.classification != contact.classification:
+            problems.append(f"a {other.classification} where a {contact.classification} was replayed")
+    known = {second for second, _ in partner.values()}
+    for index, contact in enumerate(evidence.contacts):
+        if contact.p_mine >= rule.min_p_mine + rule.p_mine_within and index not in known:
+            problems.append(f"a {contact.classification} with p_mine {contact.p_mine:.2f} that was not replayed")
+    if not n_likely:
+        problems.append(f"the replay has no contact with p_mine >= {rule.min_p_mine:g}: nothing was compared")
+    found = f"{n_likely} contacts, at most {largest_m:.2f} m and {largest_p:.2f} in p_mine apart"
+    return expected, "; ".join(problems) or found, not problems
+
+
+def _matched(first: Sequence[Placed], second: Sequence[Placed], gate_m: float) -> list[tuple[int, int, float]]:
+    """As many pairs, one-to-one and not farther apart than gate_m, as can be, with the least sum of distances: index, index, metres."""
+    if not first or not second:
+        return []
+    frame = LocalFrame(latitude_deg=first[0].latitude_deg, longitude_deg=first[0].longitude_deg)
+    first_m, second_m = _plane(first, frame), _plane(second, frame)
+    apart_m = np.linalg.norm(first_m[:, None, :] - second_m[None, :, :], axis=2)
+    out_of_gate_m = 1.0 + gate_m * min(len(first), len(second))  # dearer than all pairs together
+    pairs = zip(*linear_sum_assignment(np.where(apart_m <= gate_m, apart_m, out_of_gate_m)), strict=True)
+    return [(int(row), int(column), float(apart_m[row, column])) for row, column in pairs if apart_m[row, column] <= gate_m]
+
+
+def _plane(things: Sequence[Placed], frame: LocalFrame) -> NDArray[np.float64]:
+    """(n, 2) east, north, m."""
+    places = np.array([thing[:2] for thing in things])
+    return frame.to_enu(places[:, 0], places[:, 1], np.zeros(len(things)))[:, :2]

@@ -1,0 +1,116 @@
+"""Scenarios are read to the last key, and what cannot be is refused before anything is started."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+import yaml
+
+from auv_mcm.commands import hil
+from auv_mcm.config import parse_config
+from auv_mcm.errors import UsageError
+from drivers.ports import read_ports
+from sim_replay.hil.scenario import SCENARIOS, parse_scenario, read_scenario, service_config, service_yaml, shipped
+
+SOUND = """
+about: what it shows
+scene: demo
+run_s: 5
+devices:
+  sonar: {device: ping_protocol}
+  nav: {device: pd6, faults: [{do: stall, at_s: 1, for_s: 2}]}
+service:
+  service: {source: ports}
+  ports:
+    - {name: sonar, link: '{sonar}', device: ping_protocol}
+    - {name: other, link: '{nav}', device: pd6}
+expectations:
+  - {test: it ends, expected: {is: exit_code}}
+  - {test: it pings, expected: {is: summary, key: pings, at_least: 10}}
+"""
+URIS = {"sonar": "serial:///ports/sonar?baud=115200", "nav": "serial:///ports/nav?baud=9600"}
+
+
+def test_a_sound_scenario_is_read() -> None:
+    scenario = parse_scenario(SOUND, "here")
+    assert list(scenario.devices) == ["sonar", "nav"]
+    assert scenario.devices["nav"].faults[0].for_s == 2.0
+
+
+def test_the_service_gets_the_devices_addresses_and_a_folder_for_its_results(tmp_path: Path) -> None:
+    scenario = parse_scenario(SOUND, "here")
+    config = parse_config(service_yaml(scenario, URIS, tmp_path / "results"), "service.yaml")
+    assert [(port.name, port.link) for port in config.ports] == [("sonar", URIS["sonar"]), ("other", URIS["nav"])]
+    assert (config.service.source, config.service.output_directory) == ("ports", str(tmp_path / "results"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("run_s: 5", "run_s: 5\nrun_for: 6", "run_for"),
+        ("run_s: 5", "run_s: 0", "run_s"),
+        ("scene: demo", "scene: demo\nlog: a.xtf", "either `scene` or `log`"),
+        ("scene: demo\n", "", "either `scene` or `log`"),
+        ("link: '{nav}'", "link: '{gps}'", r"'\{gps\}', which is none of `devices`"),
+        ("link: '{nav}'", "link: 'tcp://1.2.3.4:5'", "`devices.nav` is at no port"),
+        ("device: pd6}", "device: pd7}", "pd7"),
+        ("source: ports", "source: ports, output_directory: x", "output_directory"),
+        ("source: ports", "source: ports, queue_pings: 0", "queue_pings"),
+        ("  nav:", "  Nav:", "devices.Nav"),
+        ("{is: exit_code}", "{is: exit_node}", "exit_node"),
+        ("at_least: 10", "at_last: 10", "at_last"),
+        (", at_least: 10", "", "neither at_least nor at_most"),
+        ("{is: exit_code}", "{is: reopened, device: gps, within_s: 1}", "names 'gps'"),
+        ("{is: exit_code}", "{is: line, matching: '(', at_least: 1}", "no regular expression"),
+        ("do: stall", "do: explode", "explode"),
+        ("for_s: 2", "for_s: 2, rates: {}", "rates"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_place(old: str, new: str, named: str) -> None:
+    assert old in SOUND
+    with pytest.raises(UsageError, match=named) as refusal:
+        parse_scenario(SOUND.replace(old, new, 1), "my.yaml")
+    assert "my.yaml" in str(refusal.value)
+
+
+def test_targets_cannot_be_expected_of_a_log() -> None:
+    rule = "{is: targets_found, within_m: 1, min_p_mine: 0, at_least: 1}"
+    with pytest.raises(UsageError, match="needs the truth"):
+        parse_scenario(SOUND.replace("scene: demo", "log: a.xtf").replace("{is: exit_code}", rule), "here")
+
+
+def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_are() -> None:
+    with pytest.raises(UsageError, match="clean"):
+        read_scenario("cleam")
+    with pytest.raises(UsageError, match=r"nowhere\.yaml"):
+        read_scenario("nowhere.yaml")
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -> None:
+    read = read_scenario(name)
+    scenario = read.scenario
+    assert scenario.run_s <= 20.0
+    assert read.scenario.scene is not None
+    assert (read.folder / read.scenario.scene).is_file()
+    assert yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"] == {"is": "exit_code"}
+    links = {"serial": "serial:///dev/p?baud=9600", "slcan": "slcan:///dev/p?bitrate=250000", "tcp": "tcp://a:1", "udp": "udp://a:1"}
+    uris = {device: links[told.link] for device, told in scenario.devices.items()}
+    assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
+
+
+def run(*arguments: str) -> int:
+    parser = argparse.ArgumentParser()
+    hil.add(parser.add_subparsers())
+    parsed = parser.parse_args(["hil", *arguments])
+    code: int = parsed.command(parsed)
+    return code
+
+
+def test_the_command_lists_scenarios_and_wants_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--list") == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == shipped()
+    with pytest.raises(UsageError, match="--list"):
+        run()

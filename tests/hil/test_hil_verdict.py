@@ -1,0 +1,154 @@
+"""Verdicts: what was found is held against what was expected, and no evidence is never a pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sim_replay.hil.scenario import (
+    AsReplayed,
+    CounterRule,
+    DeviceRule,
+    ExitCode,
+    Expectation,
+    LineRule,
+    NoticeRule,
+    Reopened,
+    Rule,
+    SettingsRule,
+    SummaryRule,
+    TargetsFound,
+)
+from sim_replay.hil.verdict import Evidence, Line, Placed, Report, as_table, contacts_of, judge, targets_of
+
+LATITUDE_DEG, LONGITUDE_DEG = 43.0, 5.0
+METRES_PER_DEGREE = 111_100.0
+
+
+def placed(north_m: float, p_mine: float = 0.9, classification: str = "cylinder") -> Placed:
+    return Placed(LATITUDE_DEG + north_m / METRES_PER_DEGREE, LONGITUDE_DEG, p_mine, classification)
+
+
+def evidence(**changes: Any) -> Evidence:
+    sound = Evidence(
+        exit_code=0,
+        lines=[Line(1.0, "notice port_up: port 'sonar' is up"), Line(5.0, "notice port_down: gone"), Line(6.0, "notice port_up: back")],
+        reports={
+            "sonar": [
+                Report(0.1, "settings", {"told": "on, 30 m"}),
+                Report(5.0, "mended", {"do": "unplug"}),
+                Report(5.05, "reopened", {"after_s": 0.05}),
+                Report(9.0, "counters", {"device.skipped": 2}),
+            ]
+        },
+        summary={"pings": 148, "counters": {"port.a.refused.length": 2, "port.a.refused.checksum": 3, "ping.gap": 1}},
+        contacts=[placed(0.0), placed(10.2, 0.6), placed(20.0, 0.01, "clutter")],
+        targets=[placed(0.5), placed(10.0)],
+        replayed=[placed(0.1), placed(10.0, 0.7)],
+    )
+    return sound._replace(**changes)
+
+
+def passes(rule: Rule, **changes: Any) -> bool:
+    return judge(Expectation(test="what is looked at", expected=rule), evidence(**changes)).passed
+
+
+def test_an_exit_code_is_what_it_is_and_a_killed_service_has_none() -> None:
+    assert passes(ExitCode())
+    assert not passes(ExitCode(), exit_code=4)
+    assert passes(ExitCode(code=4), exit_code=4)
+    assert not passes(ExitCode(), exit_code=None)
+
+
+def test_counters_are_summed_by_pattern_and_absent_ones_are_zero() -> None:
+    assert passes(CounterRule(name="port.a.refused.*", at_least=5, at_most=5))
+    assert passes(CounterRule(name="ping.gap", at_least=1))
+    assert passes(CounterRule(name="nothing", at_most=0))
+    assert not passes(CounterRule(name="ping.gap", at_most=0))
+
+
+def test_without_a_summary_nothing_about_its_numbers_holds() -> None:
+    assert not passes(CounterRule(name="nothing", at_most=0), summary={})
+    assert not passes(SummaryRule(key="pings", at_most=1000), summary={})
+    assert not passes(SummaryRule(key="unheard_of", at_least=-1e9))
+    assert passes(SummaryRule(key="pings", at_least=148, at_most=148))
+
+
+def test_notices_and_lines_are_counted_within_their_time() -> None:
+    assert passes(NoticeRule(code="port_up", at_least=2, at_most=2))
+    assert passes(NoticeRule(code="port_up", at_least=1, at_most=1, between_s=(5.0, 7.0)))
+    assert not passes(NoticeRule(code="port_up", at_least=1, between_s=(2.0, 5.0)))
+    assert not passes(NoticeRule(code="port", at_least=1))
+    assert passes(LineRule(matching=r"is up$|gone", at_least=2, at_most=2))
+
+
+def test_what_devices_report_counts() -> None:
+    assert passes(SettingsRule(device="sonar", containing="30 m", at_least=1, at_most=1))
+    assert not passes(SettingsRule(device="sonar", containing="60 m", at_least=1))
+    assert passes(DeviceRule(device="sonar", counter="device.skipped", at_most=2))
+    assert not passes(DeviceRule(device="sonar", counter="device.skipped", at_most=1))
+
+
+@pytest.mark.parametrize(
+    ("reports", "passed"),
+    [
+        ([("mended", {"do": "unplug"}), ("reopened", {"after_s": 0.1})], True),
+        ([("mended", {"do": "unplug"}), ("reopened", {"after_s": 0.2})], False),
+        ([("mended", {"do": "power_off"})], False),
+        ([("mended", {"do": "garbage"})], False),
+        ([("mended", {"do": "unplug"}), ("reopened", {"after_s": 0.0}), ("mended", {"do": "unplug"})], False),
+    ],
+)
+def test_a_wire_has_to_be_opened_in_time_after_every_return(reports: list[tuple[str, dict[str, Any]]], passed: bool) -> None:
+    found = [Report(float(index), what, details) for index, (what, details) in enumerate(reports)]
+    assert passes(Reopened(device="sonar", within_s=0.1), reports={"sonar": found}) == passed
+
+
+def test_a_target_needs_a_likely_contact_of_its_own_nearby() -> None:
+    assert passes(TargetsFound(within_m=1.0, min_p_mine=0.5, at_least=2))
+    assert passes(TargetsFound(within_m=1.0, min_p_mine=0.7, at_least=1, at_most=1))
+    assert passes(TargetsFound(within_m=0.3, min_p_mine=0.5, at_least=1, at_most=1))
+    both_at_one = [placed(0.0), placed(0.2)]
+    assert passes(TargetsFound(within_m=1.0, min_p_mine=0.5, at_least=1, at_most=1), targets=both_at_one, contacts=[placed(0.1)])
+    assert not passes(TargetsFound(within_m=1.0, min_p_mine=0.5, at_least=1), contacts=[])
+
+
+AS_REPLAYED = AsReplayed(within_m=0.5, min_p_mine=0.3, p_mine_within=0.15)
+
+
+def test_contacts_as_replayed_agree_in_place_probability_and_class() -> None:
+    assert passes(AS_REPLAYED)
+    assert not passes(AS_REPLAYED, contacts=[placed(0.0), placed(10.6, 0.7)])
+    assert not passes(AS_REPLAYED, contacts=[placed(0.0), placed(10.0, 0.5)])
+    assert not passes(AS_REPLAYED, contacts=[placed(0.0), placed(10.0, 0.7, "sphere")])
+    assert not passes(AS_REPLAYED, contacts=[placed(0.0)])
+    assert not passes(AS_REPLAYED, contacts=[placed(0.0), placed(10.0, 0.7), placed(30.0)])
+
+
+def test_contacts_at_the_threshold_of_probability_need_a_partner_but_no_luck() -> None:
+    assert passes(AS_REPLAYED, replayed=[placed(0.0, 0.31)], contacts=[placed(0.0, 0.29)])
+    assert passes(AS_REPLAYED, replayed=[placed(0.0), placed(9.0, 0.29)], contacts=[placed(0.0), placed(9.0, 0.31)])
+
+
+def test_a_replay_without_contacts_compares_nothing_and_fails() -> None:
+    assert not passes(AS_REPLAYED, replayed=[], contacts=[])
+    assert not passes(AS_REPLAYED, replayed=None)
+
+
+def test_the_table_says_what_was_expected_and_found() -> None:
+    rules: list[Rule] = [ExitCode(), NoticeRule(code="port_down", at_most=0), SummaryRule(key="none", at_least=1)]
+    table = as_table([judge(Expectation(test="told to stop", expected=rule), evidence()) for rule in rules])
+    first, *rows = table.splitlines()
+    assert first.split() == ["Test", "Expected", "Found"]
+    assert [row.split()[0] for row in rows] == ["passed", "FAILED", "FAILED"]
+    assert "at most 0 notices port_down" in rows[1]
+    assert rows[1].endswith(" 1")
+    assert rows[2].endswith("not in summary.json")
+
+
+def test_contacts_and_targets_are_read_from_their_files() -> None:
+    feature = {"geometry": {"coordinates": [5.0, 43.0]}, "properties": {"p_mine": 0.5, "class": "wedge"}}
+    assert contacts_of({"features": [feature]}) == [Placed(43.0, 5.0, 0.5, "wedge")]
+    things = [{"lat": 43.0, "lon": 5.0, "is_target": True, "kind": "wedge"}, {"lat": 0.0, "lon": 0.0, "is_target": False, "kind": "rock"}]
+    assert targets_of({"objects": things}) == [Placed(43.0, 5.0, 1.0, "wedge")]
