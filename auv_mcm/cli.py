@@ -8,10 +8,10 @@ import sys
 from collections.abc import Callable, Sequence
 
 from auv_mcm import __version__
-from auv_mcm.commands import EXIT_CODES, augment, bench, calibrate, check, config, replay, run, score, simulate, train
+from auv_mcm.commands import EXIT_CODES, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 
-_COMMANDS = (replay, run, simulate, augment, score, train, calibrate, check, config, bench)
+_COMMANDS = (replay, run, simulate, augment, score, train, calibrate, check, config, hil, bench)
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
 _BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed"}
 
