@@ -30,7 +30,7 @@ def error_of(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize(
-    "command", [(), ("replay",), ("run",), ("check",), ("config",), ("bench",), ("augment",), ("train",), ("calibrate",), ("hil",)]
+    "command", [(), *((name,) for name in ("replay", "run", "check", "config", "bench", "augment", "train", "calibrate", "hil"))]
 )
 def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
     command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
