@@ -17,7 +17,8 @@ def add(commands: Commands) -> None:
         "run the service between fake devices with faults, and judge what it does",
         "A SCENARIO is a YAML file or the name of one that ships with the package (--list). It says which devices are at which\n"
         "virtual ports, what goes wrong when, and what is expected of the service then. Service and devices run as processes of\n"
-        "their own, and all are gone when the command ends. One line per expectation; exit code 5 if any is not met.",
+        "their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; exit code 5 if\n"
+        "any is not met.",
         [
             "auv-mcm hil --list",
             "auv-mcm hil clean",
@@ -33,6 +34,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from auv_mcm.outputs import write_json
     from sim_replay.hil.run import run_scenario
     from sim_replay.hil.scenario import read_scenario, shipped
     from sim_replay.hil.verdict import as_table, judge
@@ -50,6 +52,7 @@ def _run(arguments: argparse.Namespace) -> int:
         evidence = run_scenario(read, folder, _say)
         verdicts = [judge(expectation, evidence) for expectation in read.scenario.expectations]
         print(as_table(verdicts), end="\n\n", flush=True)
+        write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
         if not all(verdict.passed for verdict in verdicts):
             failed.append(f"{read.name} ({sum(not verdict.passed for verdict in verdicts)} of {len(verdicts)}; see {folder})")
     if failed:

@@ -35,8 +35,8 @@ def main() -> int:
     except AuvMcmError as error:
         print(f"fake device: {error}", file=sys.stderr)
         return error.exit_code
-    except (asyncio.CancelledError, BrokenPipeError):
-        pass  # told to stop, or nobody reads what it says
+    except asyncio.CancelledError:
+        pass  # told to stop
     return 0
 
 
@@ -50,8 +50,8 @@ async def _serve(path: Path, now: bool) -> None:
     try:
         await serving
     finally:
-        _report("counters", dict(device.counters))
         await device.wire.close()
+        _report("counters", dict(device.counters))
 
 
 async def _played_now(device: FakeDevice) -> None:
@@ -91,7 +91,8 @@ async def _listen(commands: asyncio.StreamReader, start: asyncio.Future[float]) 
 
 
 def _report(what: str, details: dict[str, Any]) -> None:
-    print(json.dumps({"mono_s": round(time.monotonic(), 4), "what": what, **details}), flush=True)
+    with contextlib.suppress(BrokenPipeError):  # nobody reads it any more; standard input tells when to end
+        print(json.dumps({"mono_s": round(time.monotonic(), 4), "what": what, **details}), flush=True)
 
 
 if __name__ == "__main__":

@@ -51,12 +51,13 @@ def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Eviden
     """
     make_directory(folder)
     scenario = read.scenario
+    results = folder / RESULTS / "latest"
+    results.unlink(missing_ok=True)  # of an earlier run, whose results are no evidence of this one
     say("mission")
     log, targets = _mission(read, folder)
     jobs = [_job(scenario, name, index, log, folder) for index, name in enumerate(scenario.devices)]
     say("devices and service")
     live = _interruptible(_Run(scenario, folder, say).live(jobs))
-    results = folder / RESULTS / "latest"
     summary = _read_json(results / "summary.json")
     contacts = _read_json(results / "contacts.geojson")
     replayed = None
@@ -210,7 +211,7 @@ class _Process:
 
     async def _read(self) -> None:
         assert self._process.stdout is not None
-        with self._log.open("wb") as log:
+        with self._log.open("wb", buffering=0) as log:
             async for line in self._process.stdout:
                 log.write(line)
                 async with self._more:

@@ -1,0 +1,112 @@
+"""The real service between fake devices. The other shipped scenarios take the same way: auv-mcm hil NAME."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from xtf_logs import written
+
+from auv_mcm.commands import hil
+from auv_mcm.errors import HardwareError, SelfCheckError
+
+SHORT = """
+about: a run that is hardly one
+log: mission.xtf
+run_s: 0.2
+devices:
+  nav: {device: pd6, link: serial}
+service:
+  service: {source: ports}
+  ports:
+    - {name: nav, link: '{nav}', device: pd6}
+expectations:
+  - {test: told to stop it ends, expected: {is: exit_code}}
+  - {test: pings come from nowhere, expected: {is: summary, key: pings, at_least: 1}}
+"""
+COMMAND = "import sys, test_hil_runs as runs; sys.exit(runs.run(*sys.argv[1:]))"
+PATIENCE_S = 60.0  # on a computer that has much else to do
+
+
+def short(folder: Path, old: str = "", new: str = "") -> Path:
+    """A scenario beside the log that it plays."""
+    written(folder / "mission.xtf")
+    path = folder / "short.yaml"
+    path.write_text(SHORT.replace(old, new, 1), "utf-8")
+    return path
+
+
+def run(*arguments: str) -> int:
+    parser = argparse.ArgumentParser()
+    hil.add(parser.add_subparsers())
+    parsed = parser.parse_args(["hil", *arguments])
+    code: int = parsed.command(parsed)
+    return code
+
+
+def processes_with(text: str) -> list[int]:
+    """Processes whose command line holds a text."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if text.encode() in path.read_bytes() and int(path.parent.name) != os.getpid():
+                found.append(int(path.parent.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize("name", ["clean", "full_disk"])
+def test_the_service_passes(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(name, "--out", str(tmp_path)) == 0
+    table = capsys.readouterr().out
+    assert "passed" in table
+    assert "FAILED" not in table
+    assert not processes_with(str(tmp_path))
+    assert not [path for path in (tmp_path / name).iterdir() if path.is_symlink()]
+
+
+def test_what_is_not_met_is_said_and_told_by_the_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SelfCheckError, match=r"short \(1 of 2; see .*short\)"):
+        run(str(short(tmp_path)), "--out", str(tmp_path))
+    rows = capsys.readouterr().out.splitlines()
+    assert [row.split()[0] for row in rows if row.startswith(("passed", "FAILED"))] == ["passed", "FAILED"]
+    verdicts = json.loads((tmp_path / "short" / "verdict.json").read_bytes())
+    assert [verdict["passed"] for verdict in verdicts] == [True, False]
+
+
+def test_a_service_that_refuses_its_configuration_is_quoted(tmp_path: Path) -> None:
+    path = short(tmp_path, "link: '{nav}', device: pd6", "link: '{nav}', device: nmea2000")
+    with pytest.raises(HardwareError, match=r"ended before it was ready(.|\n)*slcan"):
+        run(str(path), "--out", str(tmp_path))
+    assert not processes_with(str(tmp_path))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_nothing_outlives_a_run_that_is_ended(number: signal.Signals, tmp_path: Path) -> None:
+    path = short(tmp_path, "run_s: 0.2", "run_s: 600")
+    arguments = [sys.executable, "-c", COMMAND, str(path), "--out", str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).parent, *filter(None, sys.path))))}
+    with subprocess.Popen(arguments, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        log = tmp_path / "short" / "service.log"
+        wait_for(lambda: log.exists() and "ready: " in log.read_text("utf-8"))
+        assert len(processes_with(str(tmp_path))) >= 3
+        process.send_signal(number)
+        process.wait(PATIENCE_S)
+    wait_for(lambda: not processes_with(str(tmp_path)))
+    assert not (tmp_path / "short" / "nav").is_symlink()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < until_s, "it took too long"
+        time.sleep(0.1)
