@@ -173,7 +173,10 @@ class ReplaySource:
 
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
-    """replay:///path/to/mission.xtf?speed=1, or the folder of a recorded session; speed: times real time, or max. Raises UsageError or BadInputError."""
+    """replay:///path/to/mission.xtf?speed=1, or the folder of a recorded session; speed: times real time, or max.
+
+    Raises UsageError or BadInputError.
+    """
     unknown = sorted(set(uri.options) - {"speed"})
     if unknown:
         raise UsageError(f"service.source '{uri.text}': unknown option '{unknown[0]}'. Known: speed")

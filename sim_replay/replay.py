@@ -41,7 +41,7 @@ def replay(
     clock: Clock | None = None,
     progress: Progress = lambda fraction: None,
 ) -> dict[str, Any]:
-    """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`, replacing those of an earlier replay.
+    """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`, replacing an earlier replay's.
 
     speed: times real time; inf does not wait. progress: called with the fraction done, 0..1. Returns what summary.json holds.
     Raises UsageError for a folder that cannot be written to, BadInputError if there is nothing to replay.

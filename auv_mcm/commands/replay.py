@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
             "auv-mcm replay auv-mcm-out/latest/recording --out results",
         ],
     )
-    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF file with side-scan pings, or the folder of a recorded session")
+    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF file with side-scan pings, or folder of a recorded session")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
     add_config_option(parser)
     parser.add_argument(
