@@ -17,8 +17,8 @@ def add(commands: Commands) -> None:
         "run the service between fake devices with faults, and judge what it does",
         "A SCENARIO is a YAML file or the name of one that ships with the package (--list). It says which devices are at which\n"
         "virtual ports, what goes wrong when, and what is expected of the service then. Service and devices run as processes\n"
-        "of their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; exit code 5 if\n"
-        "any is not met.",
+        "of their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; exit\n"
+        "code 5 if any is not met.",
         [
             "auv-mcm hil --list",
             "auv-mcm hil clean",
