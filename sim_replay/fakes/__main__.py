@@ -14,6 +14,7 @@ import json
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,14 +31,24 @@ def main() -> int:
     parser.add_argument("job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, speed, seed")
     parser.add_argument("--now", action="store_true", help="begin at once instead of when told on standard input")
     arguments = parser.parse_args()
+    failed: list[BaseException] = []
     try:
-        asyncio.run(_serve(arguments.job, arguments.now))
-    except AuvMcmError as error:
+        with contextlib.suppress(asyncio.CancelledError):  # told to stop
+            asyncio.run(_serve(arguments.job, arguments.now))
+    except* AuvMcmError as group:
+        failed = list(_leaves(group))
+    for error in failed:
         print(f"fake device: {error}", file=sys.stderr)
-        return error.exit_code
-    except asyncio.CancelledError:
-        pass  # told to stop
-    return 0
+    return max((error.exit_code for error in failed if isinstance(error, AuvMcmError)), default=0)
+
+
+def _leaves(error: BaseException) -> Iterator[BaseException]:
+    """The errors in a group of groups."""
+    if isinstance(error, BaseExceptionGroup):
+        for inner in error.exceptions:
+            yield from _leaves(inner)
+    else:
+        yield error
 
 
 async def _serve(path: Path, now: bool) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import random
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
@@ -12,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from msgspec import structs
 
 from auv_mcm.geodesy import LocalFrame
@@ -45,7 +45,7 @@ class FakeDevice:
         self._report = report
         self._own: Counter[str] = Counter()
         self._weather = Weather(job.seed)
-        self._random = random.Random(job.seed)
+        self._random = np.random.Generator(np.random.PCG64(job.seed))
         kind = job.device.device
         self._sonar: FakeSonar | None = SONARS[kind]() if kind in SONARS else None
         self._navigation: FakeNavigation | None = NAVIGATION_UNITS[kind]() if kind in NAVIGATION_UNITS else None
@@ -167,7 +167,7 @@ class FakeDevice:
 
     async def _send_garbage(self) -> None:
         while True:
-            await self.wire.send_garbage(self._random.randbytes(_GARBAGE_BYTES))
+            await self.wire.send_garbage(self._random.bytes(_GARBAGE_BYTES))
 
     def _time(self, mono_s: float) -> DeviceTime:
         """What the device's clocks show at an instant of the monotonic clock."""

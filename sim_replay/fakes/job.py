@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from auv_mcm.errors import UsageError
-from auv_mcm.port_config import NavUnitName, SonarName
+from auv_mcm.port_config import SONAR_NAMES, NavUnitName, SonarName
 from auv_mcm.strict_yaml import keyed, load_mapping, read_text
 from drivers.links.uri import BAUD_RATES, CAN_BITRATES
 from sim_replay.fakes.faults import FaultRates
@@ -108,10 +108,7 @@ class Device(_Told, frozen=True, kw_only=True):
 
     @property
     def is_sonar(self) -> bool:
-        return self.device in SONARS
-
-
-SONARS: Final = ("ping_protocol", "jsf", "sportscan")
+        return self.device in SONAR_NAMES
 
 
 class Job(_Told, frozen=True, kw_only=True):

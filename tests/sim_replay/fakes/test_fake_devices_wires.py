@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
+from xtf_logs import written
 
 from auv_mcm.clock import SystemClock
 from auv_mcm.records import EchoTrace, NavSample, Ping
@@ -230,6 +231,18 @@ def test_a_device_of_its_own_ends_with_its_standard_input_and_takes_its_port_alo
         lines = [json.loads(line) for line in process.stdout]
         assert process.wait(30) == 0
     assert lines[-1]["what"] == "counters"
+    assert not (tmp_path / "unit").is_symlink()
+
+
+def test_a_device_may_begin_at_once_and_ends_with_its_mission(tmp_path: Path) -> None:
+    log = written(tmp_path / "mission.xtf")
+    job = tmp_path / "job.yaml"
+    job.write_text(yaml.safe_dump({"name": "unit", "folder": str(tmp_path), "log": str(log), "device": {"device": "pd6"}}), "utf-8")
+    arguments = [sys.executable, "-m", "sim_replay.fakes", str(job), "--now"]
+    done = subprocess.run(arguments, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True)
+    reports = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [report["what"] for report in reports] == ["ready", "done", "counters"]
+    assert reports[-1]["device.messages"] == 8
     assert not (tmp_path / "unit").is_symlink()
 
 
