@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
@@ -21,6 +22,7 @@ T = TypeVar("T")
 FIRST_RETRY_S: Final = 0.1
 LONGEST_RETRY_S: Final = 2.0
 _POLL_S: Final = 0.005  # ports that nothing can wait for
+_RETURN_POLL_S: Final = 0.02  # a look at whether a path is there costs microseconds
 _LOOKS_PER_SILENCE: Final = 4
 
 
@@ -69,7 +71,8 @@ class Link(Generic[T]):
     stops the link by raising: that is logged once and counted. counters: link.opened, .open_failed, .lost, .silences, .reads,
     .writes_refused, .callback_failed, and those of the kind of port.
 
-    open_port: opens the wire, raises HardwareError. place: what the wire is called in messages.
+    open_port: opens the wire, raises HardwareError. place: what the wire is called in messages. device: the path of a device that may be
+    plugged out and in; as soon as it is back it is opened again.
     """
 
     def __init__(
@@ -80,8 +83,10 @@ class Link(Generic[T]):
         on_state: OnState,
         clock: Clock,
         silent_after_s: float,
+        device: str | None = None,
     ) -> None:
         self.place = place
+        self._device = device
         self.counters: Counter[str] = Counter()
         self._open_port = open_port
         self._on_data = on_data
@@ -108,10 +113,18 @@ class Link(Generic[T]):
                 await self._serve_once()
                 if self._heard:
                     retry_s = FIRST_RETRY_S
-                await asyncio.sleep(retry_s)
+                await self._pause(retry_s)
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
         finally:
             self._tell("down", f"{self.place} was closed")
+
+    async def _pause(self, retry_s: float) -> None:
+        """Wait before the next try; where the device is gone, for its return and no longer."""
+        if self._device is None or os.path.exists(self._device):
+            await asyncio.sleep(retry_s)
+            return
+        while not os.path.exists(self._device):
+            await asyncio.sleep(_RETURN_POLL_S)
 
     def write(self, item: T) -> bool:
         """Send at once or as soon as the wire takes it. False: refused, because the wire is down or its bounded queue is full."""

@@ -31,7 +31,8 @@ def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on
             open_port = partial(open_udp, address)
         case SlcanAddress() | CanAddress():
             raise UsageError(f"{address.place} is a CAN bus, but this device speaks in bytes: give it a serial, tcp or udp link")
-    return Link(address.place, open_port, on_bytes, on_state, clock, address.silent_s)
+    device = address.path if isinstance(address, SerialAddress) else None
+    return Link(address.place, open_port, on_bytes, on_state, clock, address.silent_s, device)
 
 
 def can_link(address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], on_state: OnState, clock: Clock) -> Link[CanFrame]:
@@ -44,4 +45,5 @@ def can_link(address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], 
             open_port = partial(open_can_bus, address.interface, address.channel, address.place)
         case SerialAddress() | TcpAddress() | UdpAddress():
             raise UsageError(f"{address.place} is not a CAN bus, but this device is on one: give it an slcan or socketcan link")
-    return Link(address.place, open_port, on_frame, on_state, clock, address.silent_s)
+    device = address.path if isinstance(address, SlcanAddress) else None
+    return Link(address.place, open_port, on_frame, on_state, clock, address.silent_s, device)
