@@ -1,8 +1,7 @@
 """What all views of one contact say together: is it a mine, of which kind, and would another look change that.
 
 Whether it is a mine and of which kind are weighed apart. That views tell different kinds, as the end and the side of a cylinder do, must
-not undo that both tell a mine. Which kind a shadow may be repeats itself from the opposite side; that it is a mine at all does not. How
-rare mines are counts once per contact.
+not undo that both tell a mine. How rare mines are counts once per contact.
 """
 
 from __future__ import annotations
@@ -19,6 +18,8 @@ from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
 
 CONTRADICTION: Final = "views_contradict"
+NEWS: Final = 0.2
+"""Share of a further view's evidence that is not already in the most mine-like one's, from square to it."""
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
 _ONE_LOOK: Final = 3.0  # nats that another view may well bring
 _LOOKS: Final = 2  # directions proposed
@@ -60,17 +61,19 @@ def fuse(views: Sequence[Detection], prior: float) -> Verdict:
 
 
 def fused_ratio(log_ratios: Sequence[float], aspects_deg: Sequence[float]) -> float:
-    """Evidence in nats of several views together: their sum, less what views from like directions repeat.
+    """Evidence in nats of several views together: that of the most mine-like one, and a little of the others.
 
-    Views that tell most count in full; each other one counts by the product of 1 - rho over those that tell more, with
-    rho = exp(-angle^2 / (2 * 15^2 degrees)). A direction that is not known may be any: such a view is new only if it is the only one.
+    What makes a stone look like a mine mostly stays with it from view to view, and what hides a mine does not: on simulated missions two
+    views are no surer than the better of them. Another view counts by NEWS times the product of 1 - rho over those that tell more of a
+    mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)) and the opposite direction like the same. A direction that is not known may be any:
+    such a view is new only if it is the only one.
     """
-    order = sorted(range(len(log_ratios)), key=lambda index: (-abs(log_ratios[index]), -log_ratios[index], index))
+    order = sorted(range(len(log_ratios)), key=lambda index: (-log_ratios[index], index))
     total = 0.0
     for place, index in enumerate(order):
-        share = 1.0
+        share = 1.0 if place == 0 else NEWS
         for before in order[:place]:
-            apart_deg = math.remainder(aspects_deg[index] - aspects_deg[before], 360.0)
+            apart_deg = math.remainder(aspects_deg[index] - aspects_deg[before], 180.0)
             share *= 1.0 - math.exp(-0.5 * (apart_deg / _SPREAD_DEG) ** 2) if math.isfinite(apart_deg) else 0.0
         total += share * log_ratios[index]
     return total

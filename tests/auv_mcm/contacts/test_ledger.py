@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, subset, vacuous
+from auv_mcm.classify.fusion import NEWS
 from auv_mcm.config import ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.geodesy import LocalFrame
@@ -268,23 +269,25 @@ def test_covariances_configured_to_nothing_or_to_everything_break_nothing(sigma_
     assert np.hypot(*(place(contact) - [0.0025, 0.0])) < 1e-3
 
 
-def test_views_from_other_directions_add_up_and_views_from_the_same_do_not() -> None:
+def test_views_from_other_directions_add_a_little_and_views_from_the_same_or_the_opposite_do_not() -> None:
     def fused(aspect_deg: float, p_mine: float = 0.7) -> float:
         book = ledger()
         book.add([view(0.0, 0.0, 100.0, p_mine=0.7, aspect_deg=10.0)])
         (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=p_mine, heading_rad=math.pi, aspect_deg=aspect_deg)])
         return contact.p_mine
 
-    odds = 0.7 / 0.3
-    both = odds**2 / (1.0 + odds**2)
-    # No view is taken for quite reliable, which costs the odds a little.
+    def probability(odds: float) -> float:
+        return 1.0 / (1.0 + math.exp(-odds))
+
+    odds = math.log(0.7 / 0.3)
+    both = probability((1.0 + NEWS) * odds)
     assert fused(100.0) == pytest.approx(both, abs=1e-3)
-    assert fused(190.0) == pytest.approx(both, abs=1e-3)
+    assert fused(190.0) == pytest.approx(0.7, abs=1e-3)
     assert fused(10.0) == pytest.approx(0.7, abs=1e-3)
-    assert fused(100.0, 0.3) == pytest.approx(0.5, abs=1e-3)
+    assert fused(100.0, 0.3) == pytest.approx(probability((1.0 - NEWS) * odds), abs=1e-3)
     across_north = [fused(aspect) for aspect in (8.0, 3.0, 358.0)]
     assert 0.7 < across_north[0] < across_north[1] < across_north[2] < both
-    assert fused(100.0, 0.001) < 0.05
+    assert fused(100.0, 0.001) < 0.5
 
 
 def test_one_view_is_told_as_it_is() -> None:
