@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.config import parse_config
+from drivers.ports import read_ports
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
 
@@ -29,6 +31,16 @@ def test_every_module_named_by_a_page_exists(page: Path) -> None:
         assert any((place / name).exists() for place in places), f"{page.name} names {name}"
 
 
+def readme_yaml(key: str) -> str:
+    """The README's YAML block that has this key."""
+    blocks = re.findall(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (block,) = (block for block in blocks if f"{key}:" in block)
+    return str(block)
+
+
 def test_the_scene_of_the_readme_can_be_flown() -> None:
-    (scene,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(Mission(parse_scene(scene, "README.md")).sea.objects) == 11
+    assert len(Mission(parse_scene(readme_yaml("track"), "README.md")).sea.objects) == 11
+
+
+def test_the_ports_of_the_readme_can_be_opened() -> None:
+    assert [port.name for port in read_ports(parse_config(readme_yaml("ports"), "README.md"))] == ["sonar", "nav"]
