@@ -6,7 +6,9 @@ auv-mcm bench framers [--faults N] [--pings N] [--seed N]
 from __future__ import annotations
 
 import argparse
+import math
 import time
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from importlib import import_module
 from importlib.util import find_spec
@@ -15,6 +17,13 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 import numpy as np
 
 from drivers.framing import Framer, Grammar
+from drivers.links.can_frame import CanFrame
+from drivers.links.slcan import SlcanParser
+from drivers.links.slcan import encode as slcan_encode
+from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, sentences
+from drivers.navigation.n2k_fast_packet import MAX_MESSAGE_BYTES, FastPackets, frames_of
+from drivers.navigation.n2k_messages import FAST_PACKET_GROUPS, GLOBAL, Identifier, can_id_of, identifier_of
+from drivers.navigation.nmea0183 import NmeaGrammar, sentence
 from drivers.sonar import imagenex, jsf_messages, ping_messages
 from drivers.sonar.imagenex import IgxGrammar, IgxReturn
 from drivers.sonar.jsf import JsfDecoder, JsfGrammar
@@ -58,7 +67,8 @@ class Damaged(NamedTuple):
 
 
 class CampaignRow(NamedTuple):
-    """Messages of all streams of one wire. n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes."""
+    """Messages of all streams of one wire. n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes.
+    n_false: of those, messages that nobody sent."""
 
     name: str
     n_faults: int
@@ -66,6 +76,7 @@ class CampaignRow(NamedTuple):
     n_intact: int
     n_lost: int
     n_other: int
+    n_false: int
 
 
 def damaged(messages: list[bytes], n_faults: int, random: np.random.Generator) -> Damaged:
@@ -132,7 +143,7 @@ def n_missing(wanted: list[Hashable], found: list[Hashable]) -> int:
 
 def campaign(wire: Wire, n_faults: int, seed: int) -> CampaignRow:
     """At least so many faults on streams of the wire's messages. The same seed makes the same faults."""
-    n_done = n_messages = n_intact = n_lost = n_other = 0
+    n_done = n_messages = n_intact = n_lost = n_other = n_false = 0
     stream_seed = 0
     while n_done < n_faults:
         random = np.random.Generator(np.random.PCG64([seed, stream_seed]))
@@ -149,7 +160,9 @@ def campaign(wire: Wire, n_faults: int, seed: int) -> CampaignRow:
         n_intact += len(wanted)
         n_lost += n_missed
         n_other += len(found) - (len(wanted) - n_missed)
-    return CampaignRow(wire.name, n_done, n_messages, n_intact, n_lost, n_other)
+        sent = set(keys)
+        n_false += sum(item not in sent for item in found)
+    return CampaignRow(wire.name, n_done, n_messages, n_intact, n_lost, n_other, n_false)
 
 
 def read_with(grammar: Grammar[Any], key: Callable[[Any], Hashable]) -> Callable[[Iterable[bytes]], list[Hashable]]:
@@ -188,10 +201,113 @@ def _igx_messages(random: np.random.Generator, n: int) -> list[bytes]:
     return [imagenex.encode_return(IgxReturn(30, 3, random.integers(0, 128, 400).astype(np.uint8))) for _ in range(n)]
 
 
+def _nmea_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    records: list[sentences.Record] = []
+    for number in range(n):
+        time_of_day_s = 0.1 * number
+        latitude_deg, longitude_deg = random.uniform(-80.0, 80.0), random.uniform(-179.0, 179.0)
+        if number % 4 == 0:
+            records.append(sentences.Gga(time_of_day_s, latitude_deg, longitude_deg, 1.0, 9.0, 1.1, 12.3, 40.1))
+        elif number % 4 == 1:
+            records.append(sentences.Rmc(time_of_day_s, "A", latitude_deg, longitude_deg, 2.0, random.uniform(0.0, 6.0), 19_700.0, "A"))
+        elif number % 4 == 2:
+            records.append(sentences.Zda(time_of_day_s, 19_700.0))
+        else:
+            records.append(sentences.Pashr(time_of_day_s, random.uniform(0.0, 6.0), 0.01, -0.02))
+    return [sentence(sentences.body_of(record)) for record in records]
+
+
+def _pixse_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    """Bursts of a PHINS, each sentence a message."""
+    bursts: list[sentences.Record] = []
+    while len(bursts) < n:
+        number = len(bursts)
+        bursts += [
+            sentences.Hdt(math.radians(0.1 * number)),
+            sentences.PixseAttitude(math.radians(0.1 * number), random.normal(0.0, 0.05)),
+            sentences.PixsePosition(43.0 + 1e-4 * number, random.uniform(5.0, 6.0), -random.uniform(1.0, 90.0)),
+            sentences.PixseSpeed(0.01 * number, random.normal(0.0, 1.0), 0.0),
+            sentences.PixseTime(0.1 * number),
+        ]
+    return [sentence(sentences.body_of(record)) for record in bursts[:n]]
+
+
+def _water_linked_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    records: list[dvl_water_linked.Record] = []
+    for number in range(n):
+        if number % 2:
+            x_m, y_m, z_m = random.uniform(-90.0, 90.0, 3).tolist()
+            records.append(dvl_water_linked.Attitude(0.1 * number, x_m, y_m, z_m, 0.4, 0.01, -0.02, 1.0, 0))
+            continue
+        covariance = tuple(random.uniform(0.0, 1e-6, 9))
+        validity_us = 1_700_000_000_000_000 + 125_000 * number
+        told_us = validity_us + 80_000
+        forward, starboard, down = random.normal(0.0, 1.0, 3).tolist()
+        records.append(dvl_water_linked.Velocity(forward, starboard, down, True, 7.5, 0.002, covariance, validity_us, told_us, 125.0, 0))
+    return [dvl_water_linked.message_of(record) for record in records]
+
+
+def _pd6_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    """Groups of a DVL, each line a message."""
+    lines: list[dvl_pd6.Line] = []
+    while len(lines) < n:
+        number = len(lines)
+        lines += [
+            dvl_pd6.Attitude(random.normal(0.0, 0.05), random.normal(0.0, 0.05), math.radians(0.1 * number)),
+            dvl_pd6.Water(1_700_000_000.0 + 0.1 * number, 35.0, 12.0, random.uniform(1.0, 90.0), 1500.0),
+            dvl_pd6.ShipVelocity(1e-3 * number, random.normal(1.5, 0.1), 0.0, True),
+            dvl_pd6.Bottom(float(number), random.uniform(-900.0, 900.0), 0.0, random.uniform(2.0, 20.0), 0.0),
+        ]
+    return [dvl_pd6.line_of(line) for line in lines[:n]]
+
+
+def _slcan_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    wired = []
+    for number in range(n):
+        data = number.to_bytes(2, "little") + random.bytes(int(random.integers(7)))
+        extended = bool(random.random() < 0.8)
+        wired.append(slcan_encode(CanFrame(int(random.integers(1 << (29 if extended else 11))), data, extended)))
+    return wired
+
+
+def _slcan_read(chunks: Iterable[bytes]) -> list[Hashable]:
+    parser = SlcanParser(Counter())
+    return [frame for chunk in chunks for frame in parser.feed(chunk)]
+
+
+def _fast_packet_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    """Messages of 43 bytes, as a GNSS position has, and more, of three units by way of an slcan adapter."""
+    pgn = n2k_messages.encode(n2k_messages.GnssPosition(*[math.nan] * 14))[0]
+    assert pgn in FAST_PACKET_GROUPS
+    wired = []
+    for number in range(n):
+        data = number.to_bytes(2, "little") + random.bytes(int(random.integers(41, MAX_MESSAGE_BYTES - 1)))
+        can_id = can_id_of(Identifier(3, pgn, GLOBAL, 12 + number % 3))
+        wired.append(b"".join(slcan_encode(CanFrame(can_id, frame)) for frame in frames_of(data, number // 3)))
+    return wired
+
+
+def _fast_packet_read(chunks: Iterable[bytes]) -> list[Hashable]:
+    parser, packets = SlcanParser(Counter()), FastPackets()
+    found: list[Hashable] = []
+    for frame in (frame for chunk in chunks for frame in parser.feed(chunk)):
+        _, pgn, _, source = identifier_of(frame.can_id)
+        whole = packets.add(pgn, source, frame.data) if frame.extended and pgn in FAST_PACKET_GROUPS else None
+        if whole is not None:
+            found.append((source, whole))
+    return found
+
+
 WIRES: Final = (
     Wire("ping_protocol", _ping_messages, read_with(PingGrammar(), tuple)),
     Wire("jsf", _jsf_messages, read_with(JsfGrammar(), tuple)),
     Wire("sportscan", _igx_messages, read_with(IgxGrammar(), lambda ping: ping.echo.tobytes())),
+    Wire("nmea0183", _nmea_messages, read_with(NmeaGrammar(), str)),
+    Wire("pixse", _pixse_messages, read_with(NmeaGrammar(), str)),
+    Wire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar(), str)),
+    Wire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar(), tuple)),
+    Wire("slcan", _slcan_messages, _slcan_read),
+    Wire("fast_packet", _fast_packet_messages, _fast_packet_read),
 )
 
 
@@ -332,10 +448,11 @@ def _repeated(piece: bytes, n_bytes: int) -> bytes:
 
 def campaign_lines(rows: list[CampaignRow]) -> list[str]:
     """A row per wire; nothing may be lost."""
-    heads = ("faults", "messages", "intact", "lost", "other")
+    heads = ("faults", "messages", "intact", "lost", "other", "false")
     lines = [f"{'damaged streams':<16}" + "".join(f"{head:>10}" for head in heads)]
     lines += [f"{row.name:<16}" + "".join(f"{cell:>10}" for cell in row[1:]) for row in rows]
-    return [*lines, "lost: intact messages that were not read. other: read once more, or from damaged bytes that no checksum tells"]
+    lines.append("lost: intact messages that were not read. other: read once more, or where only bytes were hit that do not matter,")
+    return [*lines, "or from damage that no checksum tells. false: of those, messages that nobody sent"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

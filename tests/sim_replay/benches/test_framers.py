@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.navigation.registry import TEXT_PROTOCOLS
+from drivers.sonar.registry import SONARS
 from sim_replay.benches.framers import (
     FAULT_KINDS,
     WIRES,
@@ -72,6 +74,24 @@ def test_no_intact_message_is_lost(wire: Wire) -> None:
     assert row.n_intact > 500
 
 
+@pytest.mark.parametrize("name", ["ping_protocol", "water_linked"])
+def test_damage_seldom_passes_a_checksum(name: str) -> None:
+    row = campaign(next(wire for wire in WIRES if wire.name == name), 300, seed=11)
+    assert row.n_false <= 3
+
+
+def test_messages_that_nobody_sent_are_counted() -> None:
+    good = next(wire for wire in WIRES if wire.name == "water_linked")
+
+    def inventive(chunks: Iterable[bytes]) -> list[Hashable]:
+        pieces = list(chunks)
+        return good.read(pieces) + ["never sent"] * (len(pieces) != 200)
+
+    honest, row = (campaign(Wire("inventive", good.messages, read), 50, seed=1) for read in (good.read, inventive))
+    assert row.n_false > honest.n_false
+    assert row.n_other - honest.n_other == row.n_false - honest.n_false
+
+
 def test_a_framer_that_believes_lengths_is_found_out() -> None:
     good = next(wire for wire in WIRES if wire.name == "ping_protocol")
 
@@ -86,8 +106,21 @@ def test_a_framer_that_believes_lengths_is_found_out() -> None:
     assert campaign(Wire("trusting", good.messages, trusting), 100, seed=1).n_lost > 0
 
 
+def test_every_protocol_of_a_configuration_is_in_the_campaign() -> None:
+    # A bus is damaged where it becomes bytes, at the adapter, and where its messages span frames.
+    protocols = {*SONARS, *TEXT_PROTOCOLS, "pixse", "slcan", "fast_packet"}
+    assert {wire.name for wire in WIRES} == protocols
+
+
+@pytest.mark.parametrize("wire", WIRES, ids=lambda wire: wire.name)
+def test_messages_of_a_wire_differ_from_each_other(wire: Wire) -> None:
+    keys = wire.read(wire.messages(np.random.Generator(np.random.PCG64(3)), 200))
+    assert len(set(keys)) == len(keys) == 200
+
+
 def test_tables_have_a_row_for_each() -> None:
     rows = [campaign(wire, 1, seed=1) for wire in WIRES]
     for wire in WIRES:
         assert sum(line.startswith(wire.name) for line in campaign_lines(rows)) == 1
-        assert sum(line.startswith(wire.name) for line in speed_lines(2)) >= 2
+    for sonar in SONARS:
+        assert sum(line.startswith(sonar) for line in speed_lines(2)) >= 2
