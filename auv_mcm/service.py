@@ -253,6 +253,7 @@ class Service:
                 await tasks.create_task(self._publish(perception, journal))
                 for task in health:
                     task.cancel()
+                log.info("health %s", self._health(queue, perception))  # as it ended, however short it was
         except* AuvMcmError as group:
             failure = _first(group)
         finally:
