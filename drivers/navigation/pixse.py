@@ -36,8 +36,8 @@ PIXSE_RECORDS: Final = (
 class Burst:
     """Collects one burst after the other.
 
-    A burst ends with its TIME__, or, if that was lost, with a second sentence of a kind it has already. Standard deviations come before or
-    after the time, depending on the unit, and change slowly: a fix has the newest ones told.
+    A burst ends with its TIME__, or, if that was lost, with a heading, which comes first, or a second sentence of a kind it has already.
+    Standard deviations come before or after the time, depending on the unit, and change slowly: a fix has the newest ones told.
     """
 
     def __init__(self, source: str, date: DeviceDate) -> None:
@@ -62,7 +62,8 @@ class Burst:
                 time_utc_s = None if self._first is None else self._date.nearest(record.time_of_day_s, self._first.received)
                 return self.end(time_utc_s)
             case _:
-                done = self.end() if type(record) in self._records else []
+                begins = type(record) in self._records or (isinstance(record, Hdt) and bool(self._records))
+                done = self.end() if begins else []
                 if self._first is None:
                     self._first = arrived
                 self._records[type(record)] = record

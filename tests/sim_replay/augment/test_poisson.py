@@ -70,7 +70,7 @@ def test_masked_heights_are_the_least_squares_solution(
     stiffness = Stiffness(along_weight, screen_per_m2)
     found = integrate_slope(slope, 0.15, 0.1, stiffness, weight)
     wanted = dense_heights(slope, 0.15, 0.1, stiffness, weight)
-    np.testing.assert_allclose(found, wanted, atol=2e-3 * max(float(np.abs(wanted).max()), 1e-3))
+    np.testing.assert_allclose(found, wanted, atol=5e-3 * max(float(np.abs(wanted).max()), 1e-3))
 
 
 def hills(n_pings: int, n_columns: int) -> Array:
