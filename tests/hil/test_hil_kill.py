@@ -1,0 +1,79 @@
+"""The real service between fake devices, killed: what it had heard and what it had announced is on disk."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.errors import SelfCheckError
+from sim_replay.benches import soak
+from sim_replay.benches.soak import MOST_LOST_S, Kill, killed, not_in_journal
+
+LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 views"
+
+
+def record(contact_id: str = "C00012", p_mine: float = 0.9123, longitude_deg: float = 5.88740988) -> bytes:
+    """A line of contacts.jsonl."""
+    feature = {
+        "geometry": {"coordinates": [longitude_deg, 43.0931026]},
+        "properties": {"id": contact_id, "class": "cylinder", "p_mine": p_mine},
+    }
+    return json.dumps({"time": "2026-01-01T00:00:00Z", "contact": feature}).encode() + b"\n"
+
+
+def a_kill(lost_s: float = 0.4, n_pings: int = 100, n_holes: int = 0, missing: tuple[str, ...] = ()) -> Kill:
+    return Kill(
+        at_s=3.0,
+        lost_s=lost_s,
+        n_bytes=1,
+        n_pings=n_pings,
+        n_pings_told=90,
+        n_holes=n_holes,
+        n_contacts=1,
+        not_in_journal=missing,
+    )
+
+
+def test_a_killed_service_loses_a_second_of_its_recording_at_most_and_no_announced_contact(tmp_path: Path) -> None:
+    kills = list(killed(3, seed=12, folder=tmp_path))
+    assert [kill.problems for kill in kills] == [()] * 3
+    assert all(kill.lost_s <= MOST_LOST_S for kill in kills)
+    assert not any(kill.not_in_journal for kill in kills)
+    assert all(kill.n_bytes for kill in kills)
+    assert any(kill.n_contacts for kill in kills)
+
+
+def test_an_announced_contact_is_looked_for_with_its_figures() -> None:
+    console = ["notice port_up: port 'nav' is up", LINE]
+    assert not_in_journal(console, record("C00001") + record()) == ()
+    assert not_in_journal(console, b"") == (LINE,)
+    assert not_in_journal(console, record("C00001")) == (LINE,)
+    assert not_in_journal(console, record(p_mine=0.93)) == (LINE,)
+    assert not_in_journal(console, record(longitude_deg=5.88741)) == ()
+    assert not_in_journal(console, record(longitude_deg=5.8875)) == (LINE,)
+
+
+def test_a_line_of_the_journal_that_was_cut_off_holds_nothing() -> None:
+    assert not_in_journal([LINE], record("C00001") + record()[:-1]) == (LINE,)
+    assert not_in_journal([LINE], record() + record("C00001")[:30]) == ()
+
+
+@pytest.mark.parametrize(
+    ("kill", "said"),
+    [
+        (a_kill(lost_s=1.2), "last 1.20 s"),
+        (a_kill(lost_s=float("nan")), "last nan s"),
+        (a_kill(n_holes=2), "2 messages are missing"),
+        (a_kill(n_pings=89), "90 were told"),
+        (a_kill(missing=(LINE,)), "not in contacts.jsonl: contact C00012"),
+    ],
+)
+def test_whatever_is_lost_is_said_and_told_by_the_exit_code(
+    kill: Kill, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(soak, "killed", lambda n_kills, seed, folder: iter([a_kill(), kill]))
+    assert main(["bench", "soak", "--kills", "2"]) == SelfCheckError.exit_code
+    assert said in capsys.readouterr().out
