@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import is_mine_like
 from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
@@ -92,6 +93,7 @@ def render_report(
         band=band,
         likely=[card for card in told if card.mine_like],
         clutter=[card for card in told if not card.mine_like],
+        mine_like_p=MINE_LIKE_P,
         legs=[point for point in waypoints if point.kind == "leg_exit"],
         counters=words.explained(counters, words.is_loss),
         counted=words.explained(counters, lambda name: not words.is_loss(name)),
