@@ -45,7 +45,6 @@ from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.settings import check_settings
 from drivers.stamps import Stamp
 
-COUNTER_PERIOD_S: Final = 2**32 / 1000.0
 MAX_GAIN: Final = 7
 MAX_RANGE_M: Final = 200.0
 _RESULTS: Final = (200, 1200)  # that the device takes

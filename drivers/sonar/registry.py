@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
+from drivers.clocks import MILLISECOND_COUNTER_S
 from drivers.sonar import imagenex, jsf, ping_protocol
 from drivers.sonar.seam import SonarDecoder, SonarSettings
 
@@ -32,7 +33,7 @@ class SonarDevice(NamedTuple):
 SONARS: Final[Mapping[str, SonarDevice]] = MappingProxyType(
     {
         "ping_protocol": SonarDevice(
-            ping_protocol.PingDecoder, ping_protocol.commands, counter_period_s=ping_protocol.COUNTER_PERIOD_S, log_suffix=".svlog"
+            ping_protocol.PingDecoder, ping_protocol.commands, counter_period_s=MILLISECOND_COUNTER_S, log_suffix=".svlog"
         ),
         "jsf": SonarDevice(jsf.JsfDecoder, jsf.commands, log_suffix=".jsf"),
         "sportscan": SonarDevice(imagenex.SportScanDecoder, imagenex.commands, asked_per_ping=True),
