@@ -1,0 +1,1 @@
+"""The vehicle's own controller: what it says, what it is told, and when it may be told anything."""
