@@ -67,7 +67,8 @@ class Link(Generic[T]):
     """One wire, told from its own event loop what comes and how it is. Whatever happens to the wire, only cancelling ends `run`.
 
     on_data(item, stamp): each thing received, stamped with when it was read. on_state(state, reason): "up" (open), "silent" (open, yet
-    nothing for silent_after_s, as when a cable without hang-up is pulled) or "down"; reason says what, where and what to do. Neither
+    nothing for silent_after_s, as when a cable without hang-up is pulled) or "down"; reason says what, where and what to do. A link that is
+    down is told once, and once more only where its device is there and cannot be opened: then something else is wrong. Neither
     stops the link by raising: that is logged once and counted. counters: link.opened, .open_failed, .lost, .silences, .reads,
     .writes_refused, .callback_failed, and those of the kind of port.
 
@@ -145,7 +146,7 @@ class Link(Generic[T]):
             port = await self._open_port(self.counters)
         except HardwareError as error:
             self.counters["link.open_failed"] += 1
-            self._tell("down", str(error))
+            self._tell_not_opened(str(error))
             return
         self.counters["link.opened"] += 1
         self._port = port
@@ -242,6 +243,15 @@ class Link(Generic[T]):
             loop = asyncio.get_running_loop()
             loop.remove_reader(port.fileno())
             loop.remove_writer(port.fileno())
+
+    def _tell_not_opened(self, reason: str) -> None:
+        """That a wire which is down cannot be opened is no news, unless what was plugged in again is not what it should be."""
+        is_news = self._told[1] == "" or (self._device is not None and os.path.exists(self._device))
+        if is_news:
+            self._tell("down", reason)
+        elif (self.state, reason) != self._told:
+            self._told = "down", reason
+            log.info("%s", reason)
 
     def _tell(self, state: LinkState, reason: str) -> None:
         if (state, reason) != self._told:

@@ -78,6 +78,29 @@ def test_an_unplugged_device_is_told_at_once_and_served_again_when_it_is_back(tm
         assert b"".join(watch.items) == b"012"
         assert link.counters["link.lost"] == 3
         assert link.counters["link.writes_refused"] == 3
+        assert watch.states == ["down", *["up", "down"] * 3, "down"]
+
+    asyncio.run(scenario())
+
+
+def test_an_unplugged_device_is_told_once_and_again_only_if_what_comes_back_cannot_be_opened(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", BAUD)
+        port.plug()
+        link, watch = link_at(port.path)
+        async with running(link):
+            await until(lambda: link.state == "up")
+            port.unplug()
+            await until(lambda: link.state == "down")
+            await asyncio.sleep(0.2)
+            assert watch.states == ["up", "down"]
+            port.path.write_bytes(b"no port")
+            await until(lambda: len(watch.told) == 3)
+            assert "cannot be used as a serial port" in watch.reason
+            port.path.unlink()
+            port.plug()
+            await until(lambda: link.state == "up")
+        port.unplug()
 
     asyncio.run(scenario())
 

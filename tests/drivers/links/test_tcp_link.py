@@ -43,11 +43,12 @@ def test_a_lost_connection_is_told_and_made_again(reset: bool) -> None:
             await server.stop(reset=reset)
             await until(lambda: link.state == "down")
             assert ("failed" if reset else "closed the connection") in watch.reason
-            await until(lambda: "nothing listens on this port" in watch.reason)
+            await until(lambda: link.counters["link.open_failed"] >= 1)
             await server.start()
             await until(lambda: server.n_clients)
             await server.send(b"b")
             await until(lambda: b"".join(watch.items) == b"ab")
+            assert watch.states == ["up", "down", "up"], "that it is refused meanwhile is the same outage"
         await server.stop()
 
     asyncio.run(scenario())
