@@ -17,6 +17,7 @@ from msgspec import Meta, inspect
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import ArmLength, PortConfig, check_together
 from auv_mcm.strict_yaml import keyed, load_mapping
+from auv_mcm.vehicle_config import VehicleConfig
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -174,6 +175,7 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
 class PlanConfig(_Section, frozen=True, kw_only=True):
     """Limits of the proposed re-inspection legs."""
 
+    cell_m: Annotated[float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")] = 4.0
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="contacts looked at again at most")] = 12
     min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="least p_mine worth a second look")] = 0.2
     turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
@@ -202,6 +204,7 @@ class Config(_Section, frozen=True, kw_only=True):
     confirm: ConfirmConfig = ConfirmConfig()
     contacts: ContactsConfig = ContactsConfig()
     plan: PlanConfig = PlanConfig()
+    vehicle: VehicleConfig = VehicleConfig()
     service: ServiceConfig = ServiceConfig()
     ports: Annotated[tuple[PortConfig, ...], Meta(description="wires to devices, for service.source: ports")] = ()
 

@@ -17,6 +17,7 @@ from functools import partial
 from typing import Final
 
 import msgspec
+import numpy as np
 
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
@@ -25,8 +26,9 @@ from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
+from auv_mcm.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.plan.coverage import cover_tile
+from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows
 from auv_mcm.records import (
     SIDES,
     Contact,
@@ -84,6 +86,7 @@ class Pipeline:
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0)
+        self._grid: Grid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
 
@@ -203,7 +206,7 @@ class Pipeline:
         settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
             with self._timed("coverage"):
-                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result))
+                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result), self._cells_around(tile))
             events += [tile, patch]
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
@@ -221,6 +224,13 @@ class Pipeline:
             with self._timed("suppress"):
                 settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop))
         return events + self._conclude(settled)
+
+    def _cells_around(self, tile: Tile) -> Grid | None:
+        """The mission's cells, whose plane touches the Earth where its first tile that can be placed begins."""
+        if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
+            latitude_deg, longitude_deg = (float(part[placed[0]]) for part in (tile.pose.latitude_deg, tile.pose.longitude_deg))
+            self._grid = Grid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
+        return self._grid
 
     def _detect(self, tile: Tile) -> TileDetections | None:
         if not self._exhaustive and not worth_looking(tile):

@@ -7,7 +7,7 @@ headings, bow up for positive pitch, starboard down for positive roll. An absent
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -268,13 +268,58 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     next_look_deg: tuple[float, ...] = ()
 
 
+SeabedType: TypeAlias = Literal["flat", "ripple", "rough", "vegetation", "unknown"]
+SEABED_TYPES: Final[tuple[SeabedType, ...]] = get_args(SeabedType)
+"""`rough` is rock, stones and coarse ground; `unknown` is unlike all that was learnt."""
+
+
+class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """What kind of sea floor one side of one tile shows, in square cells.
+
+    Cell (i, j) covers the tile's core rows from i * cell_m along track, and ground range [j, j + 1) * cell_m; the last row of cells may be
+    cut short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32, posterior probability of it, 0
+    where too little was measured to tell (the kind is `unknown` there). ripple_rad float32: compass direction in which crests follow one
+    another, [0, pi), wavelength_m float32: their distance; both NaN where there are no ripples.
+    """
+
+    cell_m: float
+    kind: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    ripple_rad: NDArray[np.float32]
+    wavelength_m: NDArray[np.float32]
+
+
+class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """What one side of one tile surveyed, in square cells of the mission's own plane, which touches the ellipsoid at the origin.
+
+    Every array is (n,). Cell (east_index, north_index) int32 spans [index, index + 1) * cell_m. fraction float32: of its area that earned
+    coverage here, times what the detector's budget allowed for. Means over that area, float32: ground_range_m, altitude_m, look_rad
+    (compass direction from the sonar to it, [0, 2 pi)). seabed uint8: index into SEABED_TYPES of the kind that most of it is; confidence
+    float32; ripple_rad, wavelength_m float32 as in `SeabedCells`.
+    """
+
+    origin_latitude_deg: float
+    origin_longitude_deg: float
+    cell_m: float
+    east_index: NDArray[np.int32]
+    north_index: NDArray[np.int32]
+    fraction: NDArray[np.float32]
+    ground_range_m: NDArray[np.float32]
+    altitude_m: NDArray[np.float32]
+    look_rad: NDArray[np.float32]
+    seabed: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    ripple_rad: NDArray[np.float32]
+    wavelength_m: NDArray[np.float32]
+
+
 class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Sea floor that one side of one tile really covered.
 
     rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
     covered_m2: area of pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
     `stale_navigation`, `saturated`, `over_budget`). evaluated_fraction: of its places to look at, those that the detector's budget
-    allowed for.
+    allowed for. cells: the same area cell by cell; None where no row could be placed on Earth.
     """
 
     side: Side
@@ -285,6 +330,7 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     covered_m2: float
     lost_m2: dict[str, float]
     evaluated_fraction: float = 1.0
+    cells: SurveyedCells | None = None
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True):

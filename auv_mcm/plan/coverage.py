@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.config import SonarConfig
+from auv_mcm.geodesy import LocalFrame
 from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
 from auv_mcm.navigation import interpolate_track
-from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, Tile
+from auv_mcm.plan.cells import surveyed_cells
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, SeabedCells, Tile
 
 _STRIP_M: Final = 5.0
 _MIN_ROW_COVER: Final = 0.2
 _MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
 
 
-def cover_tile(tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0) -> CoveragePatch:
+class Grid(NamedTuple):
+    """The mission's cells."""
+
+    frame: LocalFrame
+    cell_m: float
+
+
+def cover_tile(
+    tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0, grid: Grid | None = None, seabed: SeabedCells | None = None
+) -> CoveragePatch:
     """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh,
     and it is not saturated: among clipped echoes no highlight stands out. Of the area so covered only the evaluated fraction counts, since
     the detector's budget did not allow for the rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where rows that
-    cover less than a fifth of the range lie for more than half a metre.
+    cover less than a fifth of the range lie for more than half a metre. grid: the cells to lay the same area out in; seabed: what kind of
+    sea floor it is.
     """
     core = slice(tile.core_start, tile.core_stop)
     mask = tile.mask[core]
-    stale = (tile.pose.stale | ~_placed(tile))[core, None]
+    stale = (tile.pose.stale | ~placed_rows(tile))[core, None]
     valid = (mask & VALID) != 0
     coarse = valid & ((mask & LOW_RESOLUTION) != 0)
     turn = valid & ~coarse & ((mask & TURN) != 0)
@@ -49,10 +61,11 @@ def cover_tile(tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0) 
             "over_budget": seen_m2 * (1.0 - evaluated_fraction),
         },
         evaluated_fraction=evaluated_fraction,
+        cells=None if grid is None else surveyed_cells(tile, covered, sonar, grid.frame, grid.cell_m, seabed, evaluated_fraction),
     )
 
 
-def _placed(tile: Tile) -> NDArray[np.bool_]:
+def placed_rows(tile: Tile) -> NDArray[np.bool_]:
     """Rows whose echoes can be placed on Earth, (n_rows,)."""
     pose = tile.pose
     known = np.isfinite([pose.latitude_deg, pose.longitude_deg, pose.heading_rad, pose.pitch_rad, pose.roll_rad, tile.first_return_m])
