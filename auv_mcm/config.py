@@ -17,7 +17,7 @@ from msgspec import Meta, inspect
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import ArmLength, PortConfig, check_together
 from auv_mcm.strict_yaml import keyed, load_mapping
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleConfig
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -210,6 +210,8 @@ class Config(_Section, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_together(self.ports)
+        if self.vehicle.command and self.ports and all(port.device not in VEHICLE_NAMES for port in self.ports):
+            raise ValueError(f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one")
 
 
 def parse_config(text: str, place: str) -> Config:

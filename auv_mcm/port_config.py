@@ -7,6 +7,8 @@ from typing import Annotated, Final, Literal, TypeAlias, get_args
 import msgspec
 from msgspec import Meta
 
+from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleName
+
 ArmLength: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Sign: TypeAlias = Literal[1, -1]
 Offset: TypeAlias = Annotated[float, Meta(ge=-180.0, le=180.0)]
@@ -84,16 +86,19 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
 
     name: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="in messages, counters and recordings")]
     link: Annotated[str, Meta(description="the wire, e.g. serial:///dev/ttyUSB0?baud=115200 or tcp://192.168.2.92:51200")]
-    device: Annotated[SonarName | NavUnitName, Meta(description="what speaks there")]
+    device: Annotated[SonarName | NavUnitName | VehicleName, Meta(description="what speaks there")]
     sonar: SonarPortConfig | None = None
     navigation: Annotated[
         NavUnitSettings | None,
-        Meta(description="how the unit is mounted; of a sonar: use the navigation it sends, mounted like this"),
+        Meta(description="how the unit is mounted; of a sonar or vehicle: use the navigation it sends, mounted like this"),
     ] = None
 
     def __post_init__(self) -> None:
         if self.sonar is not None and self.device not in SONAR_NAMES:
             raise ValueError(f"port '{self.name}': a device '{self.device}' is no sonar and takes no section 'sonar'")
+        for name in VEHICLE_NAMES:
+            if name != self.device and getattr(self, name, None) is not None:
+                raise ValueError(f"port '{self.name}': a section '{name}' is for a device '{name}', and this one is a '{self.device}'")
 
 
 def check_together(ports: tuple[PortConfig, ...]) -> None:
@@ -102,6 +107,9 @@ def check_together(ports: tuple[PortConfig, ...]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"two ports are called '{name}': give each a name of its own")
+    vehicles = [port.name for port in ports if port.device in VEHICLE_NAMES]
+    if len(vehicles) > 1:
+        raise ValueError(f"the ports {' and '.join(vehicles)} are both a vehicle's: leave one of them, for there is one vehicle to talk to")
     sonars = [port for port in ports if port.device in SONAR_NAMES]
     sides = sorted(port.sonar.sides if port.sonar is not None else "as_told" for port in sonars)
     if len(sonars) > 1 and sides != ["port", "starboard"]:

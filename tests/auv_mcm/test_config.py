@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.config import Config, DetectConfig, SonarConfig, config_schema, config_yaml, parse_config
 from auv_mcm.errors import UsageError
+from auv_mcm.vehicle_config import VehicleConfig
 
 
 @pytest.mark.parametrize("text", ["", "---\n", "# nothing\n", "{}", "sonar:\n", "sonar:\n  blank_m:\ndetect:\n"])
@@ -38,7 +39,10 @@ def test_any_configuration_survives_the_file(
     mission: str, probability: float, lever: tuple[float, float, float], full_scale: float | None
 ) -> None:
     config = Config(
-        mission=mission, sonar=SonarConfig(lever_arm_m=lever, full_scale=full_scale), detect=DetectConfig(p_false_alarm=probability)
+        mission=mission,
+        sonar=SonarConfig(lever_arm_m=lever, full_scale=full_scale),
+        detect=DetectConfig(p_false_alarm=probability),
+        vehicle=VehicleConfig(command=True, fence_deg=((lever[0] / 2.0, lever[1]), (probability, 5.0), (1e-5, -5.0))),
     )
     assert parse_config(config_yaml(config), "f.yaml") == config
 
@@ -59,6 +63,10 @@ def test_schema_lists_every_key_with_range() -> None:
     assert schema["$defs"]["SonarConfig"]["additionalProperties"] is False
 
 
+FENCE = "fence_deg: [[43, 5], [43, 6], [44, 5]]"
+GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -75,6 +83,19 @@ def test_schema_lists_every_key_with_range() -> None:
         ("sonar: 3", "`sonar`"),
         ("plan: {max_contacts: 1.5}", "`plan.max_contacts`"),
         ("waterfall: {min_grazing_deg: 50, max_grazing_deg: 20}", "must be below"),
+        (
+            "vehicle: {command: true}",
+            "command is true without a fence: give fence_deg at least three corners [latitude, longitude] - at `vehicle`",
+        ),
+        ("vehicle: {fence_deg: [[43, 5], [43, 6]]}", "at least three corners"),
+        ("vehicle: {fence_deg: [[43, 5], [43, 6], [99, 5]]}", "<= 90.0 - at `vehicle.fence_deg[2][0]`"),
+        ("vehicle: {altitude_m: 1.0}", "must not be below min_altitude_m"),
+        (f"vehicle: {{command: true, {FENCE}}}\nports: [{GNSS}]", "command is true, but no port has a vehicle's device (imc, bluefin, "),
+        ("ports: [{name: v, link: 'udp://h:1', device: submarine}]", "'submarine' - at `ports[0].device`"),
+        (
+            "ports: [{name: v, link: 'udp://h:1', device: imc}, {name: w, link: 'udp://h:2', device: iver}]",
+            "the ports v and w are both a vehicle's",
+        ),
         ("- 1", "sections"),
         ("mission", "sections"),
         ("1: 2", "str"),
