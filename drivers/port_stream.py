@@ -16,6 +16,7 @@ from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.registry import CAN_PROTOCOL, text_decoder
 from drivers.navigation.seam import NavFix
 from drivers.ports import Port
+from drivers.reading_watch import ReadingWatch
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarFrame, SonarReply
 from drivers.stamps import Stamp
@@ -62,6 +63,8 @@ class PortStream:
         self._port, self._sonar, self._utc = port, sonar, utc
         self._before: Counter[str] = Counter()  # of decoders that failed
         self._reader = self._new_reader()
+        # What a bus gives are whole frames; that an adapter gives none is its link's affair.
+        self._watch = None if port.is_bus else ReadingWatch(port.name, port.device, port.address.place, port.baud)
 
     @property
     def counters(self) -> Counter[str]:
@@ -70,9 +73,11 @@ class PortStream:
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         """What a chunk completes, in order. stamp: when its last byte was read."""
         try:
-            return self._reader.feed(data, stamp)
+            told = self._reader.feed(data, stamp)
         except Exception as error:
-            return self._survive(error)
+            told = self._survive(error)
+        notice = None if self._watch is None else self._watch.heard(len(data), stamp.mono_ns, self._n_messages)
+        return told if notice is None else [*told, notice]
 
     def finish(self) -> list[Told]:
         """What waits for more, at the end of a session."""
@@ -80,6 +85,9 @@ class PortStream:
             return self._reader.finish()
         except Exception as error:
             return self._survive(error)
+
+    def _n_messages(self) -> int:
+        return sum(count for name, count in self.counters.items() if name.endswith(".messages"))
 
     def _new_reader(self) -> _Reader:
         port = self._port

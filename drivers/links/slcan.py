@@ -116,6 +116,7 @@ class SlcanPort:
         self._counters = counters
         self._parser = SlcanParser(counters)
         self._n_answers_before = 0
+        self._n_refused_before = 0
         self._start()
 
     @property
@@ -135,9 +136,12 @@ class SlcanPort:
 
     def on_silence(self) -> str:
         answered = self._n_answers() > self._n_answers_before
+        refused = self._counters["slcan.refused.line"] > self._n_refused_before
         self._start()
         if answered:
             return f"The adapter answers: check that the bus has {self._bitrate} bit/s and power, its wires and its termination."
+        if refused:
+            return "What comes is no frame and no answer: check that the adapter speaks slcan, and at a serial line its rate."
         return "The adapter does not answer either: check its power, and that it speaks slcan."
 
     def _n_answers(self) -> int:
@@ -145,6 +149,7 @@ class SlcanPort:
 
     def _start(self) -> None:
         self._n_answers_before = self._n_answers()
+        self._n_refused_before = self._counters["slcan.refused.line"]
         self._stream.write(b"\r\rC\rZ0\rS%d\rO\r" % CAN_BITRATES.index(self._bitrate))  # the first ends a command cut short
 
 

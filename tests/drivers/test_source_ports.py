@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from port_traffic import INTERVAL_S, PORTS, Chunk, config_of, is_close, profile, stamp, time_of, traffic
+from port_traffic import INTERVAL_S, PORTS, Chunk, config_of, fix, is_close, profile, stamp, time_of, traffic
 
 from auv_mcm.config import config_yaml, parse_config
 from auv_mcm.errors import UsageError
@@ -27,6 +27,7 @@ from drivers.sonar.jsf_messages import PING_RANGE, Command, JsfMessage, to_wire
 from drivers.sonar.ping_protocol import PingDecoder
 from drivers.sonar.registry import SONARS
 from drivers.sonar.seam import SonarSettings
+from sim_replay.fakes.uart import misread
 
 HEADS = """
 ports:
@@ -88,6 +89,47 @@ def test_a_decoder_that_fails_is_told_counted_and_survived(monkeypatch: pytest.M
     (notice,) = [event for event in events if isinstance(event, Notice)]
     assert notice.code == "decoder_failed"
     assert "port 'sonar' failed (IndexError('a defect')) and was started anew" in notice.text
+
+
+def told_codes(events: list[SourceEvent], place: str) -> list[str]:
+    return [event.code for event in events if isinstance(event, Notice) and event.place == place]
+
+
+def test_a_wrong_rate_is_told_once_and_its_end_too() -> None:
+    """The device sends at 38400 baud what is read at 115200, and is put right after five seconds."""
+    chunks = [
+        chunk._replace(data=misread(chunk.data, 38_400, 115_200) if chunk.stamp.mono_ns < stamp(5.0).mono_ns else chunk.data)
+        for chunk in traffic(100)
+        if chunk.port == "gnss"
+    ]
+    events, intake = taken_in(PORTS, chunks)
+    assert told_codes(events, "gnss") == ["port_unreadable", "port_readable"]
+    (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "port_unreadable"]
+    assert re.search(r"\d+ bytes in 2\.\d s made not one message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0", text)
+    assert intake.counters["port.gnss.nmea.messages"] == 150
+
+
+@given(st.integers(0, 2**32), st.integers(2, 30))
+def test_noise_however_much_is_not_told_while_a_message_comes_through_now_and_then(seed: int, n_apart: int) -> None:
+    noise = np.random.Generator(np.random.PCG64(seed))
+    chunks = [
+        Chunk("sonar", noise.bytes(5000) + (profile(k, 0, 0.1 * k) if k % n_apart % 18 == 0 else b""), stamp(0.1 * k)) for k in range(120)
+    ]
+    assert not told_codes(taken_in(PORTS, chunks)[0], "sonar")
+
+
+def test_a_unit_that_says_little_or_seldom_is_readable() -> None:
+    seldom = [Chunk("gnss", fix(10.0 * k, 43.0, 5.0), stamp(10.0 * k + 0.01 * part)) for k in range(30) for part in range(3)]
+    whole = fix(0.0, 43.0, 5.0)
+    halves = [Chunk("gnss", part, stamp(9.0 * k + s)) for k in range(30) for s, part in ((0.0, whole[:90]), (8.0, whole[90:]))]
+    little = [Chunk("gnss", b"x", stamp(1.0 * k)) for k in range(200)]
+    for chunks in (seldom, halves, little):
+        assert not told_codes(taken_in(PORTS, chunks)[0], "gnss")
+
+
+def test_a_port_that_comes_and_goes_is_told_of_so_often_only() -> None:
+    chunks = [Chunk("gnss", fix(0.1 * k, 43.0, 5.0) if k // 40 % 2 else bytes(300), stamp(0.1 * k)) for k in range(4000)]
+    assert len(told_codes(taken_in(PORTS, chunks)[0], "gnss")) == 20
 
 
 def test_what_comes_out_does_not_depend_on_ticks_but_what_is_missed_is_told_by_them() -> None:

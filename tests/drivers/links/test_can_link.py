@@ -107,6 +107,22 @@ def test_a_wrong_bit_rate_and_a_dead_adapter_are_told_apart(tmp_path: Path) -> N
     asyncio.run(scenario())
 
 
+def test_bytes_that_are_no_frames_are_told_as_such(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "tty", 115200)
+        port.plug()
+        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
+        async with running(link):
+            while link.state != "silent":
+                await port.send(b"\x00\xfc\x80\r")
+                await asyncio.sleep(0.01)
+            assert "What comes is no frame and no answer: check that the adapter speaks slcan" in watch.reason
+        assert not watch.items
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
 def test_one_bad_byte_costs_one_frame(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "tty", 115200)
