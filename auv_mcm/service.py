@@ -319,6 +319,8 @@ class Service:
                     log.error("ping skipped: %s", error)
                     continue
                 self._tally.add(event)
+                if self._tally.pings == 1 and isinstance(event, Ping):
+                    log.info("first ping: %s", event.place or event.number)
             await perception.finish()
         except AuvMcmError:
             return  # what perception answered before it failed comes first; _publish meets the failure in its turn

@@ -1,7 +1,7 @@
 """Perception in a process of its own, so that nothing it computes delays the ports of the main process.
 
 The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
-feeds its pipeline and answers each message with the events that came of it, tiles left out. The answer also gives the
+feeds its pipeline and answers each message with the events that came of it, tiles and snippets left out. The answer also gives the
 ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
 """
 
@@ -31,6 +31,7 @@ from auv_mcm.records import Contact, EchoTrace, Ping, PipelineEvent, SourceEvent
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
 _ALIGNMENT: Final = 64
+_NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 
 
 class Perceiving(Protocol):
@@ -285,10 +286,11 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         while (message := connection.recv()) is not None:
             event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
             place = getattr(event, "place", "") or place
-            connection.send(Fed(_without_tiles(pipeline.feed(event))))
+            connection.send(Fed(_slim(pipeline.feed(event))))
         # The last contacts are made durable while their pictures are drawn.
-        connection.send(Fed(_without_tiles(pipeline.finish())))
-        connection.send(Finished(pipeline.contacts, pipeline.counters, _snippets(pipeline.contacts)))
+        connection.send(Fed(_slim(pipeline.finish())))
+        contacts = pipeline.contacts
+        connection.send(Finished(tuple(map(_without_pictures, contacts)), pipeline.counters, _snippets(contacts)))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:
@@ -305,8 +307,13 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         memory.close()
 
 
-def _without_tiles(events: list[PipelineEvent]) -> tuple[PipelineEvent, ...]:
-    return tuple(event for event in events if not isinstance(event, Tile))
+def _slim(events: list[PipelineEvent]) -> tuple[PipelineEvent, ...]:
+    return tuple(_without_pictures(event) if isinstance(event, Contact) else event for event in events if not isinstance(event, Tile))
+
+
+def _without_pictures(contact: Contact) -> Contact:
+    """What a picture is made of stays with the worker, who makes it: it is half of a contact, and the parent keeps all of a mission."""
+    return msgspec.structs.replace(contact, views=tuple(msgspec.structs.replace(view, snippet=_NO_PICTURE) for view in contact.views))
 
 
 def _snippets(contacts: tuple[Contact, ...]) -> dict[str, bytes]:

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 
+import drawn_looks
 import msgspec
 import numpy as np
 
@@ -102,6 +103,18 @@ class Cluttered(Base):
 
 def _as_clutter(events: Sequence[PipelineEvent]) -> list[PipelineEvent]:
     return [msgspec.structs.replace(event, classification="clutter") if isinstance(event, Contact) else event for event in events]
+
+
+class Seeing(Base):
+    """A contact with a view at its first ping."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        seen = drawn_looks.contact(id="C00001", views=(drawn_looks.detection(snippet=np.full((4, 6), 100, np.uint8), score=7.5),))
+        self.contacts = (seen,)
+        return [seen]
+
+    def finish(self) -> list[PipelineEvent]:
+        return []
 
 
 class Failing(Base):

@@ -329,7 +329,7 @@ except KeyboardInterrupt:
 
 
 def program(folder: Path, pipeline: str) -> subprocess.Popen[str]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parents[1])])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (TESTS, TESTS / "classify", TESTS.parents[1])))}
     command = [sys.executable, "-u", "-c", PROGRAM, str(folder), pipeline]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.records import Contact, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
 from auv_mcm.worker import Finished, MakePipeline, Perception, PerceptionError, Ring
 
 
@@ -84,6 +84,14 @@ def test_pings_arrive_to_the_bit_and_in_order_through_a_ring_smaller_than_they_a
     assert [event.text for event in received if isinstance(event, Notice)] == [fake.digest(event) for event in pings]
     assert len(received) == len(pings) + 1, "no tiles, and the contact that finishing gave"
     assert [contact.id for contact in finished.contacts] == ["C9999"]
+
+
+def test_contacts_come_without_the_snippets_that_their_pictures_were_made_of() -> None:
+    received, finished = asyncio.run(answers([fake.ping(0)], fake.Seeing))
+    contacts = [*(event for event in received if isinstance(event, Contact)), *finished.contacts]
+    assert [contact.id for contact in contacts] == ["C00001", "C00001"]
+    assert all(view.snippet.size == 0 and view.score == 7.5 for contact in contacts for view in contact.views)
+    assert finished.snippets["C00001"].startswith(b"\x89PNG")
 
 
 def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
