@@ -27,6 +27,7 @@ from sim_replay.session.layout import (
 )
 
 FILE_BYTES: Final = 1 << 30
+FILE_FLUSHES: Final = 1200  # ten minutes of a recorder; until a file ends, the index of each of its chunks is kept in memory
 RESERVE_BYTES: Final = 256 << 20
 _MESSAGE_BYTES: Final = 64  # at most, of a message beside its data, with its entry in the index
 
@@ -82,18 +83,20 @@ class SessionWriter:
         session: SessionDescription,
         *,
         file_bytes: int = FILE_BYTES,
+        file_flushes: int = FILE_FLUSHES,
         reserve_bytes: int = RESERVE_BYTES,
         open_file: Callable[[Path], DurableFile] = DurableFile,
         free_bytes: Callable[[Path], int] = free_bytes,
     ) -> None:
         """Make the folder if need be, and its first file durable.
 
-        file_bytes: from which size on a new file is begun. reserve_bytes: disk space left to others. Raises OSError, also if the folder
-        holds a session.
+        file_bytes, file_flushes: from which size on, or after how many flushes, a new file is begun. reserve_bytes: disk space left to
+        others. Raises OSError, also if the folder holds a session.
         """
         self._folder = folder
         self._session = session
         self._file_bytes = file_bytes
+        self._file_flushes = file_flushes
         self._reserve_bytes = reserve_bytes
         self._open_file = open_file
         self._free_bytes = free_bytes
@@ -117,11 +120,12 @@ class SessionWriter:
         self._add_note(LOST_TOPIC, lost, lost.last)
 
     def flush(self) -> None:
-        """Make everything taken so far durable; then begin a new file if this one is large enough."""
+        """Make everything taken so far durable; then begin a new file if this one is large or old enough."""
         if not self._pending_bytes:
             return
         self._make_durable()
-        if self._file.tell() >= self._file_bytes:
+        self._n_flushes += 1
+        if self._file.tell() >= self._file_bytes or self._n_flushes >= self._file_flushes:
             self._finish_file()
             self._begin_file()
 
@@ -147,6 +151,7 @@ class SessionWriter:
                 self._add_channel(port.name, "in", port.uri, port.device)
                 self._add_channel(port.name, "out", port.uri, port.device)
             self._n_files += 1
+            self._n_flushes = 0
             self._make_durable()
         except OSError:
             self._file.close()

@@ -16,7 +16,7 @@ from drivers.stamps import Stamp
 from sim_replay.session.layout import Recorded, file_name
 from sim_replay.session.reader import Session
 from sim_replay.session.recorder import SessionRecorder
-from sim_replay.session.writer import DurableFile
+from sim_replay.session.writer import DurableFile, SessionWriter
 
 RECORD_FOR_EVER = """
 import sys, time
@@ -47,6 +47,18 @@ def test_what_was_handed_over_is_recorded(tmp_path: Path) -> None:
     assert recorder.counters == {"session.chunks_recorded": 500, "session.bytes_recorded": n_bytes(chunks)}
     assert recorder.take_notices() == []
     assert recorder.queued_bytes == 0
+
+
+def test_a_file_of_little_ends_as_well_since_its_index_is_kept_in_memory(tmp_path: Path) -> None:
+    chunks = traffic(1, 50)
+    writer = SessionWriter(tmp_path, description(), file_flushes=7)
+    for chunk in chunks:
+        writer.add(chunk)
+        writer.flush()
+    writer.close()
+    assert len((session := Session(tmp_path)).sizes_bytes) == 50 // 7 + 1
+    assert list(session) == chunks
+    assert not session.counters
 
 
 def test_ports_that_were_not_foreseen_are_recorded_too(tmp_path: Path) -> None:
