@@ -57,7 +57,8 @@ _SAMPLE_S: Final = 0.5
 _MOST_ROWS: Final = 12
 _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer that has much else to do
 _BYTES_PER_MB: Final = 1e6
-_HEALTH: Final = re.compile(r"^(\S+)Z INFO health pings=(\d+) .*ports=(\S+)")
+_HEALTH: Final = re.compile(r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE)
+_STOPPING: Final = " INFO stopping: "
 _CONTACT: Final = re.compile(r"^contact (\S+) (?:new|updated): (\S+), p_mine (\S+), (\S+) (\S+), (\d+) views$")
 _DEAD: Final = re.compile(r"Traceback|\bERROR\b|perception has taken no ping|notice (?:intake_failed|decoder_failed|session_\w+):")
 _SERVICE: Final[dict[str, Any]] = {
@@ -96,11 +97,12 @@ _EXPECTED: Final = {  # counters of a sound run between these devices
 
 
 class Memory(NamedTuple):
-    """Resident memory, at an instant of the run."""
+    """Resident memory, at an instant of the run. n_contacts: known by then, clutter included, as the last health line had it."""
 
     at_s: float
     service_bytes: int
     perception_bytes: int
+    n_contacts: int
 
 
 class Kill(NamedTuple):
@@ -261,7 +263,7 @@ def _said(folder: Path, text: str, over: threading.Event) -> bool:
     """Wait until a line of the service's output contains a text; False if the run was over before."""
     while not over.wait(_POLL_S):
         with contextlib.suppress(FileNotFoundError):
-            if text in (folder / SERVICE_LOG).read_text("utf-8", "replace"):
+            if text in _console(folder):
                 return True
     return False
 
@@ -290,13 +292,20 @@ def _bench_soak(minutes: float, speed: float, folder: Path) -> None:
 def _print_memory(memory: Sequence[Memory], speed: float) -> None:
     if len(memory) < 4:
         raise SelfCheckError("the run was too short to measure memory over time; give more --minutes")
-    print(f"{'s':>8}{'service MB':>12}{'perception MB':>15}")
+    print(f"{'s':>8}{'service MB':>12}{'perception MB':>15}{'contacts':>10}")
     for index in np.unique(np.linspace(0, len(memory) - 1, _MOST_ROWS).astype(int)):
-        at_s, service_bytes, perception_bytes = memory[index]
-        print(f"{at_s:>8.1f}{service_bytes / _BYTES_PER_MB:>12.1f}{perception_bytes / _BYTES_PER_MB:>15.1f}")
+        at_s, service_bytes, perception_bytes, n_contacts = memory[index]
+        print(f"{at_s:>8.1f}{service_bytes / _BYTES_PER_MB:>12.1f}{perception_bytes / _BYTES_PER_MB:>15.1f}{n_contacts:>10}")
     late = np.asarray(memory[len(memory) // 2 :])  # the first half fills caches
-    slopes = np.polynomial.polynomial.polyfit(late[:, 0] - late[0, 0], late[:, 1:], 1)[1] / speed * 3600.0 / _BYTES_PER_MB
-    print(f"slope over the second half, MB per hour of mission: service {slopes[0]:+.1f}, perception {slopes[1]:+.1f}\n")
+    mission_h = (late[:, 0] - late[0, 0]) * speed / 3600.0
+    service, perception, contacts = np.polynomial.polynomial.polyfit(mission_h, late[:, 1:], 1)[1]
+    print(
+        f"slope over the second half, per hour of mission: service {service / _BYTES_PER_MB:+.1f} MB, "
+        f"perception {perception / _BYTES_PER_MB:+.1f} MB, {contacts:+.0f} contacts"
+    )
+    if contacts > 0.0:
+        print(f"contacts are kept: of each, service {service / contacts / 1e3:.1f} kB, perception {perception / contacts / 1e3:.1f} kB")
+    print()
 
 
 def _print_counters(evidence: Evidence) -> list[str]:
@@ -320,11 +329,11 @@ def _dead(evidence: Evidence) -> list[str]:
     lines = [line.text for line in evidence.lines]
     dead = [] if evidence.exit_code == 0 else [f"the service ended with {evidence.exit_code}"]
     dead += [line for line in lines if _DEAD.search(line)]
-    live = lines[: next((index for index, line in enumerate(lines) if "INFO stopping: " in line), len(lines))]
+    live = lines[: next((index for index, line in enumerate(lines) if _STOPPING in line), len(lines))]
     last = next((match for line in reversed(live) if (match := _HEALTH.match(line))), None)
     if last is None:
         dead.append("there is no health line")
-    elif down := [port for port in last[3].split(",") if not port.endswith(":up")]:
+    elif down := [port for port in last[5].split(",") if not port.endswith(":up")]:
         dead.append(f"at the end these ports were not up: {', '.join(down)}")
     return dead
 
@@ -335,15 +344,25 @@ def _watched_memory(folder: Path, over: threading.Event) -> list[Memory]:
     begun_s = time.monotonic()
     memory = []
     with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has ended
-        while not over.wait(_SAMPLE_S):
+        while not over.wait(_SAMPLE_S) and _STOPPING not in (console := _console(folder)):
             children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()]
             perception_bytes = max((_resident_bytes(child) for child in children), default=0)  # the other one tracks shared memory
-            memory.append(Memory(time.monotonic() - begun_s, _resident_bytes(pid), perception_bytes))
-    return memory[: -round(1.0 / _SAMPLE_S)]  # at the end pictures and results are made, which is no leak
+            memory.append(Memory(time.monotonic() - begun_s, _resident_bytes(pid), perception_bytes, _n_contacts(console)))
+    return memory  # without the end, at which pictures and results are made
 
 
 def _resident_bytes(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _console(folder: Path) -> str:
+    """What the service has said so far. Raises FileNotFoundError before it has begun."""
+    return (folder / SERVICE_LOG).read_text("utf-8", "replace")
+
+
+def _n_contacts(console: str) -> int:
+    told = list(_HEALTH.finditer(console))
+    return int(told[-1][3]) + int(told[-1][4]) if told else 0
 
 
 def _service_pid(folder: Path) -> int | None:
