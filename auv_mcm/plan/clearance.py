@@ -1,0 +1,221 @@
+"""How well each piece of sea floor has been searched: looks that add up to the probability that a mine there would have been found.
+
+Looks at a cell with probabilities P_k leave a mine unseen with the product of 1 - P_k, so their miss exponents -ln(1 - P_k) add up. That
+holds for looks that are independent. One from nearly the same direction sees the same side of the same mine and counts only in part, as
+does, a little, any further one: what is buried is buried from everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import SEABED_TYPES, CoveragePatch, Side, SurveyedCells
+
+Array = NDArray[np.float64]
+
+HIGHEST_P: Final = 0.98  # of one look: nothing is ever seen for certain
+_SAME_LOOK_RAD: Final = math.radians(15.0)
+_SAME_PASS_S: Final = 60.0
+_ROUNDING_RAD: Final = 1e-6
+_KEY: Final = 1 << 32
+
+
+class LookModel(Protocol):
+    """What a look is worth.
+
+    same_look_correlation, other_look_correlation: the part of a further look that tells nothing new, from within 15 degrees of an earlier
+    one and from elsewhere, 0 to 1.
+    """
+
+    @property
+    def same_look_correlation(self) -> float: ...
+    @property
+    def other_look_correlation(self) -> float: ...
+
+    def p_look(
+        self,
+        seabed: NDArray[np.uint8],
+        ground_range_m: NDArray[np.float32],
+        altitude_m: NDArray[np.float32],
+        look_rad: NDArray[np.float32],
+        ripple_rad: NDArray[np.float32],
+    ) -> Array:
+        """(n,) probability that one look at the whole of a cell finds a mine that lies there; arguments as in `SurveyedCells`."""
+        ...
+
+
+class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """How the search stands, (n_north, n_east) cells of the mission's plane; element [0, 0] is cell (first_east, first_north).
+
+    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. seabed uint8, ripple_rad,
+    wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where
+    nothing was seen these are `unknown` and NaN.
+    """
+
+    origin_latitude_deg: float
+    origin_longitude_deg: float
+    cell_m: float
+    first_east: int
+    first_north: int
+    exponent: Array
+    looks: NDArray[np.uint8]
+    seabed: NDArray[np.uint8]
+    ripple_rad: NDArray[np.float32]
+    wavelength_m: NDArray[np.float32]
+    altitude_m: NDArray[np.float32]
+
+    @property
+    def p_detected(self) -> Array:
+        """Probability that a mine in the cell would have been found."""
+        return np.asarray(-np.expm1(-self.exponent))
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        return self.looks > 0
+
+
+class _Look(NamedTuple):
+    """Cells that one pass saw; fraction and means by area, (n,) each."""
+
+    key: NDArray[np.int64]
+    fraction: Array
+    p: Array
+    look_rad: Array
+    cells: SurveyedCells
+
+
+class _Pass(NamedTuple):
+    side: Side
+    look_rad: float
+    stop_s: float
+    number: int
+
+
+class ClearanceMap:
+    """Looks at cells as patches come in; equal patches give equal maps, in whatever order tiles of a pass come.
+
+    Patches of one side that follow one another within a minute and look the same way are one pass, and what a pass sees of a cell in two
+    patches is one look.
+    """
+
+    def __init__(self, model: LookModel) -> None:
+        self._model = model
+        self._looks: list[_Look] = []
+        self._numbers: list[int] = []  # of the pass, per look
+        self._passes: dict[Side, _Pass] = {}
+        self._n_passes = 0
+
+    def add(self, patch: CoveragePatch) -> None:
+        """Take a patch; one without cells saw nothing. Raises ValueError for cells that are not those of the patches before."""
+        cells = patch.cells
+        if cells is None or not len(cells.fraction):
+            return
+        if self._looks and _plane(cells) != _plane(self._looks[0].cells):
+            raise ValueError("patches of two missions: their cells lie in different planes. Give each mission a map of its own")
+        p = np.clip(
+            self._model.p_look(cells.seabed, cells.ground_range_m, cells.altitude_m, cells.look_rad, cells.ripple_rad), 0.0, HIGHEST_P
+        )
+        key = cells.east_index.astype(np.int64) * _KEY + cells.north_index
+        self._looks.append(_Look(key, cells.fraction.astype(np.float64), p, cells.look_rad.astype(np.float64), cells))
+        self._numbers.append(self._pass_of(patch))
+
+    def snapshot(self) -> Clearance | None:
+        """How the search stands; None if nothing was seen yet."""
+        if not self._looks:
+            return None
+        key = np.concatenate([look.key for look in self._looks])
+        number = np.repeat(self._numbers, [len(look.key) for look in self._looks])
+        fraction, p, look_rad = (np.concatenate([part[i] for part in self._looks]) for i in (1, 2, 3))
+        order = np.lexsort((number, key))  # stable: of one cell and pass in order of time
+        key, number = key[order], number[order]
+        starts = np.flatnonzero(np.append(True, (np.diff(key) != 0) | (np.diff(number) != 0)))
+        # No more than its best part, seen whole, would give: so that a worse part never takes anything away.
+        p_seen = np.minimum(np.add.reduceat((fraction * p)[order], starts), np.maximum.reduceat(p[order], starts))
+        by_time = np.lexsort((order[starts], key[starts]))  # looks at a cell in the order in which it was first seen
+        key, p_seen, look = key[starts][by_time], p_seen[by_time], look_rad[order[starts]][by_time]
+        cell, first = np.unique(key, return_index=True)
+        n_looks = np.diff(np.append(first, len(key)))
+        exponent = self._added_up(-np.log1p(-p_seen), look, first, n_looks)
+        return self._laid_out(cell, exponent, n_looks)
+
+    def _pass_of(self, patch: CoveragePatch) -> int:
+        assert patch.cells is not None
+        look = patch.cells.look_rad.astype(np.float64)
+        towards = math.atan2(float(np.sin(look).sum()), float(np.cos(look).sum()))
+        current = self._passes.get(patch.side)
+        follows = (
+            current is not None
+            and -_SAME_PASS_S <= patch.start_s - current.stop_s <= _SAME_PASS_S
+            and abs(math.remainder(towards - current.look_rad, 2.0 * math.pi)) <= _SAME_LOOK_RAD
+        )
+        if current is None or not follows:
+            current = _Pass(patch.side, towards, patch.stop_s, self._n_passes)
+            self._n_passes += 1
+        self._passes[patch.side] = current._replace(stop_s=patch.stop_s)
+        return current.number
+
+    def _added_up(self, exponent: Array, look_rad: Array, first: NDArray[np.intp], n_looks: NDArray[np.intp]) -> Array:
+        """Per cell the exponents of its looks, each less what earlier ones have told already."""
+        most = int(n_looks.max())
+        column = np.arange(most)
+        there = column < n_looks[:, np.newaxis]
+        row = np.where(there, first[:, np.newaxis] + column, 0)
+        direction = np.where(there, look_rad[row], np.nan)
+        total = np.zeros(len(first))
+        same, other = 1.0 - self._model.same_look_correlation, 1.0 - self._model.other_look_correlation
+        for k in range(most):
+            apart = np.abs(np.mod(direction[:, :k] - direction[:, k : k + 1] + np.pi, 2.0 * np.pi) - np.pi)
+            again = (apart <= _SAME_LOOK_RAD + _ROUNDING_RAD).any(axis=1)
+            weight = np.where(again, same, other if k else 1.0)
+            total += np.where(there[:, k], weight * exponent[row[:, k]], 0.0)
+        return total
+
+    def _laid_out(self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp]) -> Clearance:
+        east = (cell + _KEY // 2) // _KEY
+        north = cell - east * _KEY
+        first_east, first_north = int(east.min()), int(north.min())
+        shape = int(np.ptp(north)) + 1, int(np.ptp(east)) + 1
+        at = (north - first_north, east - first_east)
+        dense = np.zeros(shape)
+        dense[at] = exponent
+        looks = np.zeros(shape, dtype=np.uint8)
+        looks[at] = np.minimum(n_looks, 255)
+        # The surest look tells what kind of sea floor it is; of equals the first.
+        confidence = np.full(shape, -1.0, dtype=np.float32)
+        seabed = np.full(shape, SEABED_TYPES.index("unknown"), dtype=np.uint8)
+        ripple = np.full(shape, np.nan, dtype=np.float32)
+        wavelength = np.full(shape, np.nan, dtype=np.float32)
+        altitude, weight = np.zeros(shape), np.zeros(shape)
+        for told in self._looks:
+            place = told.cells.north_index - first_north, told.cells.east_index - first_east
+            sure = told.cells.confidence * told.cells.fraction
+            better = sure > confidence[place]
+            surer = place[0][better], place[1][better]
+            confidence[surer] = sure[better]
+            for layer, values in ((seabed, told.cells.seabed), (ripple, told.cells.ripple_rad), (wavelength, told.cells.wavelength_m)):
+                layer[surer] = values[better]
+            altitude[place] += told.fraction * told.cells.altitude_m
+            weight[place] += told.fraction
+        plane = self._looks[0].cells
+        return Clearance(
+            origin_latitude_deg=plane.origin_latitude_deg,
+            origin_longitude_deg=plane.origin_longitude_deg,
+            cell_m=plane.cell_m,
+            first_east=first_east,
+            first_north=first_north,
+            exponent=dense,
+            looks=looks,
+            seabed=seabed,
+            ripple_rad=ripple,
+            wavelength_m=wavelength,
+            altitude_m=np.divide(altitude, weight, out=np.full(shape, np.nan), where=weight > 0.0).astype(np.float32),
+        )
+
+
+def _plane(cells: SurveyedCells) -> tuple[float, float, float]:
+    return cells.origin_latitude_deg, cells.origin_longitude_deg, cells.cell_m
