@@ -20,6 +20,8 @@ from drivers.reading_watch import ReadingWatch
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarFrame, SonarReply
 from drivers.stamps import Stamp
+from drivers.vehicle.registry import dialect_of
+from drivers.vehicle.seam import VehicleState
 
 log = logging.getLogger(__name__)
 
@@ -93,6 +95,8 @@ class PortStream:
         port = self._port
         if port.is_sonar:
             return _SonarReader(port, self._sonar, self._utc)
+        if port.vehicle is not None:
+            return _VehicleReader(port)
         if port.device == CAN_PROTOCOL:
             return _BusReader(port.name)
         return _UnitReader(port)
@@ -143,6 +147,31 @@ class _BusReader:
             self._own["n2k.not_extended"] += 1
             return []
         return [*self._bus.feed(frame.can_id, frame.data, stamp)]
+
+    def finish(self) -> list[Told]:
+        return []
+
+
+class _VehicleReader:
+    """Where the vehicle says it is, if that is wanted, and on a bus what units say there. What else it says is heard by the pilot."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._dialect = dialect_of(port.device, port.vehicle)
+        self._bus = _BusReader(port.name) if port.is_bus else None
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._dialect.counters if self._bus is None else self._dialect.counters + self._bus.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+        item = data if self._bus is None else unpack_can(data)
+        if self._port.unit is None or item is None:
+            return []
+        events = self._dialect.hear(item, stamp)
+        self._dialect.take_outgoing(stamp.mono_ns * 1e-9)  # answers are the pilot's to give
+        told: list[Told] = [_vehicle_fix(self._port.name, event) for event in events if isinstance(event, VehicleState)]
+        return told if self._bus is None else told + self._bus.feed(data, stamp)
 
     def finish(self) -> list[Told]:
         return []
@@ -241,4 +270,19 @@ def _fix(source: str, frame: SonarFrame, told: NavSample) -> NavFix:
         depth_m=told.depth_m,
         altitude_m=told.altitude_m if told.altitude_m > 0.0 else NAN,
         speed_mps=told.speed_mps,
+    )
+
+
+def _vehicle_fix(source: str, state: VehicleState) -> NavFix:
+    return NavFix(
+        source=source,
+        received=state.received,
+        latitude_deg=state.latitude_deg,
+        longitude_deg=state.longitude_deg,
+        heading_rad=state.heading_rad,
+        pitch_rad=state.pitch_rad,
+        roll_rad=state.roll_rad,
+        depth_m=state.depth_m,
+        altitude_m=state.altitude_m if state.altitude_m > 0.0 else NAN,
+        speed_mps=state.speed_mps,
     )

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 from msgspec import structs
 
 from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
+from auv_mcm.vehicle_config import VEHICLE_NAMES
 from drivers.links.uri import CanAddress, LinkAddress, SerialAddress, SlcanAddress, parse_link_uri
 from drivers.navigation.registry import CAN_PROTOCOL
 from drivers.navigation.settings import NavMergeSettings
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarSettings
+from drivers.vehicle.registry import BUS_DIALECTS, settings_of
+
+_BUS_DEVICES: Final = {CAN_PROTOCOL, *BUS_DIALECTS}
 
 
 class Port(NamedTuple):
@@ -21,6 +25,7 @@ class Port(NamedTuple):
 
     baud: of a serial line, None where bytes take no time. sides: what a sonar looks to. commands: what to send so that it pings as
     configured; ask_every_s: and how often, None for once. unit: how the navigation from here is mounted, None if none is used.
+    vehicle: the settings of a vehicle's dialect, None for what is no vehicle.
     """
 
     name: str
@@ -32,6 +37,7 @@ class Port(NamedTuple):
     commands: tuple[bytes, ...]
     ask_every_s: float | None
     unit: NavUnitSettings | None
+    vehicle: Any = None
 
     @property
     def is_bus(self) -> bool:
@@ -70,7 +76,8 @@ def _port(port: PortConfig, key: str) -> Port:
     address = _address(port.link, f"{key}.link", port.device)
     baud = _baud(address)
     is_sonar = port.device in SONAR_NAMES
-    unit = port.navigation if is_sonar else port.navigation or NavUnitSettings()
+    is_vehicle = port.device in VEHICLE_NAMES
+    unit = port.navigation if is_sonar or is_vehicle else port.navigation or NavUnitSettings()
     if unit is not None and unit.baud is None:
         unit = structs.replace(unit, baud=baud)
     sonar = port.sonar or SonarPortConfig()
@@ -85,6 +92,7 @@ def _port(port: PortConfig, key: str) -> Port:
         commands=commands,
         ask_every_s=sonar.ping_interval_s if asked and commands else None,
         unit=unit,
+        vehicle=settings_of(port) if is_vehicle else None,
     )
 
 
@@ -92,8 +100,8 @@ def _address(link: str, key: str, device: str) -> LinkAddress:
     """Of a link that carries what the device speaks."""
     address = parse_link_uri(link, key)
     is_bus = isinstance(address, CanAddress | SlcanAddress)
-    if is_bus != (device == CAN_PROTOCOL):
-        needed = "a slcan:// or socketcan:// link" if device == CAN_PROTOCOL else "a serial://, tcp:// or udp:// link"
+    if is_bus != (device in _BUS_DEVICES):
+        needed = "a slcan:// or socketcan:// link" if device in _BUS_DEVICES else "a serial://, tcp:// or udp:// link"
         raise UsageError(f"{key} '{link}': a device '{device}' cannot be there; give it {needed}")
     return address
 

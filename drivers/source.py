@@ -17,13 +17,16 @@ from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.service import Record, SourceUri
+from auv_mcm.vehicle_config import VehicleConfig
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.registry import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
-from drivers.port_stream import pack_can
+from drivers.port_stream import pack_can, unpack_can
 from drivers.ports import Port, read_ports
 from drivers.stamps import Stamp
+from drivers.vehicle.end import VehicleEnd
+from drivers.vehicle.registry import dialect_of
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +61,8 @@ class PortSource:
     """The ports as a source of the service, which cannot make devices wait. Whatever a wire or device does, it goes on.
 
     counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent, port.NAME.commands_refused (by the wire),
-    port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), source.ping_dropped and source.event_dropped.
+    port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), source.ping_dropped and source.event_dropped. Of the
+    vehicle's port, port.NAME.messages_sent and .messages_refused, and those of `VehicleEnd`.
     """
 
     lossless = False
@@ -72,7 +76,9 @@ class PortSource:
         self._events: deque[SourceEvent] = deque()
         self._changed = asyncio.Event()
         self._stopping = False
-        self._ports = [_ServedPort(port, self, open_link, clock) for port in read_ports(config)]
+        self._ended = False
+        self._ports = [_ServedPort(port, self, open_link, clock, config.vehicle) for port in read_ports(config)]
+        self._vehicle_port = next((port for port in self._ports if port.vehicle is not None), None)
 
     def record_with(self, record: Record) -> None:
         """Hand every byte to `record`, both ways, from now on."""
@@ -84,21 +90,34 @@ class PortSource:
         self._changed.set()
 
     @property
+    def vehicle(self) -> VehicleEnd | None:
+        """The vehicle's end, if one of the ports leads to it."""
+        return None if self._vehicle_port is None else self._vehicle_port.vehicle
+
+    async def serve_vehicle(self) -> None:
+        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
+        if self._vehicle_port is not None:
+            await _together(self._vehicle_port.jobs())
+
+    @property
     def is_stopping(self) -> bool:
         return self._stopping
 
     def health(self) -> str:
         return "ports=" + ",".join(f"{port.name}:{port.state}" for port in self._ports)
 
+    def faults(self) -> list[str]:
+        return [f"port {port.name} is {port.state}" for port in self._ports if port.state != "up"]
+
     def counters(self) -> Counter[str]:
         counters = self._intake.counters + self._own
         for port in self._ports:
             counters += port.counters
-        return counters
+        return counters if self.vehicle is None else counters + self.vehicle.counters
 
     async def events(self) -> AsyncGenerator[SourceEvent, None]:
-        jobs = [job for port in self._ports for job in port.jobs()]
-        tasks = [asyncio.ensure_future(job) for job in (*jobs, self._tick())]
+        jobs = [job for port in self._ports if port is not self._vehicle_port for job in port.jobs()]
+        serving = asyncio.ensure_future(_together([*jobs, self._tick()]))
         try:
             while not self._stopping:
                 await self._changed.wait()
@@ -107,9 +126,9 @@ class PortSource:
                     yield self._events.popleft()
         finally:
             self._stopping = True
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            serving.cancel()
+            await asyncio.wait({serving})
+        self._ended = True
         self._put(self._intake.finish())
         while self._events:
             yield self._events.popleft()
@@ -118,7 +137,8 @@ class PortSource:
         """Bytes of a port, or none: a tick."""
         if self._record is not None:
             self._record(port, "in", stamp, data)
-        self._put(self._intake.feed(port, data, stamp))
+        if not self._ended:
+            self._put(self._intake.feed(port, data, stamp))
 
     def sent(self, port: str, data: bytes) -> None:
         """Bytes went out to a port."""
@@ -147,18 +167,37 @@ class PortSource:
             self._changed.set()
 
 
-class _ServedPort:
-    """One port while the source runs: its link kept up, its sonar told how to ping, its states told to a person."""
+async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
+    """Run jobs that do not end until cancelled."""
+    tasks = [asyncio.ensure_future(job) for job in jobs]
+    try:
+        await asyncio.wait(tasks)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
-    def __init__(self, port: Port, source: PortSource, open_link: OpenLink, clock: Clock) -> None:
+
+class _ServedPort:
+    """One port while the source runs: its link kept up, its sonar told how to ping, its vehicle talked to, its states told to a person."""
+
+    def __init__(self, port: Port, source: PortSource, open_link: OpenLink, clock: Clock, policy: VehicleConfig) -> None:
         self.name = port.name
         self._port = port
         self._source = source
         self._clock = clock
-        self._make_link = partial(open_link, port, partial(source.take, port.name), self._on_state, clock)
+        self._make_link = partial(open_link, port, self._on_bytes, self._on_state, clock)
         self._link = self._make_link()
         self._own: Counter[str] = Counter()
         self._links_before: Counter[str] = Counter()  # of links that failed
+        self._is_open = False
+        self.vehicle: VehicleEnd | None = None
+        if port.vehicle is not None:
+            from drivers.vehicle.pilot import Pilot
+
+            session = int(clock.utc_s()) & 0xFFFFFFFF
+            pilot = Pilot(dialect_of(port.device, port.vehicle), policy, session=session)
+            self.vehicle = VehicleEnd(port.name, pilot, self._send_to_vehicle, clock)
 
     @property
     def state(self) -> LinkState:
@@ -171,6 +210,8 @@ class _ServedPort:
 
     def jobs(self) -> list[Coroutine[Any, Any, None]]:
         """What has to run for this port."""
+        if self.vehicle is not None:
+            return [self._keep_link(), self.vehicle.keep_talking()]
         if not self._port.commands:
             return [self._keep_link()]
         return [self._keep_link(), self._wake() if self._port.ask_every_s is None else self._ask()]
@@ -206,7 +247,17 @@ class _ServedPort:
             if self.state == "silent":
                 self._send_commands()
 
+    def _on_bytes(self, data: bytes, stamp: Stamp) -> None:
+        self._source.take(self.name, data, stamp)
+        if self.vehicle is not None:
+            item = unpack_can(data) if self._port.is_bus else data
+            if item is not None:
+                self.vehicle.hear(item, stamp)
+
     def _on_state(self, state: LinkState, reason: str) -> None:
+        if self.vehicle is not None and (state != "down") != self._is_open:  # a wire that was silent for a while was open all the time
+            self._is_open = state != "down"
+            (self.vehicle.connected if self._is_open else self.vehicle.disconnected)()
         if self._source.is_stopping:
             return
         self._own["state_changes"] += 1
@@ -225,3 +276,10 @@ class _ServedPort:
                 self._source.sent(self.name, command)
             else:
                 self._own["commands_refused"] += 1
+
+    def _send_to_vehicle(self, item: bytes | CanFrame) -> None:
+        if self._link.write(item):  # type: ignore[arg-type]  # a dialect's items are those of the link its device needs
+            self._own["messages_sent"] += 1
+            self._source.sent(self.name, pack_can(item) if isinstance(item, CanFrame) else item)
+        else:
+            self._own["messages_refused"] += 1
