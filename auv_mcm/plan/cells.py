@@ -68,7 +68,7 @@ def surveyed_cells(
     look = (far_m - near_m)[of_block]
     look /= np.maximum(np.hypot(look[:, 0], look[:, 1]), 1e-9)[:, np.newaxis]
     look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
-    altitude_m = tile.first_return_m[np.rint(row).astype(int)][of_block]
+    altitude_m = tile.first_return_m[np.minimum(np.rint(row).astype(int), len(tile.first_return_m) - 1)][of_block]
     kind, confidence, ripple_rad, wavelength_m = _seabed(seabed, tile, row[of_block], ground_m, key, area, n_cells, kept)
     return SurveyedCells(
         origin_latitude_deg=frame.latitude_deg,

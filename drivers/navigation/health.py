@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Final
+
+START_S: Final = 5.0
+"""For so long after the first unit is heard a better one that follows serves at once: units do not all start at the same moment."""
 
 
 class UnitHealth:
@@ -14,9 +18,11 @@ class UnitHealth:
         self.valid_s = valid_s
         self.last_s = -math.inf
         self.since_s = math.inf
+        self.has_failed = False
 
     def gave(self, now_s: float) -> None:
         if not self.is_healthy(now_s):
+            self.has_failed = math.isfinite(self.last_s)
             self.since_s = now_s
         self.last_s = now_s
 
@@ -26,12 +32,13 @@ class UnitHealth:
 
 class Fallback:
     """The serving unit of one quantity: the best healthy one, but a better one takes over from a healthy one only after being healthy for
-    `recover_s`, so that a loose contact does not make two units alternate."""
+    `recover_s`, so that a loose contact does not make two units alternate. At the start, one that has not failed yet takes over at once."""
 
     def __init__(self, recover_s: float) -> None:
         self.serving: UnitHealth | None = None
         self._recover_s = recover_s
         self._units: list[UnitHealth] = []  # the best first
+        self._began_s = math.inf
 
     @property
     def units(self) -> tuple[UnitHealth, ...]:
@@ -50,8 +57,15 @@ class Fallback:
         for unit in self._units:
             if unit is serving:
                 break
-            if unit.is_healthy(now_s) and (serving is None or now_s - unit.since_s >= self._recover_s):
+            waited = self.is_starting(unit) or now_s - unit.since_s >= self._recover_s
+            if unit.is_healthy(now_s) and (serving is None or waited):
                 serving = unit
                 break
+        if serving is not None:
+            self._began_s = min(self._began_s, now_s)
         self.serving = serving
         return serving
+
+    def is_starting(self, unit: UnitHealth) -> bool:
+        """Whether the unit was first heard with the others, or soon after them, and has not failed since."""
+        return not unit.has_failed and unit.since_s - self._began_s <= START_S

@@ -322,7 +322,11 @@ class NavMerge:
             told = quantity in self._lost and quantity != "position"
             self._lost.discard(quantity)
             return [Notice(code="nav_quantity_back", text=f"{quantity} is back, from '{now.source}'")] if told else []
-        why = "which is better and has been healthy again" if now.priority < before.priority else f"because '{before.source}' gave none"
+        if before.is_healthy(self._now_s) and fallback.is_starting(now):
+            return []  # nothing failed: the units start one after the other
+        why = "which is better and has been healthy for a while"
+        if not before.is_healthy(self._now_s):
+            why = f"because '{before.source}' gave none"
         return [Notice(code="nav_source_changed", text=f"{quantity} is taken from '{now.source}' now, {why}")]
 
     def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:

@@ -170,6 +170,26 @@ def test_the_better_unit_serves_and_the_other_takes_over_when_it_is_silent() -> 
     assert [notice.code for notice in notices] == ["nav_source_changed"] * 2
 
 
+@pytest.mark.parametrize(("first_s", "taken_s"), [(0.3, 0.3), (4.0, 4.0), (8.0, 13.0)])
+def test_a_better_unit_that_starts_soon_after_another_serves_at_once(first_s: float, taken_s: float) -> None:
+    good = [fix("good", first_s + t * 0.1, heading_rad=1.0) for t in range(100)]
+    poor = [fix("poor", t * 0.1 + 0.01, heading_rad=1.02) for t in range(200)]
+    samples, notices = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
+    changed_s = next(seconds(sample) for sample in samples if sample.heading_rad == 1.0)
+    assert changed_s == pytest.approx(taken_s, abs=0.11)
+    told = [notice for notice in notices if notice.text.startswith("heading is taken from 'good'")]
+    assert len(told) == (taken_s > first_s), "that units start one after the other is no news"
+    assert {sample.heading_rad for sample in samples if seconds(sample) > changed_s + 0.01 and seconds(sample) < first_s + 9.0} == {1.0}
+
+
+def test_a_unit_that_fails_at_the_start_has_to_stay_healthy_before_it_serves_again() -> None:
+    good = [fix("good", t * 0.1, heading_rad=1.0) for t in range(100) if not 5 <= t < 30]
+    poor = [fix("poor", t * 0.1 + 0.01, heading_rad=1.02) for t in range(120)]
+    samples, _ = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
+    assert {sample.heading_rad for sample in samples if 2.0 < seconds(sample) < 7.9} == {1.02}
+    assert {sample.heading_rad for sample in samples if 8.2 < seconds(sample) < 9.8} == {1.0}
+
+
 def test_a_loose_contact_does_not_make_units_alternate() -> None:
     good = [fix("good", t * 0.1, heading_rad=1.0) for t in range(600) if t < 50 or t % 30 < 10]
     poor = [fix("poor", t * 0.1 + 0.01, heading_rad=1.02) for t in range(600)]
