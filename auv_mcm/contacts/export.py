@@ -9,27 +9,34 @@ from __future__ import annotations
 import csv
 import html
 import io
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Any, Final, TypeAlias, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
-from auv_mcm.geodesy import LocalFrame, wrap_longitude_deg
+from auv_mcm.contacts.geojson import (
+    DEGREE_DIGITS,
+    METRE_DIGITS,
+    PROBABILITY_DIGITS,
+    Json,
+    collection,
+    feature,
+    one_or_multi,
+    point_at,
+    positions_of,
+    rounded,
+    rounded_longitude,
+)
+from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
-
-Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | int | None"
 
 ELLIPSE_SIGMAS: Final = 2.0  # drawn error ellipses: 86 % of the probability of two normal axes lies inside
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_DEGREE_DIGITS: Final = 9
-_METRE_DIGITS: Final = 3
-_PROBABILITY_DIGITS: Final = 4
 
 
 def is_mine_like(contact: Contact) -> bool:
@@ -93,25 +100,25 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
     `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score. `views` are in order of time;
     `log_ratio` and `belief` of one that was not looked at closely are null.
     """
-    return _collection([_contact_feature(contact) for contact in sorted(contacts, key=lambda contact: contact.id)])
+    return collection([_contact_feature(contact) for contact in sorted(contacts, key=lambda contact: contact.id)])
 
 
 def coverage_geojson(patches: Iterable[CoveragePatch]) -> bytes:
     """A FeatureCollection with one polygon or multi-polygon per patch, in order of tile, port first."""
     features = []
     for patch in sorted(patches, key=lambda patch: (patch.tile_index, patch.side, patch.start_s)):
-        polygons: list[Json] = [[_positions(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)]
+        polygons: list[Json] = [[positions_of(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)]
         properties: dict[str, Json] = {
             "side": patch.side,
             "tile": patch.tile_index,
             "start": iso_time(patch.start_s),
             "stop": iso_time(patch.stop_s),
-            "covered_m2": _number(patch.covered_m2, _METRE_DIGITS),
-            "evaluated_fraction": _number(patch.evaluated_fraction, _PROBABILITY_DIGITS),
-            "lost_m2": {reason: _number(patch.lost_m2[reason], _METRE_DIGITS) for reason in sorted(patch.lost_m2)},
+            "covered_m2": rounded(patch.covered_m2, METRE_DIGITS),
+            "evaluated_fraction": rounded(patch.evaluated_fraction, PROBABILITY_DIGITS),
+            "lost_m2": {reason: rounded(patch.lost_m2[reason], METRE_DIGITS) for reason in sorted(patch.lost_m2)},
         }
-        features.append(_feature(_one_or_multi("Polygon", polygons), properties))
-    return _collection(features)
+        features.append(feature(one_or_multi("Polygon", polygons), properties))
+    return collection(features)
 
 
 def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
@@ -122,20 +129,20 @@ def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
             "order": order,
             "leg": waypoint.leg,
             "kind": waypoint.kind,
-            "heading_deg": _number(math.degrees(waypoint.heading_rad) % 360.0, _PROBABILITY_DIGITS),
+            "heading_deg": rounded(math.degrees(waypoint.heading_rad) % 360.0, PROBABILITY_DIGITS),
             "contact_id": waypoint.contact_id,
             "why": waypoint.why,
         }
-        features.append(_feature(_point(waypoint.longitude_deg, waypoint.latitude_deg), properties))
+        features.append(feature(point_at(waypoint.longitude_deg, waypoint.latitude_deg), properties))
     positions = np.array([(waypoint.longitude_deg, waypoint.latitude_deg) for waypoint in waypoints], dtype=np.float64).reshape(-1, 2)
     for leg in dict.fromkeys(waypoint.leg for waypoint in waypoints):
         members = [order for order, waypoint in enumerate(waypoints) if waypoint.leg == leg]
         line = positions[max(members[0] - 1, 0) : members[-1] + 1]
-        pieces: list[Json] = [_positions(piece) for piece in split_line(line)]
+        pieces: list[Json] = [positions_of(piece) for piece in split_line(line)]
         if pieces:
             last = waypoints[members[-1]]
-            features.append(_feature(_one_or_multi("LineString", pieces), {"leg": leg, "contact_id": last.contact_id, "why": last.why}))
-    return _collection(features)
+            features.append(feature(one_or_multi("LineString", pieces), {"leg": leg, "contact_id": last.contact_id, "why": last.why}))
+    return collection(features)
 
 
 CSV_COLUMNS: Final = (
@@ -159,24 +166,24 @@ def contacts_csv(contacts: Iterable[Contact]) -> str:
             [
                 _cell(contact.id),
                 iso_time(contact.time_s),
-                _number(contact.latitude_deg, _DEGREE_DIGITS),
-                _longitude(contact.longitude_deg),
-                _number(sigma_m(contact), _METRE_DIGITS),
-                _number(contact.p_mine, _PROBABILITY_DIGITS),
+                rounded(contact.latitude_deg, DEGREE_DIGITS),
+                rounded_longitude(contact.longitude_deg),
+                rounded(sigma_m(contact), METRE_DIGITS),
+                rounded(contact.p_mine, PROBABILITY_DIGITS),
                 contact.classification,
-                _number(contact.length_m, _METRE_DIGITS),
-                _number(contact.width_m, _METRE_DIGITS),
-                _number(contact.height_m, _METRE_DIGITS),
+                rounded(contact.length_m, METRE_DIGITS),
+                rounded(contact.width_m, METRE_DIGITS),
+                rounded(contact.height_m, METRE_DIGITS),
                 len(contact.views),
                 " ".join(f"{aspect:.1f}" for aspect in contact.aspects_deg),
                 view.side if view else None,
-                _number(view.ground_range_m, _METRE_DIGITS) if view else None,
-                _number(view.score, _METRE_DIGITS) if view else None,
+                rounded(view.ground_range_m, METRE_DIGITS) if view else None,
+                rounded(view.score, METRE_DIGITS) if view else None,
                 _cell(snippet_path(contact)),
                 _cell("; ".join(contact.reasons)),
-                _number(contact.length_sigma_m, _METRE_DIGITS),
-                _number(contact.width_sigma_m, _METRE_DIGITS),
-                _number(contact.height_sigma_m, _METRE_DIGITS),
+                rounded(contact.length_sigma_m, METRE_DIGITS),
+                rounded(contact.width_sigma_m, METRE_DIGITS),
+                rounded(contact.height_sigma_m, METRE_DIGITS),
             ]
         )
     return text.getvalue()
@@ -209,29 +216,29 @@ def _contact_feature(contact: Contact) -> dict[str, Json]:
     properties: dict[str, Json] = {
         "id": contact.id,
         "time": iso_time(contact.time_s),
-        "p_mine": _number(contact.p_mine, _PROBABILITY_DIGITS),
+        "p_mine": rounded(contact.p_mine, PROBABILITY_DIGITS),
         "class": contact.classification,
         "belief": _belief(contact.belief),
-        "length_m": _number(contact.length_m, _METRE_DIGITS),
-        "width_m": _number(contact.width_m, _METRE_DIGITS),
-        "height_m": _number(contact.height_m, _METRE_DIGITS),
+        "length_m": rounded(contact.length_m, METRE_DIGITS),
+        "width_m": rounded(contact.width_m, METRE_DIGITS),
+        "height_m": rounded(contact.height_m, METRE_DIGITS),
         "n_views": len(contact.views),
-        "aspects_deg": [_number(aspect, _METRE_DIGITS) for aspect in contact.aspects_deg],
-        "sigma_m": _number(sigma_m(contact), _METRE_DIGITS),
+        "aspects_deg": [rounded(aspect, METRE_DIGITS) for aspect in contact.aspects_deg],
+        "sigma_m": rounded(sigma_m(contact), METRE_DIGITS),
         "side": view.side if view else None,
-        "ground_range_m": _number(view.ground_range_m, _METRE_DIGITS) if view else None,
+        "ground_range_m": rounded(view.ground_range_m, METRE_DIGITS) if view else None,
         "snippet": snippet_path(contact),
         "reasons": list(contact.reasons),
-        "score": _number(view.score, _METRE_DIGITS) if view else None,
-        "covariance_m2": [[_number(float(value), 6) for value in row] for row in np.asarray(contact.covariance_m2)],
-        "length_sigma_m": _number(contact.length_sigma_m, _METRE_DIGITS),
-        "width_sigma_m": _number(contact.width_sigma_m, _METRE_DIGITS),
-        "height_sigma_m": _number(contact.height_sigma_m, _METRE_DIGITS),
-        "conflict": _number(contact.conflict, _PROBABILITY_DIGITS),
-        "next_look_deg": [_number(direction, _METRE_DIGITS) for direction in contact.next_look_deg],
+        "score": rounded(view.score, METRE_DIGITS) if view else None,
+        "covariance_m2": [[rounded(float(value), 6) for value in row] for row in np.asarray(contact.covariance_m2)],
+        "length_sigma_m": rounded(contact.length_sigma_m, METRE_DIGITS),
+        "width_sigma_m": rounded(contact.width_sigma_m, METRE_DIGITS),
+        "height_sigma_m": rounded(contact.height_sigma_m, METRE_DIGITS),
+        "conflict": rounded(contact.conflict, PROBABILITY_DIGITS),
+        "next_look_deg": [rounded(direction, METRE_DIGITS) for direction in contact.next_look_deg],
         "views": [_view(view) for view in contact.views],
     }
-    return _feature(_point(contact.longitude_deg, contact.latitude_deg), properties)
+    return feature(point_at(contact.longitude_deg, contact.latitude_deg), properties)
 
 
 def _view(view: Detection) -> dict[str, Json]:
@@ -239,10 +246,10 @@ def _view(view: Detection) -> dict[str, Json]:
     return {
         "time": iso_time(view.time_s),
         "side": view.side,
-        "aspect_deg": _number(view.aspect_deg, _METRE_DIGITS),
-        "ground_range_m": _number(view.ground_range_m, _METRE_DIGITS),
-        "p_mine": _number(view.p_mine, _PROBABILITY_DIGITS),
-        "log_ratio": _number(close.log_ratio, _METRE_DIGITS) if close else None,
+        "aspect_deg": rounded(view.aspect_deg, METRE_DIGITS),
+        "ground_range_m": rounded(view.ground_range_m, METRE_DIGITS),
+        "p_mine": rounded(view.p_mine, PROBABILITY_DIGITS),
+        "log_ratio": rounded(close.log_ratio, METRE_DIGITS) if close else None,
         "belief": _belief(singleton_belief(close.mass)) if close else None,
         "reasons": list(view_reasons(view)),
     }
@@ -251,43 +258,7 @@ def _view(view: Detection) -> dict[str, Json]:
 def _belief(belief: Mapping[str, float]) -> dict[str, Json]:
     """Classes in the order of the record, whatever others after them."""
     known = {name: belief[name] for name in get_args(ContactClass) if name in belief}
-    return {name: _number(share, _PROBABILITY_DIGITS) for name, share in (known | dict(belief)).items()}
-
-
-def _collection(features: Sequence[Mapping[str, Json]]) -> bytes:
-    """One feature per line, so that people can read and compare the file line by line."""
-    lines = ",\n".join(json.dumps(feature, allow_nan=False, ensure_ascii=False, separators=(",", ":")) for feature in features)
-    text = f'{{"type":"FeatureCollection","features":[\n{lines}\n]}}\n' if lines else '{"type":"FeatureCollection","features":[]}\n'
-    return text.encode("utf-8", "replace")
-
-
-def _feature(geometry: Json, properties: dict[str, Json]) -> dict[str, Json]:
-    return {"type": "Feature", "geometry": geometry, "properties": properties}
-
-
-def _one_or_multi(kind: str, parts: list[Json]) -> Json:
-    if not parts:
-        return None
-    return {"type": kind, "coordinates": parts[0]} if len(parts) == 1 else {"type": f"Multi{kind}", "coordinates": parts}
-
-
-def _point(longitude_deg: float, latitude_deg: float) -> Json:
-    longitude, latitude = _longitude(longitude_deg), _number(latitude_deg, _DEGREE_DIGITS)
-    return None if longitude is None or latitude is None else {"type": "Point", "coordinates": [longitude, latitude]}
-
-
-def _positions(points: NDArray[np.float64]) -> list[Json]:
-    return [[round(longitude, _DEGREE_DIGITS) + 0.0, round(latitude, _DEGREE_DIGITS) + 0.0] for longitude, latitude in points.tolist()]
-
-
-def _longitude(longitude_deg: float) -> float | None:
-    rounded = _number(longitude_deg, _DEGREE_DIGITS)
-    return None if rounded is None else round(float(wrap_longitude_deg(rounded)), _DEGREE_DIGITS) + 0.0
-
-
-def _number(value: float, digits: int) -> float | None:
-    """Rounded, never -0; None for anything not finite."""
-    return round(float(value), digits) + 0.0 if math.isfinite(value) else None
+    return {name: rounded(share, PROBABILITY_DIGITS) for name, share in (known | dict(belief)).items()}
 
 
 def _cell(text: str) -> str:

@@ -1,0 +1,58 @@
+"""GeoJSON (RFC 7946) as this package writes it: a feature a line, keys in a fixed order, numbers rounded to what they can mean.
+
+An unknown number is `null`. 1e-9 degrees is 0.1 mm.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geodesy import wrap_longitude_deg
+
+Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | int | None"
+
+DEGREE_DIGITS: Final = 9
+METRE_DIGITS: Final = 3
+PROBABILITY_DIGITS: Final = 4
+
+
+def collection(features: Sequence[Mapping[str, Json]]) -> bytes:
+    """One feature per line, so that people can read and compare the file line by line."""
+    lines = ",\n".join(json.dumps(feature, allow_nan=False, ensure_ascii=False, separators=(",", ":")) for feature in features)
+    text = f'{{"type":"FeatureCollection","features":[\n{lines}\n]}}\n' if lines else '{"type":"FeatureCollection","features":[]}\n'
+    return text.encode("utf-8", "replace")
+
+
+def feature(geometry: Json, properties: dict[str, Json]) -> dict[str, Json]:
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def one_or_multi(kind: str, parts: list[Json]) -> Json:
+    if not parts:
+        return None
+    return {"type": kind, "coordinates": parts[0]} if len(parts) == 1 else {"type": f"Multi{kind}", "coordinates": parts}
+
+
+def point_at(longitude_deg: float, latitude_deg: float) -> Json:
+    longitude, latitude = rounded_longitude(longitude_deg), rounded(latitude_deg, DEGREE_DIGITS)
+    return None if longitude is None or latitude is None else {"type": "Point", "coordinates": [longitude, latitude]}
+
+
+def positions_of(points: NDArray[np.float64]) -> list[Json]:
+    return [[round(longitude, DEGREE_DIGITS) + 0.0, round(latitude, DEGREE_DIGITS) + 0.0] for longitude, latitude in points.tolist()]
+
+
+def rounded_longitude(longitude_deg: float) -> float | None:
+    longitude = rounded(longitude_deg, DEGREE_DIGITS)
+    return None if longitude is None else round(float(wrap_longitude_deg(longitude)), DEGREE_DIGITS) + 0.0
+
+
+def rounded(value: float, digits: int) -> float | None:
+    """Rounded, never -0; None for anything not finite."""
+    return round(float(value), digits) + 0.0 if math.isfinite(value) else None
