@@ -1,0 +1,77 @@
+"""Reports of contacts as IMC messages: Target, which every vehicle knows, and the payload's own MineContact, which tells all."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, get_args
+
+from auv_mcm.records import ContactClass
+from drivers.vehicle.imc_messages import MineContact, Target
+from drivers.vehicle.seam import ContactReport
+
+CLASSES: Final[tuple[ContactClass, ...]] = get_args(ContactClass)
+_DEPTH: Final = 1  # z_units
+_U16, _U32 = 0xFFFF, 0xFFFFFFFF
+
+
+def target_of(report: ContactReport) -> Target:
+    """What fits into a Target: name, place and depth."""
+    known = math.isfinite(report.depth_m)
+    return Target(
+        label=report.label,
+        lat=math.radians(report.latitude_deg),
+        lon=math.radians(report.longitude_deg),
+        z=report.depth_m if known else 0.0,
+        z_units=_DEPTH if known else 0,
+    )
+
+
+def contact_of(report: ContactReport) -> MineContact:
+    """The whole report. Session and number keep their lower 32 bits, revision and views 16."""
+    masses = {f"belief_{name}": report.belief.get(name, 0.0) for name in CLASSES}
+    return MineContact(
+        session=report.session & _U32,
+        number=report.number & _U32,
+        revision=report.revision & _U16,
+        time=report.time_s,
+        lat=math.radians(report.latitude_deg),
+        lon=math.radians(report.longitude_deg),
+        sigma=report.sigma_m,
+        depth=report.depth_m,
+        p_mine=report.p_mine,
+        classification=CLASSES.index(report.classification),
+        views=min(report.n_views, _U16),
+        length=report.length_m,
+        width=report.width_m,
+        height=report.height_m,
+        length_sigma=report.length_sigma_m,
+        width_sigma=report.width_sigma_m,
+        height_sigma=report.height_sigma_m,
+        **masses,
+    )
+
+
+def report_of(contact: MineContact) -> ContactReport:
+    """The report in a message. Raises ValueError for a class that is none."""
+    if contact.classification >= len(CLASSES):
+        raise ValueError(f"class {contact.classification} is none of {', '.join(CLASSES)}")
+    return ContactReport(
+        session=contact.session,
+        number=contact.number,
+        revision=contact.revision,
+        time_s=contact.time,
+        latitude_deg=math.degrees(contact.lat),
+        longitude_deg=math.degrees(contact.lon),
+        sigma_m=contact.sigma,
+        p_mine=contact.p_mine,
+        classification=CLASSES[contact.classification],
+        belief={name: getattr(contact, f"belief_{name}") for name in CLASSES},
+        n_views=contact.views,
+        depth_m=contact.depth,
+        length_m=contact.length,
+        width_m=contact.width,
+        height_m=contact.height,
+        length_sigma_m=contact.length_sigma,
+        width_sigma_m=contact.width_sigma,
+        height_sigma_m=contact.height_sigma,
+    )
