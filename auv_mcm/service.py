@@ -26,9 +26,10 @@ from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson, iso_time
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.liaison import Liaison, VehicleEnd
 from auv_mcm.outputs import Journal, Tally, contact_totals, make_directory, plan_waypoints, write_json, write_results, write_snippets
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent
-from auv_mcm.worker import Finished, MakePipeline, Perception, standard_pipeline
+from auv_mcm.worker import Finished, MakePipeline, Perception, Planned, standard_pipeline
 
 if TYPE_CHECKING:
     from drivers.stamps import Stamp
@@ -43,6 +44,7 @@ RECORDING: Final = "recording"
 
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
+_ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
 _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
 
 
@@ -83,6 +85,16 @@ class LiveSource(Source, Protocol):
 
     def health(self) -> str:
         """How each port is, for the health line."""
+
+    def faults(self) -> list[str]:
+        """What is wrong with ports, in a few words each."""
+
+    @property
+    def vehicle(self) -> VehicleEnd | None:
+        """The vehicle's end, if there is one."""
+
+    async def serve_vehicle(self) -> None:
+        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
 
 
 class Recorder(Protocol):
@@ -223,6 +235,8 @@ class Service:
         self._pipeline_counters: Counter[str] = Counter()
         self._snippets: dict[str, bytes] = {}
         self._recorder: Recorder | None = None
+        self._liaison: Liaison | None = None
+        self._n_dropped_told = 0
 
     def stop(self) -> None:
         """Stop the source; `run` then works off the queue, writes everything and returns."""
@@ -243,12 +257,15 @@ class Service:
             async with asyncio.TaskGroup() as tasks:
                 starting = tasks.create_task(perception.start())
                 await asyncio.to_thread(self._start_recording)
+                self._start_liaison()
                 tasks.create_task(self._take_in(queue))  # what comes in while perception starts is not lost
                 await starting
                 gc.collect()
                 gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
                 log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
                 health = [tasks.create_task(self._watch_lag()), tasks.create_task(self._report_health(queue, perception))]
+                if self._liaison is not None:
+                    health.append(tasks.create_task(self._attend_vehicle(self._liaison, queue, perception)))
                 tasks.create_task(self._feed(queue, perception))
                 await tasks.create_task(self._publish(perception, journal))
                 for task in health:
@@ -257,18 +274,48 @@ class Service:
         except* AuvMcmError as group:
             failure = _first(group)
         finally:
-            perception.close()
-            if self._recorder is not None:
-                self._recorder.close()
-                self._tell_of_recording()
             try:
-                journal.close()
-            except OSError as error:  # as on a full disk; what is known is still worth writing
-                log.error("contacts are missing from the journal: %s", error)
-            self._write()
+                await self._part_from_vehicle(failure or self._source_failure)
+            finally:
+                self._close(perception, journal)
         if failure := failure or self._source_failure:
             raise failure
         return self._folder
+
+    def _close(self, perception: Perception, journal: Journal) -> None:
+        perception.close()
+        if self._recorder is not None:
+            self._recorder.close()
+            self._tell_of_recording()
+        try:
+            journal.close()
+        except OSError as error:  # as on a full disk; what is known is still worth writing
+            log.error("contacts are missing from the journal: %s", error)
+        self._write()
+
+    def _start_liaison(self) -> None:
+        if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
+            self._liaison = Liaison(self._config, self._source.vehicle, self._clock)
+            self._liaison.start(self._source.serve_vehicle())
+
+    async def _attend_vehicle(self, liaison: Liaison, queue: EventQueue, perception: Perception) -> None:
+        while True:
+            for notice in liaison.attend(self._faults(queue), perception.ask):
+                self._announce(notice)
+            await asyncio.sleep(_ATTEND_S)
+
+    def _faults(self, queue: EventQueue) -> list[str]:
+        """What the vehicle should know of the payload's troubles."""
+        faults = self._source.faults() if isinstance(self._source, LiveSource) else []
+        n_dropped, self._n_dropped_told = self._n_dropped_told, self._counters["service.ping_dropped"]
+        if self._n_dropped_told > n_dropped or 2 * queue.pings > self._config.service.queue_pings:
+            faults.append("perception is behind")
+        return faults
+
+    async def _part_from_vehicle(self, failure: AuvMcmError | None) -> None:
+        if self._liaison is not None:
+            for notice in await self._liaison.part("the service ends" if failure is None else f"the service ends: {failure}"):
+                self._announce(notice)
 
     def _start_recording(self) -> None:
         if not isinstance(self._source, LiveSource) or not self._config.service.record:
@@ -290,6 +337,8 @@ class Service:
             await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
             if not reading.done():
                 log.info("stopping: %d pings still queued", queue.pings)
+                if self._liaison is not None:
+                    self._liaison.release("the service is being stopped")
                 if isinstance(self._source, LiveSource):
                     self._source.stop()
                     await asyncio.wait({reading}, timeout=_STOP_S)
@@ -307,6 +356,8 @@ class Service:
     async def _read(self, queue: EventQueue) -> None:
         async with contextlib.aclosing(self._source.events()) as events:
             async for event in events:
+                if self._liaison is not None:
+                    self._liaison.see(event)
                 await queue.put(event)
 
     async def _feed(self, queue: EventQueue, perception: Perception) -> None:
@@ -328,9 +379,15 @@ class Service:
     async def _publish(self, perception: Perception, journal: Journal) -> None:
         """Answers of perception to the journal, then to the console."""
         while not isinstance(answer := await perception.answer(), Finished):
+            if isinstance(answer, Planned):
+                if self._liaison is not None:
+                    self._liaison.take(answer.proposal)
+                continue
             contacts = [event for event in answer.events if isinstance(event, Contact)]
             if contacts:
                 await self._make_durable(contacts, journal)
+                if self._liaison is not None:
+                    self._liaison.tell(contacts)
             for event in answer.events:
                 self._announce(event)
         self._contacts = {contact.id: contact for contact in answer.contacts}
@@ -396,12 +453,15 @@ class Service:
         return (
             f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
             f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts) - clutter} clutter={clutter} "
-            f"lag_ms={self._lag_s * 1e3:.1f}" + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
+            f"lag_ms={self._lag_s * 1e3:.1f}"
+            + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
+            + (f" {self._liaison.vehicle.health()}" if self._liaison is not None else "")
         )
 
     def _write(self) -> None:
         contacts = sorted(self._contacts.values(), key=lambda contact: contact.id)
-        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters)
+        proposed = None if self._liaison is None else self._liaison.plan
+        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
         write_results(self._folder, contacts, self._coverage, waypoints, self._config.mission)
         write_snippets(self._folder, self._snippets)
         summary: dict[str, Any] = {
@@ -411,6 +471,7 @@ class Service:
             **self._tally.totals(),
             **contact_totals(contacts, self._coverage),
             "waypoints": len(waypoints),
+            **({} if self._liaison is None else {"vehicle": self._liaison.vehicle.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
             "counters": dict(sorted(self._all_counters().items())),
             "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in self._notices],

@@ -26,6 +26,7 @@ import numpy as np
 from auv_mcm import errors
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import best_view
+from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.records import Contact, EchoTrace, Ping, PipelineEvent, SourceEvent, Tile
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
@@ -62,6 +63,12 @@ class Fed(NamedTuple):
     """Answer to one event, or to the end of the mission: what became final because of it."""
 
     events: tuple[PipelineEvent, ...]
+
+
+class Planned(NamedTuple):
+    """Answer to a request for a plan."""
+
+    proposal: Proposal
 
 
 class Finished(NamedTuple):
@@ -115,8 +122,9 @@ class Perception:
         self._ring = Ring(ring_bytes)
         self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
         self._room = asyncio.Event()
-        self._answers: asyncio.Queue[Fed | Finished | Exception] = asyncio.Queue()
+        self._answers: asyncio.Queue[Fed | Planned | Finished | Exception] = asyncio.Queue()
         self._dead: Exception | None = None
+        self._finishing = False
         self._to_undo = contextlib.ExitStack()
 
     @property
@@ -165,13 +173,26 @@ class Perception:
         self._in_flight.append(bool(n_bytes))
         self._send(self._in_ring(event, offset) if isinstance(event, Ping) else event)
 
+    def ask(self, request: PlanRequest) -> bool:
+        """Have a plan made from the contacts that there are by then. False: there is none to come, for the worker ends or is gone."""
+        if self._finishing or self._dead is not None:
+            return False
+        self._in_flight.append(False)
+        with contextlib.suppress(errors.AuvMcmError):  # who reads the answers is told
+            self._send(request)
+        return True
+
     async def finish(self) -> None:
         """Tell the worker that no event follows; its last answer is Finished."""
+        self._finishing = True
         self._in_flight += [False, False]  # what was still in the chain comes first, the end of it after
         self._send(None)
 
-    async def answer(self) -> Fed | Finished:
-        """The next answer: Fed for each event and for `finish`, then Finished. Raises PerceptionError if the worker failed or died."""
+    async def answer(self) -> Fed | Planned | Finished:
+        """The next answer: Fed for each event and for `finish`, Planned for each `ask`, then Finished.
+
+        Raises PerceptionError if the worker failed or died.
+        """
         answer = await self._answers.get()
         if isinstance(answer, Exception):
             raise answer
@@ -284,6 +305,9 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         gc.freeze()
         connection.send(Fed(()))
         while (message := connection.recv()) is not None:
+            if isinstance(message, PlanRequest):
+                connection.send(Planned(_proposal(pipeline, message, config)))
+                continue
             event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
             place = getattr(event, "place", "") or place
             connection.send(Fed(_slim(pipeline.feed(event))))
@@ -305,6 +329,17 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         )
     finally:
         memory.close()
+
+
+def _proposal(pipeline: Perceiving, request: PlanRequest, config: Config) -> Proposal:
+    """Contacts matter more than plans: a planner that fails does not take perception with it."""
+    from auv_mcm.plan.propose import propose
+
+    try:
+        return propose(pipeline.contacts, request, config.plan, config.vehicle)
+    except Exception as error:
+        traceback.print_exc(file=sys.stderr)
+        return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
 
 
 def _slim(events: list[PipelineEvent]) -> tuple[PipelineEvent, ...]:

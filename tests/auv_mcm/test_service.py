@@ -19,6 +19,7 @@ import pytest
 
 from auv_mcm.config import Config, ServiceConfig
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
+from auv_mcm.liaison import VehicleEnd
 from auv_mcm.records import NavSample, Ping, SourceEvent
 from auv_mcm.service import RECORDING, EventQueue, Record, Service, parse_source_uri
 from auv_mcm.worker import MakePipeline, PerceptionError
@@ -65,6 +66,14 @@ class Ports(Events):
 
     def health(self) -> str:
         return "ports=one:up"
+
+    def faults(self) -> list[str]:
+        return []
+
+    vehicle: VehicleEnd | None = None
+
+    async def serve_vehicle(self) -> None:
+        raise AssertionError("there is no vehicle")
 
     async def events(self) -> AsyncGenerator[SourceEvent, None]:
         async for event in super().events():

@@ -1,0 +1,133 @@
+"""What the service has to do with the vehicle: contacts are told at once, its own health as it changes, and legs are asked for.
+
+It neither knows how a vehicle is spoken to nor whether it grants anything: that is the pilot's affair, behind `VehicleEnd`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import Callable, Coroutine, Iterable, Sequence
+from typing import Any, Final, Literal, Protocol, TypeAlias
+
+from auv_mcm.clock import Clock
+from auv_mcm.config import Config
+from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
+from auv_mcm.records import NAN, Contact, NavSample, Notice, SourceEvent, Waypoint
+
+Health: TypeAlias = Literal["starting", "normal", "fault", "failure"]
+
+_POSITION_LOST_S: Final = 3.0
+_LAST_WORDS_S: Final = 0.5  # what was said last goes out, and is said again where it was not acknowledged
+
+
+class VehicleEnd(Protocol):
+    """The pilot at its port; nothing here waits or raises."""
+
+    @property
+    def authority(self) -> str:
+        """down, listening, requested, granted or revoked."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def health(self) -> str:
+        """For the health line."""
+
+    def take_notices(self) -> list[Notice]: ...
+
+    def tell(self, contact: Contact) -> None: ...
+
+    def propose(self, plan: tuple[Waypoint, ...]) -> None:
+        """Takes the place of the plan before; () withdraws it."""
+
+    def tell_health(self, state: Health, text: str) -> None: ...
+
+    def release(self, reason: str) -> None:
+        """Give control back, for good."""
+
+
+class Liaison:
+    """Begins with `start` and ends with `part`, which every way out of the service takes."""
+
+    def __init__(self, config: Config, vehicle: VehicleEnd, clock: Clock) -> None:
+        self.vehicle = vehicle
+        self._clock = clock
+        self._commands = config.vehicle.command
+        self._look_again = LookAgain(config)
+        self._serving: asyncio.Future[None] | None = None
+        self._told_health: tuple[Health, str] | None = None
+        self._ending = ""
+        self._proposed = False
+        self._position_deg = NAN, NAN
+        self._heading_rad = NAN
+        self._position_s = -math.inf
+
+    @property
+    def plan(self) -> tuple[Waypoint, ...] | None:
+        """What was proposed last, None if nothing ever was."""
+        return self._look_again.plan if self._proposed else None
+
+    def start(self, serve: Coroutine[Any, Any, None]) -> None:
+        """serve: talks to the vehicle until cancelled."""
+        self._serving = asyncio.ensure_future(serve)
+        self._tell_health("starting", "the payload starts")
+
+    def see(self, event: SourceEvent) -> None:
+        """Whatever the source gives, as it comes."""
+        if not isinstance(event, NavSample):
+            return
+        if math.isfinite(event.heading_rad):
+            self._heading_rad = event.heading_rad
+        if math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+            self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), self._clock.monotonic_s()
+
+    def tell(self, contacts: Iterable[Contact]) -> None:
+        """Contacts that are on disk, new or changed."""
+        for contact in contacts:
+            self.vehicle.tell(contact)
+            self._look_again.learn(contact)
+
+    def attend(self, faults: Sequence[str], ask: Callable[[PlanRequest], bool]) -> list[Notice]:
+        """Called twice a second while perception runs: what else is to be said. ask: has a plan made, for `take`."""
+        now_s = self._clock.monotonic_s()
+        position_lost = now_s - self._position_s > _POSITION_LOST_S
+        faults = [self._ending] if self._ending else [*faults, "the position is lost"] if position_lost else faults
+        self._tell_health("fault" if faults else "normal", "; ".join(faults))
+        if self._commands and not self._ending and not position_lost and self.vehicle.authority != "down":
+            self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
+            request = self._look_again.request((*self._position_deg, self._heading_rad), now_s)
+            if request is not None:
+                ask(request)
+        return [*self.vehicle.take_notices(), *self._look_again.take_notices()]
+
+    def take(self, proposal: Proposal) -> None:
+        """The plan that was asked for."""
+        plan = self._look_again.take(proposal, self._clock.monotonic_s())
+        if plan is not None and not self._ending:
+            self._proposed = True
+            self.vehicle.propose(plan)
+
+    def release(self, reason: str) -> None:
+        """Give control back at once; contacts are still told."""
+        self._ending = reason
+        self.vehicle.release(reason)
+
+    async def part(self, reason: str) -> list[Notice]:
+        """Give control back, say why, and leave. May be called at any time; takes less than a second."""
+        if self._serving is None:
+            return []
+        try:
+            self.release(reason)
+            self._tell_health("failure", reason)
+            await asyncio.wait({self._serving}, timeout=_LAST_WORDS_S)
+        finally:
+            self._serving.cancel()
+        await asyncio.wait({self._serving})
+        return self.vehicle.take_notices()
+
+    def _tell_health(self, state: Health, text: str) -> None:
+        if (state, text) != self._told_health:
+            self._told_health = state, text
+            self.vehicle.tell_health(state, text)

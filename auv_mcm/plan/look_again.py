@@ -1,0 +1,185 @@
+"""At which contacts the vehicle is asked to look again, and when: as asked once, not again and again, and never without end.
+
+A contact is given up after two legs past it that gave no new view of it, and after four legs in all. A plan under way is not changed while
+the vehicle runs past a contact, nor as long as the contacts in it stay the same.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from auv_mcm.config import Config
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.reinspect import needs_second_look
+from auv_mcm.records import Contact, Notice, Waypoint
+
+MOST_VAIN_LOOKS: Final = 2
+MOST_LOOKS: Final = 4
+WAIT_FOR_VIEW_S: Final = 120.0  # from the end of a leg to what was seen on it: a tile has to be complete
+_EVERY_S: Final = 5.0
+_REFRESH_S: Final = 30.0  # a plan that waits for permission begins where the vehicle was
+_SLACK_M: Final = 5.0  # between a leg as planned and as flown
+
+
+class PlanRequest(NamedTuple):
+    """Where a plan begins, and the contacts (ids) that it leaves out."""
+
+    latitude_deg: float
+    longitude_deg: float
+    heading_rad: float
+    left_out: frozenset[str]
+
+
+class Proposal(NamedTuple):
+    """A plan, and the contacts that are not in it with reasons."""
+
+    waypoints: tuple[Waypoint, ...]
+    refused: tuple[tuple[str, str], ...]
+
+
+class _OnLeg(NamedTuple):
+    """How far along a leg something is, and how far beside it."""
+
+    along_m: float
+    beside_m: float
+
+    def is_near(self, length_m: float, end_m: float, beside_m: float) -> bool:
+        return self.beside_m <= beside_m and -end_m <= self.along_m <= length_m + end_m
+
+
+class _Leg(NamedTuple):
+    """The straight run past a contact, in metres from its entry. along: unit vector."""
+
+    contact_id: str
+    frame: LocalFrame
+    along: tuple[float, float]
+    length_m: float
+
+    def place(self, latitude_deg: float, longitude_deg: float) -> _OnLeg:
+        east_m, north_m, _ = self.frame.to_enu(latitude_deg, longitude_deg, 0.0).tolist()
+        east, north = self.along
+        return _OnLeg(east_m * east + north_m * north, abs(east_m * north - north_m * east))
+
+
+class _Looks:
+    """What was tried for one contact."""
+
+    def __init__(self) -> None:
+        self.n_views = 0
+        self.n_flown = 0
+        self.n_vain = 0  # since the last new view
+        self.flown_s = -math.inf
+
+    def is_left_out(self, now_s: float) -> bool:
+        return self.is_given_up or (self.n_vain > 0 and now_s - self.flown_s < WAIT_FOR_VIEW_S)
+
+    @property
+    def is_given_up(self) -> bool:
+        return self.n_vain >= MOST_VAIN_LOOKS or self.n_flown >= MOST_LOOKS
+
+
+class LookAgain:
+    """Times are monotonic seconds. `plan` is what was proposed last."""
+
+    def __init__(self, config: Config) -> None:
+        self.plan: tuple[Waypoint, ...] = ()
+        self._config = config
+        self._looks: dict[str, _Looks] = {}
+        self._legs: list[_Leg] = []  # of the plan, not yet flown
+        self._on_leg: _Leg | None = None
+        self._commanding = False
+        self._begins_here = False  # the plan was made since the payload commands
+        self._changed = False
+        self._waiting = False  # for a plan
+        self._asked_s = -math.inf
+        self._planned_s = -math.inf
+        self._left_out: frozenset[str] = frozenset()
+        self._told: set[str] = set()
+        self._notices: list[Notice] = []
+
+    def take_notices(self) -> list[Notice]:
+        notices, self._notices = self._notices, []
+        return notices
+
+    def learn(self, contact: Contact) -> None:
+        """A contact, new or changed."""
+        looks = self._looks.setdefault(contact.id, _Looks())
+        if len(contact.views) > looks.n_views:
+            looks.n_views, looks.n_vain = len(contact.views), 0
+        planned = any(leg.contact_id == contact.id for leg in self._legs)
+        self._changed |= planned or needs_second_look(contact, self._config.plan.min_p_mine)
+
+    def move(self, latitude_deg: float, longitude_deg: float, commanding: bool, now_s: float) -> None:
+        """Where the vehicle is, once a second or more often. commanding: the payload has control."""
+        if commanding != self._commanding:
+            self._commanding, self._on_leg, self._begins_here = commanding, None, False
+            self._changed, self._asked_s = True, -math.inf
+        if not commanding:
+            return
+        end_m = self._config.vehicle.arrival_radius_m + _SLACK_M
+        beside_m = max(0.5 * self._config.plan.stand_off_m, _SLACK_M)
+        near = {
+            leg: place for leg in self._legs if (place := leg.place(latitude_deg, longitude_deg)).is_near(leg.length_m, end_m, beside_m)
+        }
+        if self._on_leg not in near:
+            self._on_leg = next((leg for leg, place in near.items() if place.along_m < 0.5 * leg.length_m), None)
+        elif near[self._on_leg].along_m >= self._on_leg.length_m - end_m:
+            self._flown(self._on_leg, now_s)
+
+    def request(self, pose: tuple[float, float, float], now_s: float) -> PlanRequest | None:
+        """What to plan now, if anything. pose: latitude, longitude (degrees), heading (radians)."""
+        left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
+        due = self._changed or left_out != self._left_out or (bool(self.plan) and self._is_old(now_s))
+        if not due or self._waiting or self._on_leg is not None or now_s - self._asked_s < _EVERY_S or not all(map(math.isfinite, pose)):
+            return None
+        self._changed, self._waiting, self._asked_s, self._left_out = False, True, now_s, left_out
+        return PlanRequest(*pose, left_out)
+
+    def take(self, proposal: Proposal, now_s: float) -> tuple[Waypoint, ...] | None:
+        """The plan to propose in place of the one before, None to keep that."""
+        self._waiting = False
+        for contact_id, reason in proposal.refused:
+            if contact_id not in self._told:
+                self._told.add(contact_id)
+                self._notices.append(Notice(code="look_refused", text=f"no second look at {contact_id} is proposed: {reason}"))
+        if self._on_leg is not None:  # it came upon it while the plan was made
+            self._changed = True
+            return None
+        contacts = {waypoint.contact_id for waypoint in proposal.waypoints}
+        if self._begins_here and contacts == {leg.contact_id for leg in self._legs} and not self._is_old(now_s):
+            return None
+        if not proposal.waypoints and not self.plan:
+            return None
+        self._begins_here = self._commanding
+        self.plan, self._planned_s = proposal.waypoints, now_s
+        self._legs = _legs(proposal.waypoints)
+        return self.plan
+
+    def _is_old(self, now_s: float) -> bool:
+        lasts_s = 0.5 * self._config.vehicle.plan_valid_s
+        return now_s - self._planned_s > (lasts_s if self._commanding else min(lasts_s, _REFRESH_S))
+
+    def _flown(self, leg: _Leg, now_s: float) -> None:
+        looks = self._looks[leg.contact_id]
+        looks.n_flown, looks.n_vain, looks.flown_s = looks.n_flown + 1, looks.n_vain + 1, now_s
+        self._legs.remove(leg)
+        self._on_leg = None
+        if looks.is_given_up:
+            text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not asked for any more"
+            self._notices.append(Notice(code="look_given_up", text=text))
+
+
+def _legs(waypoints: tuple[Waypoint, ...]) -> list[_Leg]:
+    legs = []
+    for entry, leaving in pairwise(waypoints):
+        if leaving.kind == "leg_exit":
+            frame = LocalFrame(latitude_deg=entry.latitude_deg, longitude_deg=entry.longitude_deg)
+            run_m = frame.to_enu(leaving.latitude_deg, leaving.longitude_deg, 0.0)[:2]
+            length_m = float(np.linalg.norm(run_m))
+            east, north = (run_m / length_m).tolist()
+            legs.append(_Leg(entry.contact_id, frame, (east, north), length_m))
+    return legs
