@@ -64,3 +64,95 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
             raise ValueError(f"vehicle: altitude_m ({self.altitude_m}) must not be below min_altitude_m ({self.min_altitude_m})")
         if self.command_valid_s > self.plan_valid_s:
             raise ValueError(f"vehicle: command_valid_s ({self.command_valid_s}) must not exceed plan_valid_s ({self.plan_valid_s})")
+
+
+class ImcSettings(_Settings, frozen=True, kw_only=True):
+    """How to talk to a vehicle that speaks IMC."""
+
+    source_id: Annotated[int, Meta(ge=0x6000, le=0x7FFF, description="our own IMC address, 24576 to 32767")] = 0x6000
+    vehicle_id: Annotated[
+        int,
+        Meta(
+            ge=0, le=0xFFFE, description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or tells its state"
+        ),
+    ] = 0
+    own_plan: Annotated[
+        bool,
+        Meta(
+            description="take over by starting a plan of ours, which ends the vehicle's; "
+            "false: wait until the vehicle's plan comes to a FollowReference for us, after which it goes on"
+        ),
+    ] = True
+    control_timeout_s: Annotated[
+        float, Meta(ge=2.0, le=60.0, description="the vehicle takes control back after so long without a reference of ours, s")
+    ] = 5.0
+    acknowledges: Annotated[
+        bool, Meta(description="the vehicle knows messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone")
+    ] = False
+
+
+class CanSettings(_Settings, frozen=True, kw_only=True):
+    """Who is who on a CAN bus whose messages deploy/auv_mcm.dbc describes."""
+
+    payload_address: Annotated[int, Meta(ge=0, le=253, description="last byte of the identifiers of what the payload sends")] = 96
+    vehicle_address: Annotated[
+        int, Meta(ge=0, le=253, description="last byte of the identifiers of what the vehicle's controller sends")
+    ] = 32
+    nmea2000_addresses: Annotated[
+        tuple[Annotated[int, Meta(ge=0, le=251)], ...],
+        Meta(description="NMEA 2000 units on this bus that tell where the vehicle is; empty: its controller tells by VEHICLE_STATE"),
+    ] = ()
+
+    def __post_init__(self) -> None:
+        if self.payload_address == self.vehicle_address:
+            raise ValueError(f"payload_address and vehicle_address are both {self.payload_address}: give each a number of its own")
+
+
+class IverSettings(_Settings, frozen=True, kw_only=True):
+    """An Iver under Remote Helm."""
+
+    remote_helm_version: Annotated[
+        int, Meta(ge=1, le=99, description="major version on the vehicle; before 5 it takes depths in feet, from 5 on in metres")
+    ] = 5
+    max_pitch_deg: Annotated[float, Meta(gt=0.0, le=45.0, description="steepest pitch to dive and climb with, degrees")] = 20.0
+    command_timeout_s: Annotated[
+        int, Meta(ge=1, le=120, description="the vehicle keeps its own plan again so long after a command that no other follows, s")
+    ] = 5
+    poll_s: Annotated[float, Meta(ge=0.1, le=2.0, description="the vehicle's state is asked for so often, s")] = 0.5
+    contact_sentence: Annotated[
+        str, Meta(pattern="^(P[A-Z0-9]{3,5})?$", description="name of the sentence for contacts and health; empty: neither is told")
+    ] = "PMCM"
+
+
+class ReconSettings(_Settings, frozen=True, kw_only=True):
+    """A REMUS by RECON."""
+
+    contact_type: Annotated[
+        str, Meta(pattern="^[ABDF-PRTUW-Z]?$", description="type letter of the frame for contacts; empty: contacts are not told")
+    ] = "K"
+
+
+BLUEFIN_SENTENCES: Final = (
+    "ABT BOY CON CPD CTD DCL DVR EMB GBP GHP KIL LOG MSG NPU RBO RCA RCB RCE RCN RES "
+    "RGP RMB RMP RNS RTC SAN SEM SIL SMC SPD STS SUS TMR TOP TRK TRM VEL VER"
+)
+"""What payloads may say under Bluefin's standard payload interface, each after `BP`; none of these may name something else."""
+
+
+class BluefinSettings(_Settings, frozen=True, kw_only=True):
+    """A Bluefin by its standard payload interface."""
+
+    granted_by: Annotated[
+        Literal["BFCTL", "BFMIS", "BFMSC"],
+        Meta(
+            description="what lets the payload command: BFCTL (interface 1.10 and later), a running mission (BFMIS), "
+            "or the mission's command to the payload (BFMSC), until the behaviour ends"
+        ),
+    ] = "BFCTL"
+    contact_sentence: Annotated[
+        str, Meta(pattern="^(BP[A-Z]{3})?$", description="name of the sentence for contacts; empty: contacts are not told")
+    ] = "BPMCM"
+
+    def __post_init__(self) -> None:
+        if self.contact_sentence and self.contact_sentence[2:] in BLUEFIN_SENTENCES.split():
+            raise ValueError(f"contact_sentence: {self.contact_sentence} means something else to the vehicle; take another name, as BPMCM")
