@@ -117,7 +117,8 @@ class LookAgain:
         """Where the vehicle is, once a second or more often. commanding: the payload has control."""
         if commanding != self._commanding:
             self._commanding, self._on_leg, self._begins_here = commanding, None, False
-            self._changed, self._asked_s = True, -math.inf
+            if commanding:  # the plan begins where the vehicle was before
+                self._changed, self._asked_s = True, -math.inf
         if not commanding:
             return
         end_m = self._config.vehicle.arrival_radius_m + _SLACK_M
@@ -150,7 +151,8 @@ class LookAgain:
             self._changed = True
             return None
         contacts = {waypoint.contact_id for waypoint in proposal.waypoints}
-        if self._begins_here and contacts == {leg.contact_id for leg in self._legs} and not self._is_old(now_s):
+        unchanged = contacts == {leg.contact_id for leg in self._legs}
+        if contacts and unchanged and self._begins_here and not self._is_old(now_s):
             return None
         if not proposal.waypoints and not self.plan:
             return None

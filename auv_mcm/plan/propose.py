@@ -19,7 +19,7 @@ Points = NDArray[np.float64]
 
 
 def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig, vehicle: VehicleConfig) -> Proposal:
-    """The plan from a pose through all legs that stay inside the fence, by its margin at least.
+    """The plan from a pose through all legs that stay inside the fence, by its margin and the radius of arrival at least.
 
     A contact whose leg does not, or that cannot be reached from the one before without a turn outside, is left out, which `refused` says.
     """
@@ -40,18 +40,19 @@ def _outside(waypoints: tuple[Waypoint, ...], vehicle: VehicleConfig) -> dict[st
         return {}
     frame = LocalFrame(latitude_deg=vehicle.fence_deg[0][0], longitude_deg=vehicle.fence_deg[0][1])
     fence = _points(vehicle.fence_deg, frame)
+    least_m = vehicle.fence_margin_m + vehicle.arrival_radius_m
     places = _points([(point.latitude_deg, point.longitude_deg) for point in waypoints], frame)
     legs: dict[str, str] = {}
     turns: dict[str, str] = {}
     for at, point in enumerate(waypoints):
         if point.kind != "leg_exit":
             continue
-        if not keeps_inside(places[at - 1 : at + 1], fence, vehicle.fence_margin_m):
-            legs[point.contact_id] = f"its leg comes within {vehicle.fence_margin_m:g} m of the fence or leads out of it"
+        if not keeps_inside(places[at - 1 : at + 1], fence, least_m):
+            legs[point.contact_id] = f"its leg comes within {least_m:g} m of the fence or leads out of it"
         first = next(k for k, other in enumerate(waypoints) if other.leg == point.leg and other.kind != "start")
         before = max(first - 1, 1)  # the vehicle is where it is when the plan is made
-        if not turns and not keeps_inside(places[before:at], fence, vehicle.fence_margin_m):
-            turns[point.contact_id] = f"the turn towards it comes within {vehicle.fence_margin_m:g} m of the fence or leads out of it"
+        if not turns and not keeps_inside(places[before:at], fence, least_m):
+            turns[point.contact_id] = f"the turn towards it comes within {least_m:g} m of the fence or leads out of it"
     return legs or turns
 
 

@@ -1,0 +1,167 @@
+"""When a vehicle is asked to look again: as soon as there is something to look at, in peace while it looks, and not for ever."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_propose import FRAME, SQUARE, contact, fenced, geodetic
+
+from auv_mcm.config import Config
+from auv_mcm.plan.look_again import MOST_LOOKS, MOST_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, PlanRequest
+from auv_mcm.plan.propose import propose
+from auv_mcm.records import Contact, Waypoint
+
+CONFIG = Config(vehicle=fenced(SQUARE))
+HERE = (43.0, 5.0, 0.0)
+
+
+class Mission:
+    """A vehicle that is where it is put, and contacts that are seen when they are."""
+
+    def __init__(self, contacts: list[Contact]) -> None:
+        self.now_s = 1000.0
+        self.look_again = LookAgain(CONFIG)
+        self.contacts = {contact.id: contact for contact in contacts}
+        self.proposed: list[tuple[Waypoint, ...]] = []
+        for known in contacts:
+            self.look_again.learn(known)
+
+    def ask(self, wait_s: float = 0.0) -> PlanRequest | None:
+        self.now_s += wait_s
+        return self.look_again.request(HERE, self.now_s)
+
+    def plan(self, wait_s: float = 0.0) -> tuple[Waypoint, ...] | None:
+        """What is proposed now, None for nothing new."""
+        request = self.ask(wait_s)
+        if request is None:
+            return None
+        plan = self.look_again.take(propose(self.contacts.values(), request, CONFIG.plan, CONFIG.vehicle), self.now_s)
+        if plan is not None:
+            self.proposed.append(plan)
+        return plan
+
+    def be_at(self, east_m: float, north_m: float, commanding: bool = True) -> None:
+        self.look_again.move(*geodetic(east_m, north_m), commanding, self.now_s)
+
+    def fly(self, entry: Waypoint, leaving: Waypoint, upto: float = 1.0) -> None:
+        """Along a leg, or a part of it, at 2 m/s."""
+        ends = [FRAME.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in (entry, leaving)]
+        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        for along_m in np.arange(0.0, upto * length_m + 1e-6, 1.0):
+            self.now_s += 0.5
+            self.be_at(*(ends[0] + along_m / length_m * (ends[1] - ends[0])).tolist())
+
+    def see_again(self, contact_id: str) -> None:
+        known = self.contacts[contact_id]
+        self.contacts[contact_id] = msgspec.structs.replace(known, views=(*known.views, known))  # counted only
+        self.look_again.learn(self.contacts[contact_id])
+
+
+def legs(plan: tuple[Waypoint, ...] | None) -> list[tuple[Waypoint, Waypoint]]:
+    points = plan or ()
+    return [(a, b) for a, b in pairwise(points) if b.kind == "leg_exit"]
+
+
+def test_a_contact_worth_a_look_is_asked_for_at_once_and_one_that_is_not_never() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    assert len(legs(mission.plan())) == 1
+    decided = msgspec.structs.replace(contact(2, 40.0, 40.0), next_look_deg=())
+    assert Mission([decided]).plan() is None
+
+
+def test_a_plan_that_waits_for_permission_begins_anew_where_the_vehicle_is_and_one_that_is_flown_does_not() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.plan()
+    assert mission.plan(10.0) is None
+    assert mission.plan(25.0) is not None
+    mission.be_at(0.0, 0.0)
+    assert mission.plan() is not None  # as soon as it commands
+    assert mission.plan(60.0) is None
+    assert mission.plan(400.0) is not None  # before it grows too old
+
+
+def test_a_leg_under_way_is_not_disturbed_and_a_new_contact_comes_after_it() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    ((entry, leaving),) = legs(mission.plan())
+    mission.fly(entry, leaving, upto=0.5)
+    mission.contacts["C00002"] = contact(2, -40.0, 40.0)
+    mission.look_again.learn(mission.contacts["C00002"])
+    assert mission.plan(20.0) is None
+    mission.fly(entry, leaving)
+    assert [entry.contact_id for entry, _ in legs(mission.plan(20.0))] == ["C00002"]
+
+
+def test_the_same_contacts_are_no_reason_to_change_a_plan_under_way() -> None:
+    mission = Mission([contact(1, 40.0, 40.0), contact(2, -40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    mission.plan()
+    mission.see_again("C00001")  # and it still needs a look
+    assert mission.ask(10.0) is not None
+    assert (
+        mission.look_again.take(
+            propose(mission.contacts.values(), PlanRequest(*HERE, frozenset()), CONFIG.plan, CONFIG.vehicle), mission.now_s
+        )
+        is None
+    )
+
+
+def test_a_decided_contact_is_withdrawn() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    mission.plan()
+    mission.contacts["C00001"] = msgspec.structs.replace(mission.contacts["C00001"], next_look_deg=())
+    mission.look_again.learn(mission.contacts["C00001"])
+    assert mission.plan(10.0) == ()
+    assert mission.plan(60.0) is None
+
+
+def test_a_contact_that_two_legs_show_nothing_new_of_is_given_up() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    for n_flown in range(1, MOST_VAIN_LOOKS + 1):
+        plan = mission.plan(10.0)
+        ((entry, leaving),) = legs(plan)
+        mission.fly(entry, leaving)
+        assert mission.plan(10.0) == ()  # what was seen may still be on its way
+        mission.now_s += WAIT_FOR_VIEW_S
+        assert len(mission.proposed) == 2 * n_flown
+    assert not any(mission.plan(100.0) for _ in range(20))
+    assert [notice.code for notice in mission.look_again.take_notices()] == ["look_given_up"]
+
+
+@given(st.lists(st.sampled_from(["fly", "wait", "see", "lose", "command"]), max_size=25))
+@settings(deadline=None, max_examples=20)
+def test_whatever_happens_a_contact_is_looked_at_so_often_and_no_more(events: list[str]) -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    n_flown = 0
+    for event in events:
+        if event == "fly" and (ways := legs(mission.look_again.plan)):
+            mission.be_at(0.0, 0.0)
+            mission.fly(*ways[0])
+            n_flown += 1
+        elif event == "see":
+            mission.see_again("C00001")
+        elif event in ("lose", "command"):
+            mission.be_at(0.0, 0.0, commanding=event == "command")
+        plan = mission.plan(100.0)
+        if n_flown >= MOST_LOOKS:
+            assert not plan
+
+
+def test_crossing_a_leg_is_not_flying_it() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    ((entry, leaving),) = legs(mission.plan())
+    (east, north), (east_end, north_end) = (FRAME.to_enu(p.latitude_deg, p.longitude_deg, 0.0)[:2].tolist() for p in (entry, leaving))
+    for share in np.linspace(-1.0, 1.0, 41):
+        mission.be_at(
+            0.8 * east + 0.2 * east_end - 30.0 * share * (north_end - north) / 50.0,
+            0.8 * north + 0.2 * north_end + 30.0 * share * (east_end - east) / 50.0,
+        )
+    assert mission.plan(10.0) is None
+    assert mission.look_again.request(HERE, mission.now_s + 500.0) == PlanRequest(*HERE, frozenset())  # nothing was flown

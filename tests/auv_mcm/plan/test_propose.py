@@ -1,0 +1,119 @@
+"""Plans proposed to a vehicle: no way leads out of the fence, whatever the contacts, and what is left out is told with its reason."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import drawn_looks
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.config import PlanConfig
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.look_again import PlanRequest, Proposal
+from auv_mcm.plan.propose import keeps_inside, propose
+from auv_mcm.plan.reinspect import plan_reinspection
+from auv_mcm.records import Contact
+from auv_mcm.vehicle_config import VehicleConfig
+
+FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
+PLAN = PlanConfig()
+SQUARE = ((-200.0, -200.0), (-200.0, 200.0), (200.0, 200.0), (200.0, -200.0))
+NOTCHED = ((-200.0, -200.0), (-200.0, 200.0), (0.0, 20.0), (200.0, 200.0), (200.0, -200.0))
+START = PlanRequest(43.0, 5.0, 0.0, frozenset())
+
+
+def geodetic(east_m: float, north_m: float) -> tuple[float, float]:
+    latitude_deg, longitude_deg, _ = FRAME.to_geodetic([east_m, north_m, 0.0])
+    return float(latitude_deg), float(longitude_deg)
+
+
+def fenced(corners_m: tuple[tuple[float, float], ...], margin_m: float = 5.0) -> VehicleConfig:
+    return VehicleConfig(command=True, fence_deg=tuple(geodetic(*corner) for corner in corners_m), fence_margin_m=margin_m)
+
+
+def contact(number: int, east_m: float, north_m: float, look_deg: float = 90.0) -> Contact:
+    latitude_deg, longitude_deg = geodetic(east_m, north_m)
+    return drawn_looks.contact(
+        id=f"C{number:05d}",
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        p_mine=0.6,
+        aspects_deg=(0.0,),
+        next_look_deg=(look_deg,),
+    )
+
+
+def places_m(proposal: Proposal) -> NDArray[np.float64]:
+    return np.array([FRAME.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in proposal.waypoints]).reshape(-1, 2)
+
+
+def test_without_a_fence_in_the_way_it_is_the_plan_of_the_mission() -> None:
+    contacts = [contact(1, 50.0, 50.0), contact(2, -60.0, 20.0)]
+    proposal = propose(contacts, START, PLAN, fenced(SQUARE))
+    assert proposal == (plan_reinspection(contacts, 43.0, 5.0, 0.0, PLAN), ())
+
+
+def test_a_leg_that_leads_out_is_left_out_with_its_reason_and_the_others_stay() -> None:
+    proposal = propose([contact(1, 50.0, 50.0), contact(2, 195.0, 195.0)], START, PLAN, fenced(SQUARE))
+    assert {point.contact_id for point in proposal.waypoints} == {"C00001"}
+    ((contact_id, reason),) = proposal.refused
+    assert contact_id == "C00002"
+    assert "its leg comes within 8 m of the fence or leads out of it" in reason
+
+
+def test_what_is_not_to_be_looked_at_is_not_in_the_plan() -> None:
+    proposal = propose([contact(1, 50.0, 50.0)], START._replace(left_out=frozenset({"C00001"})), PLAN, fenced(SQUARE))
+    assert proposal == ((), ())
+
+
+def test_no_contacts_no_plan() -> None:
+    assert propose([], START, PLAN, fenced(SQUARE)) == ((), ())
+
+
+@given(
+    looks=st.lists(st.tuples(st.floats(-250.0, 250.0), st.floats(-250.0, 250.0), st.floats(0.0, 180.0)), max_size=4),
+    corners=st.sampled_from([SQUARE, NOTCHED]),
+    heading_rad=st.floats(0.0, 6.28),
+)
+@settings(deadline=None, max_examples=20)
+def test_no_way_comes_nearer_to_the_fence_than_its_margin(
+    looks: list[tuple[float, float, float]], corners: tuple[tuple[float, float], ...], heading_rad: float
+) -> None:
+    contacts = [contact(number, *look) for number, look in enumerate(looks)]
+    proposal = propose(contacts, START._replace(heading_rad=heading_rad), PLAN, fenced(corners))
+    planned = {point.contact_id for point in proposal.waypoints}
+    assert planned | {contact_id for contact_id, _ in proposal.refused} == {contact.id for contact in contacts}
+    assert planned.isdisjoint(contact_id for contact_id, _ in proposal.refused)
+    for a, b in zip(places_m(proposal)[1:-1], places_m(proposal)[2:], strict=True):
+        for share in np.linspace(0.0, 1.0, 7):
+            assert clearance_m(a + share * (b - a), corners) >= 8.0 - 0.1
+
+
+def clearance_m(place_m: NDArray[np.float64], corners_m: tuple[tuple[float, float], ...]) -> float:
+    """The slow way: winding number for inside, and the fence walked in small steps."""
+    corners = np.array([*corners_m, corners_m[0]]) - place_m
+    turns = np.diff(np.unwrap(np.arctan2(corners[:, 1], corners[:, 0])))
+    walk = np.concatenate([np.linspace(a, b, 401) for a, b in pairwise(corners)])
+    return float(np.hypot(*walk.T).min()) * (1.0 if abs(turns.sum()) > math.pi else -1.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "margin_m", "inside"),
+    [
+        ([(0.0, 0.0)], 5.0, True),
+        ([(0.0, 0.0), (190.0, 0.0)], 5.0, True),
+        ([(0.0, 0.0), (196.0, 0.0)], 5.0, False),
+        ([(0.0, 0.0), (300.0, 0.0)], 0.0, False),
+        ([(-300.0, 0.0), (300.0, 0.0)], 0.0, False),
+        ([(-150.0, 100.0), (150.0, 100.0)], 0.0, False),  # over the notch
+        ([(-50.0, 10.0), (50.0, 10.0)], 5.0, True),  # below it
+        ([(-50.0, 17.0), (50.0, 17.0)], 5.0, False),  # near its tip
+    ],
+)
+def test_ways_and_a_fence_with_a_notch(path: list[tuple[float, float]], margin_m: float, inside: bool) -> None:
+    assert keeps_inside(np.array(path), np.array(NOTCHED), margin_m) is inside
