@@ -6,11 +6,10 @@ import math
 from typing import Final, get_args
 
 from auv_mcm.records import ContactClass
-from drivers.vehicle.imc_messages import MineContact, Target
+from drivers.vehicle.imc_messages import MineContact, Target, ZUnits
 from drivers.vehicle.seam import ContactReport
 
 CLASSES: Final[tuple[ContactClass, ...]] = get_args(ContactClass)
-_DEPTH: Final = 1  # z_units
 _U16, _U32 = 0xFFFF, 0xFFFFFFFF
 
 
@@ -22,7 +21,7 @@ def target_of(report: ContactReport) -> Target:
         lat=math.radians(report.latitude_deg),
         lon=math.radians(report.longitude_deg),
         z=report.depth_m if known else 0.0,
-        z_units=_DEPTH if known else 0,
+        z_units=ZUnits.DEPTH if known else ZUnits.NONE,
     )
 
 

@@ -4,13 +4,14 @@ Fields stand in the order of the wire, with its units: radians, metres, m/s, sec
 layouts are those of IMC.xml. Two messages are the payload's own, with ids of the range for third parties (1000 and above), because IMC has
 none for a contact: MineContact (1700) and its answer MineContactTaken (1701).
 
-The codec is our own. imcpy, the public one, decodes a message just as well and serves the tests as oracle, but its stream parser believes
-the length field, so that one flipped bit there costs up to 64 KiB of intact messages, a stray sync number costs those behind it, the other
-byte order is refused, and messages that its table does not have, such as our own, can be neither written nor read.
+The codec is our own. imcpy, the public one, decodes a sound packet just as well and serves the tests as oracle, but its stream parser
+believes the length field: one flipped bit there costs up to 64 KiB of intact messages, and a stray sync number those right behind it.
+And it neither reads nor writes messages that its table does not have, such as the two of our own.
 """
 
 from __future__ import annotations
 
+import enum
 from struct import Struct
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
@@ -27,6 +28,78 @@ MAX_DEPTH: Final = 6  # of messages inside messages; to start a plan of one mano
 _NO_MESSAGE: Final = 0xFFFF
 
 
+class EntityStatus(enum.IntEnum):
+    BOOT = 0
+    NORMAL = 1
+    FAULT = 2
+    ERROR = 3
+    FAILURE = 4
+
+
+class OpMode(enum.IntEnum):
+    SERVICE = 0
+    CALIBRATION = 1
+    ERROR = 2
+    MANEUVER = 3
+    EXTERNAL = 4
+    BOOT = 5
+
+
+class ZUnits(enum.IntEnum):
+    NONE = 0
+    DEPTH = 1
+    ALTITUDE = 2
+    HEIGHT = 3
+
+
+class RefFlag(enum.IntFlag):
+    LOCATION = 0x01
+    SPEED = 0x02
+    Z = 0x04
+    RADIUS = 0x08
+    START_POINT = 0x10
+    DIRECT = 0x20
+    MANDONE = 0x80
+
+
+class RefState(enum.IntEnum):
+    WAIT = 1
+    GOTO = 2
+    LOITER = 3
+    HOVER = 4
+    ELEVATOR = 5
+    TIMEOUT = 6
+
+
+class Proximity(enum.IntFlag):
+    FAR = 0x01
+    XY_NEAR = 0x02
+    Z_NEAR = 0x04
+    XY_UNREACHABLE = 0x08
+    Z_UNREACHABLE = 0x10
+
+
+class PlanType(enum.IntEnum):
+    REQUEST = 0
+    SUCCESS = 1
+    FAILURE = 2
+    IN_PROGRESS = 3
+
+
+class PlanOp(enum.IntEnum):
+    START = 0
+    STOP = 1
+    LOAD = 2
+    GET = 3
+
+
+class PlanState(enum.IntEnum):
+    BLOCKED = 0
+    READY = 1
+    INITIALIZING = 2
+    EXECUTING = 3
+
+
 class _Message(msgspec.Struct, frozen=True):
     pass
 
@@ -40,7 +113,7 @@ class Abort(_Message, frozen=True):
 
 
 class EntityState(_Message, frozen=True):
-    """state: 0 boot, 1 normal, 2 fault, 3 error, 4 failure."""
+    """state: EntityStatus."""
 
     state: int
     flags: int = 0
@@ -86,7 +159,7 @@ class EstimatedState(_Message, frozen=True):
 
 
 class VehicleState(_Message, frozen=True):
-    """op_mode: 0 service, 1 calibration, 2 error, 3 manoeuvre, 4 external, 5 boot. maneuver_type: its message id, 65535 for none."""
+    """op_mode: OpMode. maneuver_type: its message id, 65535 for none."""
 
     op_mode: int
     error_count: int = 0
@@ -101,7 +174,7 @@ class VehicleState(_Message, frozen=True):
 
 
 class DesiredZ(_Message, frozen=True):
-    """z_units: 1 depth, 2 altitude, 3 height."""
+    """z_units: ZUnits."""
 
     value: float
     z_units: int
@@ -125,7 +198,7 @@ class FollowReference(_Message, frozen=True):
 
 
 class Reference(_Message, frozen=True):
-    """Where to go. flags: 1 location, 2 speed, 4 z, 8 radius, 0x10 start point, 0x20 direct, 0x80 manoeuvre done."""
+    """Where to go. flags: RefFlag, which of the rest counts; MANDONE ends the manoeuvre."""
 
     flags: int
     speed: DesiredSpeed | None = None
@@ -136,8 +209,7 @@ class Reference(_Message, frozen=True):
 
 
 class FollowRefState(_Message, frozen=True):
-    """state: 1 wait, 2 goto, 3 loiter, 4 hover, 5 elevator, 6 timeout. proximity: 1 far, 2 near in the plane, 4 near in depth, 8 and 16
-    out of reach."""
+    """state: RefState. proximity: Proximity."""
 
     control_src: int
     control_ent: int
@@ -173,7 +245,7 @@ class PlanSpecification(_Message, frozen=True):
 
 
 class PlanControl(_Message, frozen=True):
-    """type: 0 request, 1 success, 2 failure, 3 in progress. op: 0 start, 1 stop, 2 load, 3 get."""
+    """type: PlanType. op: PlanOp."""
 
     type: int
     op: int
@@ -185,7 +257,7 @@ class PlanControl(_Message, frozen=True):
 
 
 class PlanControlState(_Message, frozen=True):
-    """state: 0 blocked, 1 ready, 2 initializing, 3 executing."""
+    """state: PlanState."""
 
     state: int
     plan_id: str = ""
@@ -198,7 +270,7 @@ class PlanControlState(_Message, frozen=True):
 
 
 class Target(_Message, frozen=True):
-    """Something seen at a place. z_units: 0 z says nothing, 1 depth. cog, sog: its course and speed."""
+    """Something seen at a place. z_units: ZUnits. cog, sog: its course and speed."""
 
     label: str
     lat: float

@@ -1,0 +1,374 @@
+"""The fake IMC vehicle does what DUNE does, and gets on with the driver."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import NavSample
+from auv_mcm.vehicle_config import ImcSettings
+from drivers.framing import Framer
+from drivers.stamps import Stamp
+from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.imc import ImcDialect
+from drivers.vehicle.imc_contact import contact_of
+from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
+from drivers.vehicle.imc_wire import ImcGrammar, packed
+from drivers.vehicle.seam import (
+    Acknowledged,
+    Arrived,
+    ContactReport,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    VehicleEvent,
+    VehicleState,
+    Vertical,
+    Withheld,
+)
+from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
+from sim_replay.fakes.vehicles.seam import FakeController
+
+US, OTHER = 0x6000, 0x2F
+UTC_S = 1_700_000_000.0
+FRAME = LocalFrame(latitude_deg=41.185, longitude_deg=-8.706)
+SPEED_MPS = 20.0
+
+
+def goal_at(east_m: float, north_m: float) -> GoTo:
+    latitude_deg, longitude_deg, _ = (float(value) for value in FRAME.to_geodetic((east_m, north_m, 0.0)))
+    return GoTo(latitude_deg, longitude_deg, Vertical("altitude", 5.0), 1.5, 3.0)
+
+
+def pose_at(east_m: float, north_m: float, now_s: float) -> NavSample:
+    goal = goal_at(east_m, north_m)
+    return NavSample(
+        time_s=UTC_S + now_s,
+        latitude_deg=goal.latitude_deg,
+        longitude_deg=goal.longitude_deg,
+        heading_rad=1.0,
+        pitch_rad=0.01,
+        roll_rad=-0.02,
+        depth_m=15.0,
+        altitude_m=5.0,
+        speed_mps=1.5,
+    )
+
+
+def a_report(number: int = 3, revision: int = 1) -> ContactReport:
+    return ContactReport(
+        session=77,
+        number=number,
+        revision=revision,
+        time_s=UTC_S,
+        latitude_deg=41.185,
+        longitude_deg=-8.706,
+        sigma_m=1.5,
+        p_mine=0.75,
+        classification="sphere",
+        belief={"sphere": 0.75, "unknown": 0.25},
+        n_views=1,
+    )
+
+
+class Sea:
+    """A fake that goes straight where it is told, and the driver on the other end of its wire."""
+
+    def __init__(self, settings: ImcSettings | None = None) -> None:
+        self.fake = FakeImc()
+        self.dialect = ImcDialect(settings or ImcSettings(acknowledges=True))
+        self.east_m = self.north_m = 0.0
+        self.now_s = 50.0
+        self.events: list[VehicleEvent] = []
+        self.goal: GoTo | None = None
+        self.fake.connected(self.now_s)
+        self.dialect.connected(self.now_s)
+
+    def run(self, for_s: float) -> list[VehicleEvent]:
+        """Other events than states."""
+        first = len(self.events)
+        for _ in range(round(10.0 * for_s)):
+            self.now_s += 0.1
+            for item in self.fake.tick(pose_at(self.east_m, self.north_m, self.now_s), self._move(), self.now_s):
+                self._hear(item)
+            if self.goal is not None and round(10.0 * self.now_s) % 5 == 0:
+                self.dialect.command(self.goal, self.now_s)
+            for said in self.dialect.take_outgoing(self.now_s):
+                for item in self.fake.heard(said, self.now_s):
+                    self._hear(item)
+        return [event for event in self.events[first:] if not isinstance(event, VehicleState)]
+
+    def _move(self) -> bool:
+        command = self.fake.command
+        if command is None:
+            return False
+        assert isinstance(command, GoTo)
+        east_m, north_m, _ = FRAME.to_enu(command.latitude_deg, command.longitude_deg, 0.0).tolist()
+        distance_m = math.hypot(east_m - self.east_m, north_m - self.north_m)
+        share = min(0.1 * SPEED_MPS / max(distance_m, 1e-9), 1.0)
+        self.east_m += share * (east_m - self.east_m)
+        self.north_m += share * (north_m - self.north_m)
+        return distance_m < PLACE_RADIUS_M
+
+    def _hear(self, item: bytes) -> None:
+        self.events += self.dialect.hear(item, Stamp(round(1e9 * self.now_s), round(1e9 * (UTC_S + self.now_s))))
+
+
+def test_it_is_a_fake_controller() -> None:
+    controller: FakeController[bytes] = FakeImc()
+    assert controller.willing
+
+
+def test_control_is_asked_for_used_and_given_back() -> None:
+    sea = Sea()
+    assert sea.run(2.0) == []
+    assert sea.fake.command is None
+    sea.dialect.request(sea.now_s)
+    assert [type(event) for event in sea.run(0.5)] == [Granted]
+    assert sea.fake.in_control
+    assert sea.fake.command is None, "nothing was commanded yet"
+    sea.goal = goal_at(100.0, -40.0)
+    assert sea.run(10.0) == [Arrived()]
+    told = sea.fake.command
+    assert isinstance(told, GoTo)
+    assert told[:2] == pytest.approx(sea.goal[:2], abs=1e-12)
+    assert told.vertical == sea.goal.vertical
+    assert math.hypot(sea.east_m - 100.0, sea.north_m + 40.0) < sea.goal.radius_m
+    sea.goal = goal_at(0.0, 0.0)
+    assert sea.run(10.0) == [Arrived()]
+    sea.goal = None
+    sea.dialect.release("done", sea.now_s)
+    assert sea.run(5.0) == []
+    assert not sea.fake.in_control
+    assert sea.fake.command is None
+    counters = sea.fake.counters
+    assert counters["vehicle.commands_accepted"] > 20
+    assert counters["vehicle.commands_refused"] == counters["vehicle.commands_expired"] == counters["vehicle.nonsense"] == 0
+
+
+def test_where_it_is_arrives_at_the_driver() -> None:
+    sea = Sea()
+    sea.run(0.2)
+    sea.east_m, sea.north_m = 500.0, -800.0
+    sea.run(0.1)
+    state = sea.events[-1]
+    assert isinstance(state, VehicleState)
+    pose = pose_at(500.0, -800.0, sea.now_s)
+    assert state.latitude_deg == pytest.approx(pose.latitude_deg, abs=1e-8)
+    assert state.longitude_deg == pytest.approx(pose.longitude_deg, abs=1e-8)
+    for name in ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"):
+        assert getattr(state, name) == pytest.approx(getattr(pose, name), abs=1e-6), name
+
+
+def test_who_is_not_willing_refuses() -> None:
+    sea = Sea()
+    sea.fake.willing = False
+    sea.dialect.request(sea.now_s)
+    (event,) = sea.run(1.0)
+    assert isinstance(event, Withheld)
+    assert "may not command" in event.reason
+    assert not sea.fake.in_control
+
+
+@pytest.mark.parametrize("how", ["revoke", "power_up"])
+def test_what_was_granted_is_taken_back(how: str) -> None:
+    sea = Sea()
+    sea.dialect.request(sea.now_s)
+    sea.goal = goal_at(500.0, 0.0)
+    sea.run(5.0)
+    assert sea.fake.command is not None
+    getattr(sea.fake, how)(sea.now_s)
+    assert not sea.fake.in_control
+    assert sea.fake.command is None
+    assert [type(event) for event in sea.run(2.0)] == [Withheld]
+    sea.goal = None
+    sea.run(5.0)
+    sea.dialect.request(sea.now_s)
+    assert [type(event) for event in sea.run(1.0)] == [Granted]
+
+
+def test_silence_ends_control() -> None:
+    sea = Sea()
+    sea.dialect.request(sea.now_s)
+    sea.goal = goal_at(500.0, 0.0)
+    sea.run(2.0)
+    sea.goal = None
+    events = sea.run(6.0)
+    assert events == [Withheld("the vehicle missed our references")]
+    assert not sea.fake.in_control
+    assert sea.fake.counters["vehicle.commands_expired"] == 1
+
+
+def test_a_plan_left_from_an_earlier_run_is_stopped() -> None:
+    sea = Sea()
+    sea.dialect.request(sea.now_s)
+    sea.run(1.0)
+    sea.dialect = ImcDialect(ImcSettings())
+    sea.dialect.connected(sea.now_s)
+    sea.run(2.0)
+    assert not sea.fake.in_control
+    assert sea.fake.counters["vehicle.commands_expired"] == 0
+
+
+def test_contacts_and_health_arrive_once() -> None:
+    sea = Sea()
+    sea.dialect.tell_health(PayloadHealth("fault", "port bow is silent"), sea.now_s)
+    sea.dialect.report(a_report(), 4, sea.now_s)
+    assert sea.run(1.0) == [Acknowledged(4)]
+    assert sea.fake.take_health() == ["fault: port bow is silent"]
+    (report,) = sea.fake.take_reports()
+    assert (report.session, report.number, report.revision, report.classification) == (77, 3, 1, "sphere")
+    assert report.belief["sphere"] == 0.75
+    sea.dialect.report(a_report(), 5, sea.now_s)
+    sea.dialect.report(a_report(revision=2), 6, sea.now_s)
+    assert sea.run(1.0) == [Acknowledged(5), Acknowledged(6)]
+    assert [report.revision for report in sea.fake.take_reports()] == [2]
+    counters = sea.fake.counters
+    assert (counters["vehicle.reports"], counters["vehicle.reports_repeated"], counters["vehicle.targets"]) == (2, 1, 3)
+
+
+class Wire:
+    """Messages to the fake alone, and what it says to them."""
+
+    def __init__(self) -> None:
+        self.fake = FakeImc()
+        self.fake.connected(0.0)
+        self.tick(0.0)
+
+    def tick(self, now_s: float) -> list[ImcMessage]:
+        return _messages(b"".join(self.fake.tick(pose_at(0.0, 0.0, now_s), False, now_s)))
+
+    def say(self, *messages: ImcMessage, source: int = US, now_s: float = 1.0) -> list[ImcMessage]:
+        return _messages(b"".join(self.fake.heard(b"".join(packed(message, source, to=ADDRESS) for message in messages), now_s)))
+
+    def start(self, timeout_s: float = 5.0) -> list[ImcMessage]:
+        maneuver = imc.PlanManeuver("m", imc.FollowReference(US, 255, timeout_s))
+        plan = imc.PlanSpecification("theirs", start_man_id="m", maneuvers=(maneuver,))
+        return self.say(imc.PlanControl(PlanType.REQUEST, PlanOp.START, 3, "theirs", arg=plan))
+
+
+def _messages(data: bytes) -> list[ImcMessage]:
+    packets = [framed.message for framed in Framer(ImcGrammar()).feed(data)]
+    return [decode(packet.number, packet.payload) for packet in packets if packet.number in LAYOUTS]
+
+
+def a_reference(flags: int = 7, **changes: Any) -> imc.Reference:
+    values: dict[str, Any] = {"speed": imc.DesiredSpeed(1.5), "z": imc.DesiredZ(3.0, 1), "lat": 0.7188, "lon": -0.152}
+    return imc.Reference(flags, **(values | changes))
+
+
+def test_it_answers_a_start_as_a_plan_engine_does() -> None:
+    loaded, running, plan, follow = Wire().start()
+    for reply in (loaded, running):
+        assert isinstance(reply, imc.PlanControl)
+        assert (reply.type, reply.op, reply.request_id, reply.plan_id) == (PlanType.SUCCESS, PlanOp.START, 3, "theirs")
+    assert isinstance(plan, imc.PlanControlState)
+    assert (plan.state, plan.plan_id, plan.man_type) == (PlanState.EXECUTING, "theirs", 478)
+    assert follow == imc.FollowRefState(US, 255, None, RefState.WAIT, Proximity.FAR)
+
+
+def test_references_of_others_are_ignored_without_a_word() -> None:
+    wire = Wire()
+    assert wire.say(a_reference()) == []
+    wire.start()
+    assert wire.say(a_reference(), source=OTHER) == []
+    assert wire.fake.command is None
+    (answer,) = wire.say(a_reference())
+    assert isinstance(answer, imc.FollowRefState)
+    assert answer.reference == a_reference()
+    assert wire.fake.command == GoTo(math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 1.5, PLACE_RADIUS_M)
+    assert wire.say(imc.Reference(RefFlag.MANDONE), source=OTHER) == []
+    assert wire.fake.in_control
+    assert wire.fake.counters["vehicle.commands_refused"] == 3
+
+
+def test_what_a_reference_does_not_say_stays_as_it_was() -> None:
+    wire = Wire()
+    wire.start()
+    wire.say(a_reference())
+    wire.say(imc.Reference(RefFlag.SPEED, imc.DesiredSpeed(2.0)))
+    assert wire.fake.command == GoTo(math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 2.0, PLACE_RADIUS_M)
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        imc.Reference(RefFlag.SPEED, imc.DesiredSpeed(2.0)),
+        a_reference(lat=math.nan),
+        a_reference(lat=2.0),
+        a_reference(speed=imc.DesiredSpeed(50.0, 2)),
+        a_reference(speed=imc.DesiredSpeed(-1.0)),
+        a_reference(z=imc.DesiredZ(math.inf, 1)),
+        a_reference(z=imc.DesiredZ(3.0, 3)),
+        a_reference(flags=RefFlag.LOCATION | RefFlag.SPEED),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(reference: imc.Reference) -> None:
+    wire = Wire()
+    wire.start()
+    assert wire.say(reference) == []
+    assert wire.fake.command is None
+    assert wire.fake.counters["vehicle.commands_refused"] == 1
+
+
+def test_the_time_out_is_told_and_ends_the_plan() -> None:
+    wire = Wire()
+    wire.start(timeout_s=4.0)
+    wire.say(a_reference(), now_s=2.0)
+    assert not any(isinstance(message, imc.FollowRefState) for message in wire.tick(5.9))
+    told = wire.tick(6.1)
+    (state,) = [message for message in told if isinstance(message, imc.FollowRefState)]
+    assert state.state == RefState.TIMEOUT
+    assert [message.plan_id for message in told if isinstance(message, imc.PlanControlState)] == [PLAN_ID]
+    assert not any(isinstance(message, imc.FollowRefState) for message in wire.tick(9.0))
+
+
+def test_a_stop_while_its_own_plan_runs_is_refused_and_counted() -> None:
+    wire = Wire()
+    (reply,) = wire.say(imc.PlanControl(PlanType.REQUEST, PlanOp.STOP, 5, "theirs"))
+    assert isinstance(reply, imc.PlanControl)
+    assert reply.type == PlanType.FAILURE
+    assert wire.fake.counters["vehicle.commands_refused"] == 1
+
+
+def test_it_boots() -> None:
+    fake = FakeImc()
+    fake.power_up(0.0)
+    told = _messages(b"".join(fake.tick(pose_at(0.0, 0.0, 0.0), False, 0.0)))
+    assert [message.op_mode for message in told if isinstance(message, imc.VehicleState)] == [OpMode.BOOT]
+    told = _messages(b"".join(fake.tick(pose_at(0.0, 0.0, 1.0), False, 1.0)))
+    assert [message.op_mode for message in told if isinstance(message, imc.VehicleState)] == [OpMode.MANEUVER]
+
+
+def test_nonsense_is_counted() -> None:
+    wire = Wire()
+    contact = contact_of(a_report())
+    bad_class = imc.MineContact(*(getattr(contact, name) if name != "classification" else 9 for name in contact.__struct_fields__))
+    (answer,) = wire.say(bad_class)
+    assert isinstance(answer, imc.MineContactTaken)
+    assert not answer.taken
+    assert wire.say(imc.EntityState(77)) == []
+    flipped = bytearray(packed(a_reference(), US))
+    flipped[30] ^= 1
+    wire.fake.heard(bytes(flipped), 1.0)
+    assert wire.fake.counters["vehicle.nonsense"] == 3
+    wire.fake.power_up(2.0)
+    assert wire.fake.counters["vehicle.nonsense"] == 3
+
+
+@given(
+    chunks=st.lists(
+        st.binary(max_size=80) | st.sampled_from([packed(a_reference(lat=math.nan), US), packed(imc.Abort(), OTHER)]), max_size=6
+    )
+)
+def test_whatever_it_hears_it_never_raises_and_flies_its_own_plan(chunks: list[bytes]) -> None:
+    wire = Wire()
+    for chunk in chunks:
+        wire.fake.heard(chunk, 1.0)
+    assert wire.fake.command is None
+    assert wire.tick(2.0)
