@@ -48,6 +48,15 @@ class NavUnitSettings(_Settings, frozen=True, kw_only=True):
     use_unit_time: Annotated[
         bool, Meta(description="take the times between measurements from the unit's own clock, which is free of the link's delays")
     ] = False
+    gives_utc: Annotated[
+        bool, Meta(description="nmea0183 only: UTC is that of its ZDA, sent each second, instead of this computer's; of one unit at most")
+    ] = False
+    pulse_link: Annotated[
+        str | None,
+        Meta(
+            description="where the unit's pulse at each full second comes in, e.g. pps:///dev/pps0; each ZDA then names the pulse before it"
+        ),
+    ] = None
     surface_only: Annotated[bool, Meta(description="a satellite receiver: its positions are refused under water")] = False
     position_sigma_m: Annotated[float, Meta(ge=0.0, le=1000.0, description="1-sigma per axis where the unit tells none, m")] = 3.0
     heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma where the unit tells none, degrees")] = 1.0
@@ -96,6 +105,13 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.sonar is not None and self.device not in SONAR_NAMES:
             raise ValueError(f"port '{self.name}': a device '{self.device}' is no sonar and takes no section 'sonar'")
+        unit = self.navigation
+        if unit is not None and unit.gives_utc and self.device != "nmea0183":
+            raise ValueError(f"port '{self.name}': navigation.gives_utc is for a device 'nmea0183', and this one is a '{self.device}'")
+        if unit is not None and unit.pulse_link is not None and not unit.gives_utc:
+            raise ValueError(
+                f"port '{self.name}': navigation.pulse_link says where pulses come, but not that they count: add gives_utc: true"
+            )
         for name in VEHICLE_NAMES:
             if name != self.device and getattr(self, name, None) is not None:
                 raise ValueError(f"port '{self.name}': a section '{name}' is for a device '{name}', and this one is a '{self.device}'")
@@ -110,6 +126,9 @@ def check_together(ports: tuple[PortConfig, ...]) -> None:
     vehicles = [port.name for port in ports if port.device in VEHICLE_NAMES]
     if len(vehicles) > 1:
         raise ValueError(f"the ports {' and '.join(vehicles)} are both a vehicle's: leave one of them, for there is one vehicle to talk to")
+    clocks = [port.name for port in ports if port.navigation is not None and port.navigation.gives_utc]
+    if len(clocks) > 1:
+        raise ValueError(f"the ports {' and '.join(clocks)} both have navigation.gives_utc: leave it to the better one")
     sonars = [port for port in ports if port.device in SONAR_NAMES]
     sides = sorted(port.sonar.sides if port.sonar is not None else "as_told" for port in sonars)
     if len(sonars) > 1 and sides != ["port", "starboard"]:

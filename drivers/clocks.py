@@ -206,6 +206,11 @@ class UtcAnchor:
         )
         return Notice(code="utc_stepped", text=text, place=self._source)
 
+    def take_over(self, source: str, offset_ns: int, mono_ns: int) -> None:
+        """Follow another source's UTC from now on; offset_ns is what it says."""
+        self._source, self._offset_ns, self._last_mono_ns, self._stepped_offset_ns = source, offset_ns, mono_ns, None
+        self.segment += 1
+
     def utc_ns(self, mono_ns: int) -> int:
         """UTC, ns since 1970, at a monotonic time; of the clock followed, so `follow` comes first."""
         assert self._offset_ns is not None

@@ -11,9 +11,10 @@ from typing import Any, Final, NamedTuple, get_args
 
 from auv_mcm.config import Config, port_keys
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName
+from drivers.links import pulse
 from drivers.links.uri import EXAMPLES
 from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, nmea0183, sentences
-from drivers.ports import Port, read_ports
+from drivers.ports import PULSE, Port, read_ports
 from drivers.sonar import imagenex, jsf_messages, ping_messages
 
 _EXAMPLE: Final = """\
@@ -111,7 +112,7 @@ def struct_fields(names: Sequence[str], layout: Struct) -> list[str]:
 def _port_lines(port: Port) -> list[str]:
     baud = "" if port.baud is None else f", {port.baud} baud"
     lines = [f"port '{port.name}': {port.address.place}{baud}"]
-    used = "pings" if port.is_sonar else "navigation"
+    used = "pings" if port.is_sonar else "UTC" if port.device == PULSE else "navigation"
     used += " and navigation" if port.is_sonar and port.unit is not None else ""
     lines.append(f"  in:  {port.device}, for {used}")
     if not port.commands:
@@ -207,5 +208,6 @@ _LANGUAGES: Final[Mapping[str, _Language]] = MappingProxyType(
         "pd6": _Language(dvl_pd6, _pd6),
         "water_linked": _Language(dvl_water_linked, _water_linked),
         "nmea2000": _Language(n2k_messages, _nmea2000),
+        PULSE: _Language(pulse, lambda: ()),
     }
 )

@@ -10,13 +10,13 @@ from typing import Final
 
 from auv_mcm.config import Config
 from auv_mcm.records import Notice, Ping, SourceEvent
-from drivers.clocks import UtcAnchor, host_offset_ns
 from drivers.heads import HeadPairer
 from drivers.navigation.merge import NavMerge
 from drivers.navigation.seam import NavFix
 from drivers.port_stream import PortStream, Told
-from drivers.ports import merge_settings, read_ports
+from drivers.ports import PULSE, merge_settings, read_ports
 from drivers.stamps import Stamp
+from drivers.utc import UtcReference
 
 log = logging.getLogger(__name__)
 
@@ -28,22 +28,24 @@ class PortIntake:
     """Decoders and merging of all ports. What comes out depends on the configuration and on what is fed alone.
 
     Navigation comes out in order of time, a fraction of a second after it was measured; each sonar's pings in order of theirs. Both are
-    in the UTC that this computer had when the bytes came, slewed where it was set by little, with a notice where it stepped.
+    in the UTC that this computer, or the unit that gives UTC, had when the bytes came; slewed where it was set by little, with a notice
+    where it stepped.
     """
 
     def __init__(self, config: Config) -> None:
         """Raises UsageError for ports that cannot be."""
         ports = read_ports(config)
-        self._utc = UtcAnchor("this computer")
-        self._streams = {port.name: PortStream(port, config.sonar, self._utc) for port in ports}
+        self._utc = UtcReference(next((port for port in ports if port.unit is not None and port.unit.gives_utc), None))
+        self._streams = {port.name: PortStream(port, config.sonar, self._utc.anchor) for port in ports if port.device != PULSE}
+        self._pulses = {port.name for port in ports if port.device == PULSE}
         self._heads = HeadPairer() if {"port", "starboard"} <= {port.sides for port in ports} else None
         self._merge = NavMerge(merge_settings(config, ports))
         self._own: Counter[str] = Counter()
 
     @property
     def counters(self) -> Counter[str]:
-        """By dotted name: those of each port behind `port.NAME.`, and nav.*, heads.*, intake.failed, intake.unknown_port."""
-        counters = self._own + self._merge.counters
+        """By dotted name: those of each port behind `port.NAME.`, and nav.*, heads.*, utc.*, intake.failed, intake.unknown_port."""
+        counters = self._own + self._merge.counters + self._utc.counters
         if self._heads is not None:
             counters += self._heads.counters
         for name, stream in self._streams.items():
@@ -52,10 +54,11 @@ class PortIntake:
 
     def feed(self, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
         """Bytes of one port, in the order in which they were read. Empty ones only say how late it is."""
-        stepped = self._utc.follow(host_offset_ns(stamp), stamp.mono_ns)
-        events: list[SourceEvent] = [] if stepped is None else [stepped]
-        stamp = Stamp(stamp.mono_ns, self._utc.utc_ns(stamp.mono_ns))
-        if data:
+        events: list[SourceEvent] = [*self._utc.passed(stamp)]
+        stamp = Stamp(stamp.mono_ns, self._utc.anchor.utc_ns(stamp.mono_ns))
+        if port in self._pulses:
+            self._utc.pulse(data)
+        elif data:
             stream = self._streams.get(port)
             if stream is None:
                 self._own["intake.unknown_port"] += 1
@@ -76,6 +79,7 @@ class PortIntake:
         events: list[SourceEvent] = []
         for item in told:
             if isinstance(item, NavFix):
+                events += self._utc.told(item)
                 events += self._survived(partial(self._merge.feed, item))
             elif isinstance(item, Ping) and self._heads is not None:
                 events += self._heads.add(item)

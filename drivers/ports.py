@@ -10,12 +10,15 @@ from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
 from auv_mcm.vehicle_config import VEHICLE_NAMES
-from drivers.links.uri import CanAddress, LinkAddress, SerialAddress, SlcanAddress, parse_link_uri
+from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, parse_link_uri
 from drivers.navigation.registry import CAN_PROTOCOL
 from drivers.navigation.settings import NavMergeSettings
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarSettings
 from drivers.vehicle.registry import BUS_DIALECTS, settings_of
+
+PULSE: Final = "pulse"
+"""The device of a port that only says when a second begins."""
 
 _BUS_DEVICES: Final = {CAN_PROTOCOL, *BUS_DIALECTS}
 
@@ -46,7 +49,7 @@ class Port(NamedTuple):
 
 
 def read_ports(config: Config) -> tuple[Port, ...]:
-    """The ports of a configuration; a wire for commands is a port NAME.commands of its own.
+    """The ports of a configuration; a wire for commands is a port NAME.commands of its own, and one for pulses a port NAME.pulse.
 
     Raises UsageError, with the key's path, for a link or setting that its device cannot have.
     """
@@ -65,6 +68,8 @@ def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
 
 def _ports(port: PortConfig, key: str) -> tuple[Port, ...]:
     served = _port(port, key)
+    if served.unit is not None and served.unit.pulse_link is not None:
+        return served, _pulse(served, served.unit.pulse_link, f"{key}.navigation.pulse_link")
     if port.sonar is None or port.sonar.command_link is None:
         return (served,)
     address = _address(port.sonar.command_link, f"{key}.sonar.command_link", port.device)
@@ -96,11 +101,18 @@ def _port(port: PortConfig, key: str) -> Port:
     )
 
 
+def _pulse(unit: Port, link: str, key: str) -> Port:
+    address = parse_link_uri(link, key)
+    if not isinstance(address, PulseAddress):
+        raise UsageError(f"{key} '{link}': that is no source of pulses; give it a pps:// link, e.g. pps:///dev/pps0")
+    return unit._replace(name=f"{unit.name}.{PULSE}", device=PULSE, address=address, baud=None, unit=None)
+
+
 def _address(link: str, key: str, device: str) -> LinkAddress:
     """Of a link that carries what the device speaks."""
     address = parse_link_uri(link, key)
     is_bus = isinstance(address, CanAddress | SlcanAddress)
-    if is_bus != (device in _BUS_DEVICES):
+    if is_bus != (device in _BUS_DEVICES) or isinstance(address, PulseAddress):
         needed = "a slcan:// or socketcan:// link" if device in _BUS_DEVICES else "a serial://, tcp:// or udp:// link"
         raise UsageError(f"{key} '{link}': a device '{device}' cannot be there; give it {needed}")
     return address

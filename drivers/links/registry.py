@@ -11,16 +11,20 @@ from auv_mcm.errors import UsageError
 from drivers.links.can_bus import open_can_bus
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, OnState, Port
+from drivers.links.pulse import open_pulse
 from drivers.links.serial_port import open_serial
 from drivers.links.slcan import open_slcan
 from drivers.links.tcp import open_tcp
 from drivers.links.udp import open_udp
-from drivers.links.uri import CanAddress, LinkAddress, SerialAddress, SlcanAddress, TcpAddress, UdpAddress
+from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, TcpAddress, UdpAddress
 from drivers.stamps import Stamp
 
 
 def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on_state: OnState, clock: Clock) -> Link[bytes]:
-    """A link that carries bytes: chunks of a stream, or of UDP whole datagrams. Raises UsageError for the address of a CAN bus."""
+    """A link that carries bytes: chunks of a stream, of UDP whole datagrams, of a pulse its edges.
+
+    Raises UsageError for the address of a CAN bus.
+    """
     open_port: Callable[[Counter[str]], Awaitable[Port[bytes]]]
     match address:
         case SerialAddress():
@@ -29,9 +33,11 @@ def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on
             open_port = partial(open_tcp, address.host, address.port)
         case UdpAddress():
             open_port = partial(open_udp, address)
+        case PulseAddress():
+            open_port = partial(open_pulse, address.path, address.place, clock)
         case SlcanAddress() | CanAddress():
             raise UsageError(f"{address.place} is a CAN bus, but this device speaks in bytes: give it a serial, tcp or udp link")
-    device = address.path if isinstance(address, SerialAddress) else None
+    device = address.path if isinstance(address, SerialAddress | PulseAddress) else None
     return Link(address.place, open_port, on_bytes, on_state, clock, address.silent_s, device)
 
 
@@ -43,7 +49,7 @@ def can_link(address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], 
             open_port = partial(open_slcan, address.path, address.baud, address.bitrate)
         case CanAddress():
             open_port = partial(open_can_bus, address.interface, address.channel, address.place)
-        case SerialAddress() | TcpAddress() | UdpAddress():
+        case SerialAddress() | TcpAddress() | UdpAddress() | PulseAddress():
             raise UsageError(f"{address.place} is not a CAN bus, but this device is on one: give it an slcan or socketcan link")
     device = address.path if isinstance(address, SlcanAddress) else None
     return Link(address.place, open_port, on_frame, on_state, clock, address.silent_s, device)

@@ -28,6 +28,7 @@ EXAMPLES: Final = (
     "slcan:///dev/ttyACM0?bitrate=250000",
     "socketcan://can0",
     "can-virtual://bench",
+    "pps:///dev/pps0",
 )
 
 
@@ -97,7 +98,18 @@ class CanAddress(NamedTuple):
         return f"{'can-virtual' if self.interface == 'virtual' else self.interface}://{self.channel}"
 
 
-LinkAddress: TypeAlias = SerialAddress | TcpAddress | UdpAddress | SlcanAddress | CanAddress
+class PulseAddress(NamedTuple):
+    """A pulse per second that the kernel stamps."""
+
+    path: str
+    silent_s: float = SILENT_S
+
+    @property
+    def place(self) -> str:
+        return f"pps://{self.path}"
+
+
+LinkAddress: TypeAlias = SerialAddress | TcpAddress | UdpAddress | SlcanAddress | CanAddress | PulseAddress
 T = TypeVar("T")
 
 
@@ -136,6 +148,7 @@ class _Uri:
             "slcan": self._slcan,
             "socketcan": lambda: CanAddress("socketcan", self._channel(), self._silent_s()),
             "can-virtual": lambda: CanAddress("virtual", self._channel(), self._silent_s()),
+            "pps": lambda: PulseAddress(self._device(), self._silent_s()),
         }
         if self._scheme not in makers:
             what = f"unknown kind of link '{self._scheme}'" if self._scheme else "it does not say what kind of link"

@@ -93,7 +93,8 @@ class NmeaUnit:
                     told.update(speed_mps=record.speed_mps, course_rad=record.course_rad)
                 return told
             case Zda():
-                return {"time_utc_s": self._date.dated(record.date_days, record.time_of_day_s, stamp)}
+                time_utc_s = self._date.dated(record.date_days, record.time_of_day_s, stamp)
+                return {"time_utc_s": time_utc_s, "tells_utc": time_utc_s is not None and not math.isnan(record.date_days)}
             case Dpt() | Dbt():
                 return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
             case Pashr():

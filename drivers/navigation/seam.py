@@ -18,8 +18,9 @@ class NavFix(msgspec.Struct, frozen=True, kw_only=True):
     of a burst with the last byte of its first sentence, was read; n_bytes: bytes on the wire from its first byte to the end of that chunk,
     0 on a bus. time_utc_s: the unit's own time of the measurement, UTC seconds since 1970, if it told; age_s: how old the measurement was
     when the unit sent it, as it told. valid: False where the unit itself says that something is not good; that is NaN then. estimated:
-    the position is the unit's own dead reckoning. course_rad: direction of motion over ground, clockwise from true north; drift_rad: the
-    same against the bow, positive to starboard. water_speed_mps: through the water, where speed_mps is over ground.
+    the position is the unit's own dead reckoning. tells_utc: the message is there to tell the time, which time_utc_s is.
+    course_rad: direction of motion over ground, clockwise from true north; drift_rad: the same against the bow, positive to starboard.
+    water_speed_mps: through the water, where speed_mps is over ground.
     *_sigma_*: 1-sigma as the unit told, position per axis.
     """
 
@@ -30,6 +31,7 @@ class NavFix(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float = 0.0
     valid: bool = True
     estimated: bool = False
+    tells_utc: bool = False
     latitude_deg: float = NAN
     longitude_deg: float = NAN
     heading_rad: float = NAN

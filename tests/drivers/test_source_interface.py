@@ -70,6 +70,12 @@ def test_ports_are_printed_with_the_very_bytes_that_they_are_sent() -> None:
     assert "device jsf" not in text
 
 
+def test_a_pulse_is_printed_with_its_bytes() -> None:
+    text = interface_text(config_of(PORTS.replace("nmea0183", "nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}")))
+    assert "port 'gnss.pulse': pps:///dev/pps0\n  in:  pulse, for UTC\n  out: nothing" in text
+    assert "Each edge is 8 bytes, big-endian" in text
+
+
 def test_the_example_is_a_configuration() -> None:
     config = config_of(example_text())
     assert config.service.source == "ports"

@@ -243,7 +243,7 @@ def test_a_time_of_day_is_put_on_the_day_nearest_to_this_computers_clock(host_s:
         ("SDDBT,41.01,f,,M,,F", {"altitude_m": 12.499848}),
         ("SDDPT,0.0,0.0,", {}),
         ("PRDID,-1.5,2.5,90.0", {"pitch_rad": math.radians(-1.5), "roll_rad": math.radians(2.5), "heading_rad": math.pi / 2}),
-        ("GPZDA,000010.5,15,11,2023,00,00", {"time_utc_s": 1_700_006_410.5}),
+        ("GPZDA,000010.5,15,11,2023,00,00", {"time_utc_s": 1_700_006_410.5, "tells_utc": True}),
         ("GPZDA,000010.5,,,,00,", {"time_utc_s": 1_700_006_410.5}),
         ("GPGLL,6005.071,N,02332.346,E,,A,D", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
         ("GPGLL,6005.071,N,02332.346,E,,V,N", {}),
