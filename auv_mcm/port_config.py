@@ -7,7 +7,15 @@ from typing import Annotated, Final, Literal, TypeAlias, get_args
 import msgspec
 from msgspec import Meta
 
-from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleName
+from auv_mcm.vehicle_config import (
+    VEHICLE_NAMES,
+    BluefinSettings,
+    CanSettings,
+    ImcSettings,
+    IverSettings,
+    ReconSettings,
+    VehicleName,
+)
 
 ArmLength: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Sign: TypeAlias = Literal[1, -1]
@@ -101,6 +109,11 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
         NavUnitSettings | None,
         Meta(description="how the unit is mounted; of a sonar or vehicle: use the navigation it sends, mounted like this"),
     ] = None
+    imc: ImcSettings | None = None
+    bluefin: BluefinSettings | None = None
+    iver: IverSettings | None = None
+    recon: ReconSettings | None = None
+    vehicle_can: CanSettings | None = None
 
     def __post_init__(self) -> None:
         if self.sonar is not None and self.device not in SONAR_NAMES:
@@ -113,7 +126,7 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
                 f"port '{self.name}': navigation.pulse_link says where pulses come, but not that they count: add gives_utc: true"
             )
         for name in VEHICLE_NAMES:
-            if name != self.device and getattr(self, name, None) is not None:
+            if name != self.device and getattr(self, name) is not None:
                 raise ValueError(f"port '{self.name}': a section '{name}' is for a device '{name}', and this one is a '{self.device}'")
 
 
