@@ -1,0 +1,152 @@
+"""Who commands the vehicle. The vehicle decides, always; the payload asks, waits, and gives back.
+
+down       the wire is closed, or the vehicle is silent
+listening  it speaks, and nothing is asked of it
+requested  control was asked for
+granted    the payload commands
+revoked    the vehicle refused, or took control back; it is left alone for a while
+
+No clock, no wire: every call says what time it is, and what is to be done comes back. Whatever was asked for or held is given back when it
+ends on this side; when the vehicle itself ends it there is nothing left to give.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+AuthorityState: TypeAlias = Literal["down", "listening", "requested", "granted", "revoked"]
+
+ANSWER_WITHIN_S: Final = 10.0  # a request that nobody answers for so long is withdrawn, to be made again: it may have been lost
+SETTLE_S: Final = 1.0  # between giving back and what is said next of control: answers to what was said before are still on their way
+
+
+class Ask(NamedTuple):
+    """Ask the vehicle for control."""
+
+
+class GiveBack(NamedTuple):
+    """Give control back, or withdraw the request for it."""
+
+    reason: str
+
+
+Action: TypeAlias = Ask | GiveBack
+
+
+class Authority:
+    """The state, and when to ask and to give back.
+
+    silent_after_s: a vehicle not heard for so long is gone. ask_again_s: after a refusal, or control taken back, it is asked not sooner.
+    max_control_s: control is given back after so long in one piece. All in seconds; `now_s` never runs backwards.
+    """
+
+    def __init__(self, *, silent_after_s: float, ask_again_s: float, max_control_s: float) -> None:
+        self._silent_after_s = silent_after_s
+        self._ask_again_s = ask_again_s
+        self._max_control_s = max_control_s
+        self._state: AuthorityState = "down"
+        self._reason = "the wire is closed"
+        self._wire_open = False
+        self._heard_s = -math.inf
+        self._since_s = -math.inf
+        self._not_before_s = -math.inf  # no request sooner
+        self._gave_back_s = -math.inf
+        self._not_asked_for = False  # the vehicle believes that the payload commands, and it does not
+
+    @property
+    def state(self) -> AuthorityState:
+        return self._state
+
+    @property
+    def reason(self) -> str:
+        """Why it is in this state, for people."""
+        return self._reason
+
+    def connected(self, now_s: float) -> Action | None:
+        """The wire is open. That the vehicle is there is known only when it is heard."""
+        action = self._lose("the wire was opened anew", now_s)
+        self._wire_open = True
+        return action
+
+    def disconnected(self, now_s: float) -> Action | None:
+        """The wire is closed."""
+        action = self._lose("the wire is closed", now_s)
+        self._wire_open = False
+        return action
+
+    def heard(self, now_s: float) -> None:
+        """The vehicle said something that makes sense."""
+        if not self._wire_open:
+            return
+        self._heard_s = now_s
+        if self._state == "down":
+            self._go("listening", "the vehicle speaks", now_s)
+
+    def granted(self, reason: str, now_s: float) -> None:
+        """The vehicle says that the payload may command. That counts only where it was asked for."""
+        if self._state == "requested":
+            self._go("granted", reason, now_s)
+        elif self._state != "granted":
+            self._not_asked_for = True
+
+    def withheld(self, reason: str, now_s: float) -> None:
+        """The vehicle says that the payload may not command, or no longer."""
+        self._not_asked_for = False
+        if self._state in ("requested", "granted"):
+            self._not_before_s = now_s + self._ask_again_s
+            self._go("revoked", reason, now_s)
+
+    def give_back(self, reason: str, now_s: float, *, pause: bool) -> Action | None:
+        """Control is no longer wanted. pause: it is not asked for again at once but as after a refusal."""
+        if self._state not in ("requested", "granted"):
+            return None
+        if pause:
+            self._not_before_s = now_s + self._ask_again_s
+        return self._give_back("listening", reason, now_s)
+
+    def step(self, wanted: bool, now_s: float) -> Action | None:
+        """What time brings, and what is to be done now. wanted: there is something to command. Called ten times a second."""
+        if self._state == "down":
+            return None
+        if now_s - self._heard_s > self._silent_after_s:
+            return self._lose(f"the vehicle is silent for {self._silent_after_s:g} s", now_s)
+        since_s = now_s - self._since_s
+        if self._state == "granted":
+            if since_s > self._max_control_s:
+                return self.give_back(f"control was held for {self._max_control_s:g} s", now_s, pause=True)
+        elif self._state == "requested":
+            if since_s > ANSWER_WITHIN_S:
+                return self.give_back(f"no answer to the request for {ANSWER_WITHIN_S:g} s", now_s, pause=False)
+        elif self._state == "revoked" and now_s >= self._not_before_s:
+            self._go("listening", "control may be asked for again", now_s)
+        if self._state in ("requested", "granted"):
+            return None if wanted else self.give_back("there is nothing to command", now_s, pause=False)
+        if now_s - self._gave_back_s < SETTLE_S:
+            return None
+        if self._not_asked_for:
+            return self._give_back(self._state, "control was not asked for", now_s)
+        if wanted and self._state == "listening" and now_s >= self._not_before_s:
+            self._go("requested", "control was asked for", now_s)
+            return Ask()
+        return None
+
+    def _lose(self, reason: str, now_s: float) -> Action | None:
+        """The vehicle is out of reach; what it believed of us it is asked anew."""
+        action = None
+        if self._state in ("requested", "granted"):
+            action = self._give_back("down", reason, now_s)
+        self._not_asked_for = False
+        self._heard_s = -math.inf
+        self._go("down", reason, now_s)
+        return action
+
+    def _give_back(self, state: AuthorityState, reason: str, now_s: float) -> GiveBack:
+        self._gave_back_s = now_s
+        self._not_asked_for = False
+        if state != self._state:
+            self._go(state, reason, now_s)
+        return GiveBack(reason)
+
+    def _go(self, state: AuthorityState, reason: str, now_s: float) -> None:
+        self._state, self._reason, self._since_s = state, reason, now_s
