@@ -483,12 +483,14 @@ class Service:
         return counters if self._recorder is None else counters + self._recorder.counters
 
 
-def serve(config: Config, *, make_pipeline: MakePipeline = standard_pipeline) -> Path:
+def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipeline = standard_pipeline) -> Path:
     """Run the service in this process until its source ends or a signal stops it; returns the folder with the results.
+
+    clock: this computer's own if None.
 
     Raises AuvMcmError, or KeyboardInterrupt after a second signal.
     """
-    clock = SystemClock()
+    clock = clock or SystemClock()
     source = open_source(parse_source_uri(config.service.source), config, clock)
 
     async def main() -> Path:

@@ -5,8 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import TYPE_CHECKING
 
 from auv_mcm.commands import Commands, add_config_option, command, read_config
+
+if TYPE_CHECKING:
+    from auv_mcm.clock import Clock
+    from auv_mcm.config import Config
 
 
 def add(commands: Commands) -> None:
@@ -40,15 +45,22 @@ def _run(arguments: argparse.Namespace) -> int:
         sys.stdout.write(example_text() if arguments.example else interface_text(read_config(arguments.config)))
         return 0
 
+    return run_service(read_config(arguments.config))
+
+
+def run_service(config: Config, clock: Clock | None = None) -> int:
+    """Serve with log lines on standard error and results named on standard output; clock: this computer's own if None.
+
+    Raises AuvMcmError.
+    """
     import logging
 
     from auv_mcm.service import serve
 
-    config = read_config(arguments.config)
     logging.Formatter.converter = time.gmtime
     logging.basicConfig(
         stream=sys.stderr, level=logging.INFO, format="%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", datefmt="%Y-%m-%dT%H:%M:%S"
     )
-    folder = serve(config)
+    folder = serve(config, clock=clock)
     print(f"results: {folder}")
     return 0

@@ -102,7 +102,7 @@ class _Run:
             if (limit_bytes := self._scenario.file_limit_bytes) is not None:
                 service.limit_files(limit_bytes)
             start_s = time.monotonic() + _SETTLE_S
-            for process in processes[:-1]:
+            for process in processes:  # also to the service, which listens only where its clock is to step
                 process.tell(f"start {start_s:.6f}\n")
             exit_code = await self._served(service, start_s)
         finally:
@@ -120,7 +120,10 @@ class _Run:
     async def _service(self, uris: dict[str, str]) -> _Process:
         path = self._folder / "service.yaml"
         path.write_text(service_yaml(self._scenario, uris, self._folder / RESULTS), "utf-8")
+        step = self._scenario.host_clock_step
         arguments = ["-m", "auv_mcm", "run", "--config", str(path)]
+        if step is not None:
+            arguments = ["-m", "sim_replay.hil.stepping_service", str(path), str(step.at_s), str(step.by_s)]
         return await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
 
     async def _served(self, service: _Process, start_s: float) -> int | None:

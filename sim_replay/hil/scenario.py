@@ -131,12 +131,20 @@ class Expectation(_Told, frozen=True, kw_only=True):
     expected: Rule
 
 
+class HostClockStep(_Told, frozen=True, kw_only=True):
+    """UTC of the computer that the service runs on is set, at_s after the run's start."""
+
+    at_s: Annotated[float, Meta(ge=0.0)]
+    by_s: float
+
+
 class Scenario(_Told, frozen=True, kw_only=True):
     """One run. about: what it shows. scene or log: the mission, a path beside the scenario or the name of a shipped scene.
 
     speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop. service: its
     configuration; the link of a port is the name of its device in braces. file_limit_bytes: no file of the service, once it is ready, grows
-    beyond it, as on a disk that is full; room for its results must be left.
+    beyond it, as on a disk that is full; room for its results must be left. host_clock_step: what the service takes for this computer's
+    UTC steps.
     """
 
     about: Annotated[str, Meta(min_length=1)]
@@ -150,6 +158,7 @@ class Scenario(_Told, frozen=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
     stop_within_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 60.0
     file_limit_bytes: Annotated[int, Meta(ge=1000)] | None = None
+    host_clock_step: HostClockStep | None = None
 
 
 class Read(NamedTuple):

@@ -1,0 +1,54 @@
+"""The real service on a computer whose UTC steps: clocks that others use cannot be set for a test.
+
+`python -m sim_replay.hil.stepping_service CONFIG AT_S BY_S`; a line `start SECONDS` on standard input says when the run starts, by the
+monotonic clock.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from pathlib import Path
+from typing import TextIO
+
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.commands import read_config
+from auv_mcm.commands.run import run_service
+
+
+class SteppingClock:
+    """Another clock whose UTC is by_s ahead from a monotonic instant on, which is told to it with `step_at`."""
+
+    def __init__(self, clock: Clock, by_s: float) -> None:
+        self._clock = clock
+        self._by_s = by_s
+        self._from_s = math.inf
+
+    def step_at(self, mono_s: float) -> None:
+        self._from_s = mono_s
+
+    def monotonic_s(self) -> float:
+        return self._clock.monotonic_s()
+
+    def utc_s(self) -> float:
+        utc_s = self._clock.utc_s()
+        return utc_s if self._clock.monotonic_s() < self._from_s else utc_s + self._by_s
+
+
+def follow(clock: SteppingClock, lines: TextIO, at_s: float) -> None:
+    """Have the clock step at_s after the start that the lines tell."""
+    for line in lines:
+        word, _, start_s = line.partition(" ")
+        if word == "start":
+            clock.step_at(float(start_s) + at_s)
+
+
+def main(config: str, at_s: str, by_s: str) -> int:
+    clock = SteppingClock(SystemClock(), float(by_s))
+    threading.Thread(target=follow, args=(clock, sys.stdin, float(at_s)), daemon=True).start()
+    return run_service(read_config(Path(config)), clock)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
