@@ -276,13 +276,13 @@ SEABED_TYPES: Final[tuple[SeabedType, ...]] = get_args(SeabedType)
 class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """What kind of sea floor one side of one tile shows, in square cells.
 
-    Cell (i, j) covers the tile's core rows from i * cell_m along track, and ground range [j, j + 1) * cell_m; the last row of cells may be
-    cut short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32, posterior probability of it, 0
+    Cell (i, j) covers the tile's core from i * cell_m[0] on along track, and ground range [j, j + 1) * cell_m[1]; the last ones may be cut
+    short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32, posterior probability of it, 0
     where too little was measured to tell (the kind is `unknown` there). ripple_rad float32: compass direction in which crests follow one
     another, [0, pi), wavelength_m float32: their distance; both NaN where there are no ripples.
     """
 
-    cell_m: float
+    cell_m: tuple[float, float]
     kind: NDArray[np.uint8]
     confidence: NDArray[np.float32]
     ripple_rad: NDArray[np.float32]

@@ -124,8 +124,8 @@ def _seabed(
         nothing = np.full(len(kept), NAN, dtype=np.float32)
         return unknown, np.zeros(len(kept), dtype=np.float32), nothing, nothing
     n_along, n_across = seabed.kind.shape
-    along = np.clip(((row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m).astype(int), 0, n_along - 1)
-    across = np.clip((ground_m // seabed.cell_m).astype(int), 0, n_across - 1)
+    along = np.clip(((row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1)
+    across = np.clip((ground_m // seabed.cell_m[1]).astype(int), 0, n_across - 1)
     kind = seabed.kind[along, across]
     by_kind = np.stack([np.bincount(key, area * (kind == index), n_cells)[kept] for index in range(len(SEABED_TYPES))])
     most = np.argmax(by_kind, axis=0)

@@ -52,7 +52,7 @@ def by_pixels(tile: Tile) -> dict[tuple[int, int], tuple[float, float]]:
 def seabed_of(tile: Tile, kind: NDArray[np.uint8], ripple_rad: float = math.nan) -> SeabedCells:
     shape = kind.shape
     return SeabedCells(
-        cell_m=5.0,
+        cell_m=(5.0, 5.0),
         kind=kind,
         confidence=np.full(shape, 0.75, dtype=np.float32),
         ripple_rad=np.full(shape, ripple_rad, dtype=np.float32),

@@ -1,0 +1,1 @@
+"""What kind of sea floor passes below."""

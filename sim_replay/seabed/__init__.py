@@ -1,0 +1,1 @@
+"""Learning what kinds of sea floor look like, from simulated missions that know."""
