@@ -27,15 +27,16 @@ def test_utc_steps_at_the_instant_that_is_told_and_monotonic_time_does_not(by_s:
         assert clock.monotonic_s() == utc_s - 1000.0
 
 
-def test_what_the_service_refuses_is_refused_here(tmp_path: Path) -> None:
+def test_what_the_service_refuses_is_refused_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
     path = tmp_path / "vehicle.yaml"
     path.write_text("service: {source: nowhere}\n", "utf-8")
-    with pytest.raises(UsageError, match="unknown scheme|is not a URI|nowhere"):
+    with pytest.raises(UsageError, match=r"service.source 'nowhere'"):
         main(str(path), "1.0", "2.0")
 
 
 def test_a_scenario_says_when_the_clock_steps() -> None:
     text = SOUND + "host_clock_step: {at_s: 3.5, by_s: -7}\n"
     assert parse_scenario(text, "s.yaml").host_clock_step == HostClockStep(at_s=3.5, by_s=-7.0)
-    with pytest.raises(UsageError, match="host_clock_step.at_s"):
+    with pytest.raises(UsageError, match=r"host_clock_step\.at_s"):
         parse_scenario(text.replace("3.5", "-3.5"), "s.yaml")
