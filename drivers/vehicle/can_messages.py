@@ -339,7 +339,8 @@ MESSAGES: Final = (
         2,
         STATUS_PERIOD_S,
         PayloadStatus,
-        "Sign of life, health, and whether the payload wants control. Sent at once when it changes. A release is sent three times. "
+        "Sign of life, health, and whether the payload wants control. Sent at once when it changes. A release is sent three times; one "
+        "that names the granted request, or none as after a restart, counts whatever its counter. "
         f"Without one for {PAYLOAD_SILENT_S:g} s the vehicle takes control back.",
         (
             (
