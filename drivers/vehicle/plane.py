@@ -34,7 +34,9 @@ class Plane:
         self._east, self._north = _east_north(latitude_deg, longitude_deg)
 
     def point(self, latitude_deg: float, longitude_deg: float) -> Point:
-        """Where a place lies on the chart; NaN for NaN, and farther than 500 km away."""
+        """Where a place lies on the chart; NaN for what is no number, and farther than 500 km away."""
+        if not math.isfinite(latitude_deg + longitude_deg):
+            return Point(NAN, NAN)
         x, y, z = _ecef_m(latitude_deg, longitude_deg)
         x0, y0, z0 = self._origin_m
         offset = x - x0, y - y0, z - z0

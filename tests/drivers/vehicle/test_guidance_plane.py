@@ -43,6 +43,7 @@ def test_a_true_heading_is_a_step_on_the_chart_and_back(
 def test_what_is_far_away_has_no_place_on_the_chart() -> None:
     assert all(map(math.isnan, Plane(45.0, 10.0).point(-45.0, -170.0)))
     assert all(map(math.isnan, Plane(45.0, 10.0).point(math.nan, 10.0)))
+    assert all(map(math.isnan, Plane(45.0, 10.0).point(10.0, math.inf)))
 
 
 def test_a_line_of_no_length_is_its_point() -> None:

@@ -1,0 +1,236 @@
+"""Nothing that leads out of the fence, too low or too deep is let through, whatever the shape of the fence and wherever on Earth."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.vehicle_config import VehicleConfig
+from drivers.navigation.corrections import moved
+from drivers.stamps import Stamp
+from drivers.vehicle.guard import Fence, Guard
+from drivers.vehicle.seam import GoTo, Steer, VehicleState, Vertical
+
+HOME_DEG = (54.0, 8.0)
+SQUARE_M = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))
+# Open to the north: two arms and nothing between them above north 0.
+HORSESHOE_M = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (50.0, 100.0), (50.0, 0.0), (-50.0, 0.0), (-50.0, 100.0), (-100.0, 100.0))
+Metres = tuple[float, float]
+PLACES = st.tuples(st.floats(-150.0, 150.0), st.floats(-150.0, 150.0))
+HOMES = st.sampled_from([HOME_DEG, (0.0, 180.0), (-70.0, -179.9999), (89.999, 30.0), (-89.9995, 100.0)])
+
+
+def place_deg(place_m: Metres, home_deg: Metres = HOME_DEG) -> Metres:
+    latitude, longitude, _ = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1]).to_geodetic([*place_m, 0.0])
+    return float(latitude), float(longitude)
+
+
+def config(corners_m: tuple[Metres, ...] = SQUARE_M, home_deg: Metres = HOME_DEG, margin_m: float = 5.0) -> VehicleConfig:
+    corners_deg = tuple(place_deg(corner, home_deg) for corner in corners_m)
+    return VehicleConfig(command=True, fence_deg=corners_deg, fence_margin_m=margin_m, max_depth_m=40.0)
+
+
+def state(place_m: Metres, home_deg: Metres = HOME_DEG, *, depth_m: float = 20.0, altitude_m: float = 8.0) -> VehicleState:
+    return VehicleState(Stamp(0, 0), *place_deg(place_m, home_deg), heading_rad=0.0, depth_m=depth_m, altitude_m=altitude_m)
+
+
+def go_to(place_m: Metres, home_deg: Metres = HOME_DEG) -> GoTo:
+    return GoTo(*place_deg(place_m, home_deg), Vertical("altitude", 5.0), 1.5, 3.0)
+
+
+def code(guard: Guard, command: GoTo | Steer, vehicle: VehicleState | None) -> str | None:
+    refusal = guard.command(command, vehicle)
+    return None if refusal is None else refusal.code
+
+
+def inside(points_m: NDArray[np.float64], corners_m: tuple[Metres, ...]) -> NDArray[np.bool_]:
+    """Winding number of (n, 2) points, the long way: by the angles under which the edges are seen."""
+    corners = np.array(corners_m)[np.newaxis] - points_m[:, np.newaxis]
+    bearing = np.arctan2(corners[..., 0], corners[..., 1])
+    turned = np.angle(np.exp(1j * np.diff(np.concatenate([bearing, bearing[:, :1]], axis=1), axis=1)))
+    return np.asarray(np.abs(turned.sum(axis=1)) > math.pi)
+
+
+def nearest_m(points_m: NDArray[np.float64], corners_m: tuple[Metres, ...]) -> float:
+    """Least distance of any of the points to the fence, by walking along both."""
+    ring = np.array([*corners_m, corners_m[0]])
+    walk = np.concatenate([a + np.linspace(0.0, 1.0, 201)[:, np.newaxis] * (b - a) for a, b in pairwise(ring)])
+    return float(np.sqrt(((points_m[:, np.newaxis] - walk[np.newaxis]) ** 2).sum(axis=2).min()))
+
+
+def walked(start_m: Metres, end_m: Metres) -> NDArray[np.float64]:
+    return np.asarray(np.array(start_m) + np.linspace(0.0, 1.0, 151)[:, np.newaxis] * (np.array(end_m) - np.array(start_m)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sampled_from([SQUARE_M, HORSESHOE_M, HORSESHOE_M[::-1]]), PLACES, PLACES, HOMES)
+def test_clearance_of_a_way_is_that_of_walking_it(corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres) -> None:
+    fence = Fence([place_deg(corner, home_deg) for corner in corners_m])
+    got_m = fence.clearance_m(fence.point(*place_deg(start_m, home_deg)), fence.point(*place_deg(end_m, home_deg)))
+    points_m = walked(start_m, end_m)
+    wanted_m = nearest_m(points_m, corners_m)
+    assume(wanted_m > 1.5)  # nearer, the two walks are too coarse to tell
+    assert got_m == (pytest.approx(wanted_m, abs=1.0) if inside(points_m, corners_m).all() else -math.inf)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sampled_from([SQUARE_M, HORSESHOE_M]), PLACES, PLACES, HOMES)
+def test_no_go_to_leads_out_of_the_fence(corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres) -> None:
+    guard = Guard(config(corners_m, home_deg))
+    if guard.command(go_to(end_m, home_deg), state(start_m, home_deg)) is None:
+        assert inside(walked(start_m, end_m), corners_m).all()
+        assert nearest_m(np.array([end_m]), corners_m) >= 4.9
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sampled_from([SQUARE_M, HORSESHOE_M]), PLACES, st.floats(0.0, 6.28), HOMES)
+def test_no_steering_leads_out_of_the_fence_while_it_is_valid(
+    corners_m: tuple[Metres, ...], start_m: Metres, heading_rad: float, home_deg: Metres
+) -> None:
+    bounds = config(corners_m, home_deg)
+    here = state(start_m, home_deg)
+    if Guard(bounds).command(Steer(heading_rad, Vertical("altitude", 5.0), 1.5), here) is None:
+        reach_m = 1.5 * bounds.command_valid_s
+        north = LocalFrame(latitude_deg=here.latitude_deg, longitude_deg=here.longitude_deg)
+        there = north.to_geodetic([reach_m * math.sin(heading_rad), reach_m * math.cos(heading_rad), 0.0])
+        end = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1]).to_enu(*there)
+        assert inside(walked(start_m, (float(end[0]), float(end[1]))), corners_m).all()
+
+
+def test_what_is_well_inside_passes() -> None:
+    guard = Guard(config(HORSESHOE_M))
+    assert code(guard, go_to((90.0, -50.0)), state((-80.0, -50.0))) is None
+    assert code(guard, Steer(1.0, Vertical("altitude", 5.0), 1.5), state((0.0, -50.0))) is None
+    assert guard.plan([place_deg(place) for place in ((-75.0, 50.0), (-75.0, -50.0), (75.0, -50.0), (75.0, 50.0))], 3.0) is None
+
+
+def test_the_way_across_the_mouth_of_a_concave_fence_is_refused() -> None:
+    guard = Guard(config(HORSESHOE_M))
+    assert code(guard, go_to((75.0, 50.0)), state((-75.0, 50.0))) == "leads_out"
+    refusal = guard.plan([place_deg(place) for place in ((-75.0, 50.0), (75.0, 50.0))], 0.0)
+    assert refusal is not None
+    assert refusal.code == "plan_outside_fence"
+    assert "way-point 2 of 2" in refusal.text
+
+
+def test_a_plan_keeps_its_slack_from_the_fence() -> None:
+    guard = Guard(config())
+    places = [place_deg((0.0, 0.0)), place_deg((93.0, 0.0))]
+    assert guard.plan(places, 1.0) is None
+    assert guard.plan(places, 3.0) is not None
+
+
+def test_the_first_leg_from_outside_is_refused() -> None:
+    assert code(Guard(config()), go_to((0.0, 0.0)), state((120.0, 0.0))) == "outside_fence"
+
+
+def test_a_vehicle_within_the_margin_may_leave_it_and_come_no_nearer() -> None:
+    guard = Guard(config(margin_m=20.0))
+    here = state((90.0, 0.0))
+    assert code(guard, go_to((0.0, 0.0)), here) is None
+    assert code(guard, go_to((95.0, 0.0)), here) == "target_outside_fence"
+    assert code(guard, Steer(math.radians(270.0), Vertical("altitude", 5.0), 1.5), here) is None
+    assert code(guard, Steer(math.radians(90.0), Vertical("altitude", 5.0), 1.5), here) == "leads_out"
+
+
+def test_the_antipode_is_not_inside() -> None:
+    far = VehicleState(Stamp(0, 0), -HOME_DEG[0], HOME_DEG[1] - 180.0, heading_rad=0.0, depth_m=20.0, altitude_m=8.0)
+    assert code(Guard(config()), go_to((0.0, 0.0)), far) == "outside_fence"
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({"latitude_deg": math.nan}, "position_unknown"),
+        ({"depth_m": math.nan}, "depth_unknown"),
+        ({"altitude_m": math.nan}, "altitude_unknown"),
+        ({"altitude_m": 1.9}, "too_low"),
+        ({"depth_m": 40.1}, "too_deep"),
+        ({"depth_m": 39.0, "altitude_m": 8.0}, "commands_too_deep"),
+    ],
+)
+def test_a_vehicle_that_must_not_be_commanded_is_not(changes: dict[str, Any], wanted: str) -> None:
+    assert code(Guard(config()), go_to((10.0, 10.0)), state((0.0, 0.0))._replace(**changes)) == wanted
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_refused_wherever_it_stands(value: Any) -> None:
+    guard, here = Guard(config()), state((0.0, 0.0))
+    for name in ("latitude_deg", "longitude_deg", "speed_mps", "radius_m"):
+        assert guard.command(go_to((10.0, 10.0))._replace(**{name: value}), here) is not None
+    for name in ("heading_rad", "speed_mps"):
+        assert guard.command(Steer(1.0, Vertical("altitude", 5.0), 1.5)._replace(**{name: value}), here) is not None
+    for vertical in (Vertical("depth", value), Vertical("altitude", value)):
+        assert guard.command(go_to((10.0, 10.0))._replace(vertical=vertical), here) is not None
+
+
+@pytest.mark.parametrize(
+    ("vertical", "wanted"),
+    [
+        (Vertical("altitude", 1.9), "commands_too_low"),
+        (Vertical("depth", 26.5), "commands_too_low"),  # 28 m of water, min_altitude_m is 2
+        (Vertical("depth", 25.5), None),
+        (Vertical("altitude", 2.1), None),
+        (Vertical("depth", -0.1), "vertical"),
+    ],
+)
+def test_depth_and_altitude_are_judged_by_the_same_floor(vertical: Vertical, wanted: str | None) -> None:
+    assert code(Guard(config()), go_to((10.0, 10.0))._replace(vertical=vertical), state((0.0, 0.0))) == wanted
+
+
+@pytest.mark.parametrize(("heading_rad", "speed_mps"), [(-0.1, 1.0), (2.0 * math.pi, 1.0), (1.0, 0.0), (1.0, -1.0), (1.0, 1.6)])
+def test_headings_and_speeds_out_of_range_are_refused(heading_rad: float, speed_mps: float) -> None:
+    assert code(Guard(config()), Steer(heading_rad, Vertical("altitude", 5.0), speed_mps), state((0.0, 0.0))) in ("heading", "speed")
+
+
+def test_commands_and_plans_grow_old() -> None:
+    guard = Guard(config())
+    assert guard.age(5.0) is None
+    assert (refusal := guard.age(5.1)) is not None
+    assert refusal.code == "expired"
+    assert guard.age(math.nan) is not None
+    assert guard.plan_age(900.0) is None
+    assert (refusal := guard.plan_age(901.0)) is not None
+    assert refusal.code == "plan_expired"
+
+
+def test_without_a_fence_nothing_is_let_through() -> None:
+    guard = Guard(VehicleConfig())
+    assert code(guard, go_to((0.0, 0.0)), state((0.0, 0.0))) == "no_fence"
+    assert guard.plan([HOME_DEG], 0.0) is not None
+
+
+@pytest.mark.parametrize(
+    "corners_m",
+    [
+        ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 100.0)),  # crosses itself
+        ((0.0, 0.0), (50.0, 50.0), (100.0, 100.0)),  # a line
+        ((0.0, 0.0), (0.0, 0.0), (100.0, 100.0)),  # two corners
+        ((-90_000.0, 0.0), (90_000.0, 0.0), (0.0, 90_000.0)),  # too wide
+    ],
+)
+def test_a_fence_that_is_no_area_is_told_to_the_user(corners_m: tuple[Metres, ...]) -> None:
+    with pytest.raises(UsageError, match="fence_deg"):
+        Guard(config(corners_m))
+
+
+def test_a_fence_around_the_world_is_told_to_the_user() -> None:
+    with pytest.raises(UsageError, match="50 km"):
+        Fence([(0.0, 0.0), (0.0, 120.0), (0.0, -120.0)])
+
+
+def test_a_closed_ring_is_the_same_fence() -> None:
+    corners_deg = [moved(*HOME_DEG, *corner) for corner in SQUARE_M]
+    closed = Guard(msgspec.structs.replace(config(), fence_deg=(*corners_deg, corners_deg[0])))
+    assert code(closed, go_to((90.0, 90.0)), state((-90.0, -90.0))) is None
+    assert code(closed, go_to((99.0, 90.0)), state((-90.0, -90.0))) == "target_outside_fence"
