@@ -1,12 +1,16 @@
 """Messages of LSTS's Inter-Module Communication protocol (IMC 5.4) as typed records, both ways, from one table.
 
+A packet is a header (u16 sync 0xFE54, u16 message id, u16 bytes of payload, f64 UTC seconds since 1970, u16 source and u8 entity of it, u16
+destination and u8 entity), the payload, and CRC-16/ARC of both; the sync number tells the byte order. Text is a u16 length and UTF-8. A
+message inside another is its u16 id, 65535 for none, and its payload; a list of them has a u16 count before.
+
 Fields stand in the order of the wire, with its units: radians, metres, m/s, seconds. Only messages with a use here are in the table; the
 layouts are those of IMC.xml. Two messages are the payload's own, with ids of the range for third parties (1000 and above), because IMC has
 none for a contact: MineContact (1700) and its answer MineContactTaken (1701).
 
 The codec is our own. imcpy, the public one, decodes a sound packet just as well and serves the tests as oracle, but its stream parser
-believes the length field: one flipped bit there costs up to 64 KiB of intact messages, and a stray sync number those right behind it.
-And it neither reads nor writes messages that its table does not have, such as the two of our own.
+(1.1.2) believes lengths before checksums: in the fault campaign of `auv-mcm bench framers` it lost 4135 of 6828 intact packets, this one
+none. And it neither reads nor writes messages that its table does not have, such as the two of our own.
 """
 
 from __future__ import annotations
@@ -113,7 +117,7 @@ class Abort(_Message, frozen=True):
 
 
 class EntityState(_Message, frozen=True):
-    """state: EntityStatus."""
+    """state: 0 boot, 1 normal, 2 fault, 3 error, 4 failure."""
 
     state: int
     flags: int = 0
@@ -159,7 +163,7 @@ class EstimatedState(_Message, frozen=True):
 
 
 class VehicleState(_Message, frozen=True):
-    """op_mode: OpMode. maneuver_type: its message id, 65535 for none."""
+    """op_mode: 0 service, 1 calibration, 2 error, 3 manoeuvre, 4 external, 5 boot. maneuver_type: its message id, 65535 for none."""
 
     op_mode: int
     error_count: int = 0
@@ -174,7 +178,7 @@ class VehicleState(_Message, frozen=True):
 
 
 class DesiredZ(_Message, frozen=True):
-    """z_units: ZUnits."""
+    """z_units: 1 depth, 2 altitude, 3 height."""
 
     value: float
     z_units: int
@@ -198,7 +202,8 @@ class FollowReference(_Message, frozen=True):
 
 
 class Reference(_Message, frozen=True):
-    """Where to go. flags: RefFlag, which of the rest counts; MANDONE ends the manoeuvre."""
+    """Where to go. flags, what of it counts: 1 location, 2 speed, 4 z, 8 radius, 0x10 start point, 0x20 direct; 0x80 the manoeuvre is
+    done."""
 
     flags: int
     speed: DesiredSpeed | None = None
@@ -209,7 +214,8 @@ class Reference(_Message, frozen=True):
 
 
 class FollowRefState(_Message, frozen=True):
-    """state: RefState. proximity: Proximity."""
+    """state: 1 wait, 2 goto, 3 loiter, 4 hover, 5 elevator, 6 timeout. proximity: 1 far, 2 near in the plane, 4 near in depth, 8 and 16
+    out of reach."""
 
     control_src: int
     control_ent: int
@@ -245,7 +251,7 @@ class PlanSpecification(_Message, frozen=True):
 
 
 class PlanControl(_Message, frozen=True):
-    """type: PlanType. op: PlanOp."""
+    """type: 0 request, 1 success, 2 failure, 3 in progress. op: 0 start, 1 stop, 2 load, 3 get."""
 
     type: int
     op: int
@@ -257,7 +263,7 @@ class PlanControl(_Message, frozen=True):
 
 
 class PlanControlState(_Message, frozen=True):
-    """state: PlanState."""
+    """state: 0 blocked, 1 ready, 2 initializing, 3 executing."""
 
     state: int
     plan_id: str = ""
@@ -270,7 +276,7 @@ class PlanControlState(_Message, frozen=True):
 
 
 class Target(_Message, frozen=True):
-    """Something seen at a place. z_units: ZUnits. cog, sog: its course and speed."""
+    """Something seen at a place. z_units: 0 z says nothing, 1 depth. cog, sog: its course and speed."""
 
     label: str
     lat: float

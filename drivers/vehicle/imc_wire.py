@@ -1,7 +1,6 @@
 """IMC packets: header, payload and checksum, in either byte order.
 
-The header is sync number 0xFE54, message id, payload size, UTC time as float64, and id and entity of source and destination. The sync
-number tells the sender's byte order. The checksum is CRC-16/ARC over header and payload (polynomial 0x8005, reflected, from 0).
+The checksum is CRC-16/ARC over header and payload: polynomial 0x8005, reflected, from 0.
 """
 
 from __future__ import annotations

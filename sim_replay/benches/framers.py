@@ -31,6 +31,8 @@ from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile
 from drivers.sonar.ping_protocol import PingDecoder, PingGrammar
 from drivers.stamps import Stamp
+from drivers.vehicle import imc_messages
+from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
 from sim_replay.benches.arguments import count
 
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
@@ -261,6 +263,27 @@ def _pd6_messages(random: np.random.Generator, n: int) -> list[bytes]:
     return [dvl_pd6.line_of(line) for line in lines[:n]]
 
 
+def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    """Packets of a vehicle in either byte order, some of kinds that are not known here."""
+    wired = []
+    for number in range(n):
+        order: imc_messages.Order = ">" if random.random() < 0.2 else "<"
+        told: imc_messages.ImcMessage
+        if number % 4 == 0:
+            told = imc_messages.EstimatedState(*random.uniform(-1.5, 1.5, 2), *random.normal(0.0, 10.0, 18))
+        elif number % 4 == 1:
+            told = imc_messages.PlanControlState(3, f"survey {number}", man_id="T" * int(random.integers(20)))
+        elif number % 4 == 2:
+            reference = imc_messages.Reference(1, lat=random.uniform(-1.5, 1.5), lon=random.uniform(-3.0, 3.0))
+            told = imc_messages.FollowRefState(0x6000, 255, reference, 2, 1)
+        else:
+            wired.append(to_wire(Packet(276, random.bytes(int(random.integers(200))), 0x1E, time_s=float(number), order=order)))
+            continue
+        payload = imc_messages.encode(told, order)
+        wired.append(to_wire(Packet(imc_messages.number_of(type(told)), payload, 0x1E, time_s=float(number), order=order)))
+    return wired
+
+
 def _slcan_messages(random: np.random.Generator, n: int) -> list[bytes]:
     wired = []
     for number in range(n):
@@ -306,6 +329,7 @@ WIRES: Final = (
     Wire("pixse", _pixse_messages, read_with(NmeaGrammar(), str)),
     Wire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar(), str)),
     Wire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar(), tuple)),
+    Wire("imc", _imc_messages, read_with(ImcGrammar(), tuple)),
     Wire("slcan", _slcan_messages, _slcan_read),
     Wire("fast_packet", _fast_packet_messages, _fast_packet_read),
 )
@@ -412,13 +436,14 @@ def _brping(stream: bytes) -> Callable[[], object]:
 def garbage_lines() -> list[str]:
     """MB/s through each framer of what is no message: noise, silence, nothing but beginnings, and the longest false promises."""
     random = np.random.Generator(np.random.PCG64(2))
-    grammars: tuple[Grammar[Any], ...] = (PingGrammar(), JsfGrammar(), IgxGrammar())
+    grammars: tuple[Grammar[Any], ...] = (PingGrammar(), JsfGrammar(), IgxGrammar(), ImcGrammar())
     promise = {
         "ping_protocol": ping_messages.HEADER.pack(b"BR", 1000, ping_messages.ASCII_TEXT, 0, 0),
         "jsf": jsf_messages.to_wire(JsfMessage(2002, b""))[:-4] + (1 << 14).to_bytes(4, "little"),
         "sportscan": imagenex.encode_return(IgxReturn(30, 3, np.zeros(400, np.uint8)))[:12],
+        "imc": to_wire(Packet(276, bytes(imc_messages.MAX_PAYLOAD_BYTES), 0x1E))[:20],
     }
-    sync = {"ping_protocol": b"BR", "jsf": b"\x01\x16", "sportscan": b"IGX"}
+    sync = {"ping_protocol": b"BR", "jsf": b"\x01\x16", "sportscan": b"IGX", "imc": b"\x54\xfe"}
     lines = [f"{'garbage, MB/s':<16}{'noise':>10}{'zeros':>10}{'syncs':>10}{'promises':>10}"]
     for grammar in grammars:
         kinds = (
