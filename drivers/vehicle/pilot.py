@@ -1,0 +1,364 @@
+"""The payload's end of the talk with a vehicle: contacts and health out always, commands only while the vehicle lets it.
+
+No ports and no clocks: what is heard is handed in, what is to be sent is fetched. Control is wanted only while there is a plan ahead that
+may be flown, and goes back as soon as that ends, for whatever reason. A vehicle that is never told so, because the payload died or the
+wire broke, takes control back by itself once commands stay away; that is why every dialect repeats them.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import Counter, deque
+from typing import Final, Generic, NamedTuple, TypeVar
+
+from auv_mcm.records import Contact, Notice, Waypoint
+from auv_mcm.vehicle_config import VehicleConfig
+from drivers.stamps import Stamp
+from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
+from drivers.vehicle.guard import Guard, Refusal
+from drivers.vehicle.guidance import LineOfSight, Track
+from drivers.vehicle.outbox import Outbox
+from drivers.vehicle.seam import (
+    Acknowledged,
+    Arrived,
+    Capability,
+    Command,
+    Dialect,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    Rejected,
+    Steer,
+    VehicleState,
+    Vertical,
+    Withheld,
+)
+from drivers.vehicle.whereabouts import Whereabouts
+
+log = logging.getLogger(__name__)
+
+W = TypeVar("W")
+
+_MAX_NOTICES: Final = 256
+_ARRIVED_WITHIN_RADII: Final = 5.0
+_STEER_AGAIN_S: Final = 0.2  # not sooner with another heading, so that a slow wire is not asked for more than it carries
+_STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits for the next repetition
+
+
+class _Plan(NamedTuple):
+    """track: its index counts in waypoints. approved_s: when it was proposed last."""
+
+    waypoints: tuple[Waypoint, ...]
+    track: Track
+    approved_s: float
+
+    @property
+    def leg(self) -> int:
+        return self.waypoints[min(self.track.index, len(self.waypoints) - 1)].leg
+
+    def entry(self, position_deg: tuple[float, float]) -> int:
+        """Which way-point to go to first, from a position off the track. A leg that was broken off is flown again from its beginning."""
+        first = self.track.index
+        if self.waypoints[first].kind == "leg_exit" and first > 1:
+            first -= 1
+        last = next((index for index in range(first, len(self.waypoints)) if self.waypoints[index].kind == "leg_entry"), first)
+        return self.track.nearest(position_deg, first, last)
+
+
+class Pilot(Generic[W]):
+    """One vehicle. W: bytes, or CanFrame on a bus.
+
+    session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the water.
+
+    counters: those of the dialect; vehicle.refused.REASON (what was not to be sent, once per plan and reason), vehicle.requested,
+    .granted, .withheld, .returned, .commands, .plans, .plans_flown, and those of `Outbox`.
+
+    Raises UsageError for a fence that is no area.
+    """
+
+    def __init__(self, dialect: Dialect[W], config: VehicleConfig, *, session: int, turn_radius_m: float = 10.0) -> None:
+        self._dialect = dialect
+        self._config = config
+        self._turn_radius_m = turn_radius_m
+        self._may_steer = Capability.WAYPOINT not in dialect.capabilities
+        self._may_command = config.command and bool(dialect.capabilities & (Capability.WAYPOINT | Capability.STEERING))
+        self._authority = Authority(
+            silent_after_s=dialect.silent_after_s, ask_again_s=config.ask_again_s, max_control_s=config.max_control_s
+        )
+        self._guard = Guard(config)
+        self._outbox = Outbox(
+            session=session, min_p_mine=config.report_min_p_mine, acknowledged=Capability.ACKNOWLEDGED in dialect.capabilities
+        )
+        self._line_of_sight = LineOfSight(turn_radius_m=turn_radius_m, speed_mps=config.speed_mps)
+        self._whereabouts = Whereabouts(config.state_valid_s)
+        self._plan: _Plan | None = None
+        self._released = False
+        self._joined = False  # under way on the plan
+        self._command: Command | None = None  # given last, while it holds
+        self._commanded_s = -math.inf
+        self._asked_s = -math.inf  # when what is to be sent was fetched last
+        self._health: PayloadHealth | None = None
+        self._refusal: Refusal | None = None  # the last, for people
+        self._counted: set[str] = set()  # reasons of refusals of this plan
+        self._wire_open = False
+        self._told_state: AuthorityState = "down"
+        self._rejected: set[int] = set()  # contacts
+        self._n_messages = 0
+        self._notices: deque[Notice] = deque(maxlen=_MAX_NOTICES)
+        self._own: Counter[str] = Counter()
+
+    @property
+    def authority(self) -> AuthorityState:
+        return self._authority.state
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._own + self._outbox.counters + self._dialect.counters
+
+    def health(self) -> str:
+        """One line for people and for the health line."""
+        leg, n_legs = (self._plan.leg, self._plan.waypoints[-1].leg) if self._plan else (0, 0)
+        refused = f"{self._refusal.code} ({self._refusal.text})" if self._refusal else "nothing"
+        told = f"reports_waiting={self._outbox.n_waiting} refused={refused}"
+        return f"vehicle={self.authority} ({self._authority.reason}) leg={leg}/{n_legs} {told}"
+
+    def take_notices(self) -> list[Notice]:
+        """What a person should know since this was asked last."""
+        notices = list(self._notices)
+        self._notices.clear()
+        return notices
+
+    def connected(self, now_s: float) -> None:
+        """The wire is open, perhaps again."""
+        self._do(self._authority.connected(now_s), now_s)
+        self._outbox.link_lost()
+        self._wire_open = True
+        self._dialect.connected(now_s)
+        if self._health is not None:
+            self._dialect.tell_health(self._health, now_s)
+        self._notice_authority()
+
+    def disconnected(self, now_s: float) -> None:
+        """The wire is gone."""
+        self._do(self._authority.disconnected(now_s), now_s)
+        self._outbox.link_lost()
+        self._wire_open = False
+        self._dialect.disconnected()
+        self._notice_authority()
+
+    def hear(self, item: W, stamp: Stamp) -> None:
+        """What came over the wire: a chunk of bytes, or a frame."""
+        now_s = stamp.mono_ns * 1e-9
+        events = self._dialect.hear(item, stamp)
+        n_messages = sum(n for name, n in self._dialect.counters.items() if name.endswith(".messages"))
+        if events or n_messages != self._n_messages:
+            self._authority.heard(now_s)
+        self._n_messages = n_messages
+        for event in events:
+            match event:
+                case VehicleState():
+                    self._whereabouts.hear(event, now_s)
+                case Granted():
+                    self._authority.granted(event.reason, now_s)
+                case Withheld():
+                    self._authority.withheld(event.reason, now_s)
+                case Arrived():
+                    self._arrived()
+                case Acknowledged():
+                    self._outbox.acknowledged(event.ticket)
+                case Rejected():
+                    self._report_rejected(event)
+            self._notice_authority()
+
+    def take_outgoing(self, now_s: float) -> list[W]:
+        """What is to be sent now. Asked at least ten times a second and after every call: it drives everything that waits for time."""
+        age_s, self._asked_s = now_s - self._asked_s, now_s
+        was_up = self._authority.state != "down"
+        self._end_plan(now_s)
+        state = self._whereabouts.at(now_s)
+        refusal = self._why_not(state, age_s)
+        if refusal is not None:
+            self._refused(refusal)
+            self._do(self._authority.give_back(refusal.text, now_s, pause=True), now_s)
+        self._do(self._authority.step(self._plan is not None and refusal is None, now_s), now_s)
+        if self._authority.state != "granted":
+            self._joined = False
+        elif state is not None and self._plan is not None:
+            self._fly(self._plan, state, now_s)
+        up = self._authority.state != "down"
+        if was_up and not up:
+            self._outbox.link_lost()
+        if up and Capability.CONTACT in self._dialect.capabilities:
+            for report, ticket in self._outbox.take_due(now_s):
+                self._dialect.report(report, ticket, now_s)
+        self._notice_authority()
+        return self._dialect.take_outgoing(now_s) if self._wire_open else []
+
+    def tell(self, contact: Contact) -> None:
+        """A contact that is new or has changed.
+
+        Raises ValueError for an id that is not C and a number.
+        """
+        self._outbox.tell(contact)
+
+    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+        """How the payload is."""
+        if health != self._health:
+            self._health = health
+            self._dialect.tell_health(health, now_s)
+
+    def propose(self, plan: tuple[Waypoint, ...], now_s: float) -> None:
+        """Fly this instead of the plan before; () withdraws it. What of it is behind the vehicle is not flown.
+
+        A plan that leaves the fence somewhere is refused as a whole, and takes the place of the one before all the same.
+        """
+        if self._plan is not None and plan == self._plan.waypoints:
+            self._plan = self._plan._replace(approved_s=now_s)
+            return
+        self._plan, self._joined = None, False
+        self._counted.clear()
+        if len(plan) < 2 or not self._may_command or self._released:
+            return
+        self._own["vehicle.plans"] += 1
+        places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in plan)
+        if (refusal := self._guard.plan(places_deg[1:], self._config.arrival_radius_m if self._may_steer else 0.0)) is not None:
+            self._refused(refusal)
+            return
+        cut_radius_m = self._turn_radius_m if self._may_steer else 0.0
+        self._plan = _Plan(plan, Track(places_deg, radius_m=self._config.arrival_radius_m, cut_radius_m=cut_radius_m), now_s)
+
+    def release(self, reason: str, now_s: float) -> None:
+        """Control back, the plan dropped, nothing asked for any more: the service stops. What is to be sent is still to be fetched."""
+        self._released = True
+        self._plan = None
+        self._do(self._authority.give_back(reason, now_s, pause=False), now_s)
+        self._notice_authority()
+
+    def _end_plan(self, now_s: float) -> None:
+        """Drop a plan that is flown, or too old."""
+        if self._plan is None:
+            return
+        if self._plan.track.finished:
+            self._plan = None
+            self._own["vehicle.plans_flown"] += 1
+            self._do(self._authority.give_back("the plan is flown", now_s, pause=False), now_s)
+        elif (refusal := self._guard.plan_age(now_s - self._plan.approved_s)) is not None:
+            self._drop_plan(refusal, now_s)
+
+    def _why_not(self, state: VehicleState | None, age_s: float) -> Refusal | None:
+        """Why there must be no command now, whatever it says; before control is had, also why the first would be refused."""
+        if self._plan is None or self._authority.state == "down":
+            return None
+        in_control = self._authority.state == "granted"
+        refusal = (self._guard.age(age_s) if in_control else None) or self._guard.state(state)
+        if refusal is not None or state is None:
+            return refusal
+        if self._may_steer and not math.isfinite(state.heading_rad):
+            return Refusal("heading_unknown", "the vehicle's heading is not known")
+        if in_control:
+            return None
+        first = self._plan.waypoints[self._plan.entry((state.latitude_deg, state.longitude_deg))]
+        return self._guard.command(self._go_to(first.latitude_deg, first.longitude_deg), state)
+
+    def _fly(self, plan: _Plan, state: VehicleState, now_s: float) -> None:
+        """The next command, if it is one that may be given."""
+        position_deg = state.latitude_deg, state.longitude_deg
+        if not self._joined:
+            plan.track.join(position_deg, plan.entry(position_deg))
+            self._line_of_sight.start()
+            self._joined, self._command = True, None
+        plan.track.advance(position_deg)
+        if plan.track.finished:
+            self._end_plan(now_s)
+            return
+        command: Command
+        if self._may_steer:
+            heading_rad = self._line_of_sight.heading_rad(plan.track, position_deg, self._whereabouts.position_s, state.heading_rad, now_s)
+            command = Steer(heading_rad, self._vertical, self._config.speed_mps)
+        else:
+            command = self._go_to(*plan.track.target_deg)
+        if (refusal := self._guard.command(command, state)) is not None:
+            self._drop_plan(refusal, now_s)
+        elif self._due(command, now_s):
+            self._command, self._commanded_s = command, now_s
+            self._own["vehicle.commands"] += 1
+            self._dialect.command(command, now_s)
+
+    @property
+    def _vertical(self) -> Vertical:
+        return Vertical("altitude", self._config.altitude_m)
+
+    def _go_to(self, latitude_deg: float, longitude_deg: float) -> GoTo:
+        return GoTo(latitude_deg, longitude_deg, self._vertical, self._config.speed_mps, self._config.arrival_radius_m)
+
+    def _due(self, command: Command, now_s: float) -> bool:
+        """Whether it is new enough, or the one before given long enough ago."""
+        since_s = now_s - self._commanded_s
+        if self._command is None or since_s >= self._dialect.command_period_s:
+            return True
+        if isinstance(command, Steer) and isinstance(self._command, Steer):
+            turned_rad = math.remainder(command.heading_rad - self._command.heading_rad, 2.0 * math.pi)
+            return since_s >= _STEER_AGAIN_S and abs(turned_rad) >= _STEER_STEP_RAD
+        return command != self._command
+
+    def _arrived(self) -> None:
+        """The vehicle's own word counts where it can be true; it may still speak of the way-point before."""
+        plan, position = self._plan, self._whereabouts
+        if plan is None or self._authority.state != "granted" or not isinstance(self._command, GoTo) or plan.track.finished:
+            return
+        if (self._command.latitude_deg, self._command.longitude_deg) != plan.track.target_deg:
+            return
+        if not math.hypot(*plan.track.off_track(position.position_deg)) > _ARRIVED_WITHIN_RADII * self._config.arrival_radius_m:
+            plan.track.arrive()
+
+    def _drop_plan(self, refusal: Refusal, now_s: float) -> None:
+        self._plan = None
+        self._refused(refusal)
+        self._do(self._authority.give_back(refusal.text, now_s, pause=False), now_s)
+
+    def _refused(self, refusal: Refusal) -> None:
+        """Told once per plan and reason: what is judged ten times a second is the same news."""
+        self._refusal = refusal
+        if refusal.code in self._counted:
+            return
+        self._counted.add(refusal.code)
+        self._own[f"vehicle.refused.{refusal.code}"] += 1
+        self._tell("vehicle_refused", f"the vehicle is not commanded: {refusal.text} [{refusal.code}]", logging.WARNING)
+
+    def _do(self, action: Action | None, now_s: float) -> None:
+        match action:
+            case Ask():
+                self._own["vehicle.requested"] += 1
+                self._dialect.request(now_s)
+            case GiveBack(reason):
+                self._command, self._joined = None, False
+                self._own["vehicle.returned"] += 1
+                self._dialect.release(reason, now_s)
+                self._tell("vehicle_control_returned", f"control of the vehicle is given back: {reason}", logging.INFO)
+
+    def _notice_authority(self) -> None:
+        """Tell of a new state, once."""
+        state, reason = self._authority.state, self._authority.reason
+        if state == self._told_state:
+            return
+        self._told_state = state
+        if state == "granted":
+            self._own["vehicle.granted"] += 1
+            self._tell("vehicle_control_granted", f"the vehicle lets the payload command: {reason}", logging.INFO)
+        elif state == "revoked":
+            self._own["vehicle.withheld"] += 1
+            self._command, self._joined = None, False
+            self._tell("vehicle_control_withheld", f"the vehicle keeps control: {reason}", logging.WARNING)
+        else:
+            log.info("vehicle: %s: %s", state, reason)
+
+    def _report_rejected(self, rejected: Rejected) -> None:
+        report = self._outbox.rejected(rejected.ticket)
+        if report is not None and report.number not in self._rejected:
+            self._rejected.add(report.number)
+            self._tell("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
+
+    def _tell(self, code: str, text: str, level: int) -> None:
+        log.log(level, "%s", text)
+        self._notices.append(Notice(code=code, text=text))

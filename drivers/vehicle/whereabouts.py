@@ -1,0 +1,56 @@
+"""Where the vehicle is, put together from messages that each tell a part of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from auv_mcm.records import NAN
+from drivers.vehicle.seam import VehicleState
+
+_QUANTITIES: Final = ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
+
+_NEVER: Final = (NAN, -math.inf)
+
+
+class Whereabouts:
+    """What the vehicle told last of each quantity. valid_s: what is older counts as not known.
+
+    A position is believed only if it can be one: latitude and longitude together, on Earth, and not 0, 0, which is what records hold
+    that nobody filled.
+    """
+
+    def __init__(self, valid_s: float) -> None:
+        self._valid_s = valid_s
+        self._told: dict[str, tuple[float, float]] = {}  # quantity: value, when
+        self._position_s = -math.inf
+        self._state: VehicleState | None = None
+
+    @property
+    def position_s(self) -> float:
+        """When the position was told; -inf if never."""
+        return self._position_s
+
+    @property
+    def position_deg(self) -> tuple[float, float]:
+        """The last latitude, longitude, however old; NaN if there was none."""
+        return self._told.get("latitude_deg", _NEVER)[0], self._told.get("longitude_deg", _NEVER)[0]
+
+    def hear(self, state: VehicleState, now_s: float) -> None:
+        self._state = state
+        latitude_deg, longitude_deg = state.latitude_deg, state.longitude_deg
+        possible = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0.0, 0.0)
+        if possible:
+            self._position_s = now_s
+            self._told["latitude_deg"], self._told["longitude_deg"] = (latitude_deg, now_s), (longitude_deg, now_s)
+        for quantity in _QUANTITIES:
+            value = getattr(state, quantity)
+            if math.isfinite(value):
+                self._told[quantity] = (value, now_s)
+
+    def at(self, now_s: float) -> VehicleState | None:
+        """What is known now, NaN where nothing is; None if the vehicle never told anything."""
+        if self._state is None:
+            return None
+        known = {quantity: value if now_s - told_s <= self._valid_s else NAN for quantity, (value, told_s) in self._told.items()}
+        return VehicleState(self._state.received, **known)
