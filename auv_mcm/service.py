@@ -14,6 +14,7 @@ import json
 import logging
 import os
 import signal
+import sys
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Callable
 from datetime import UTC, datetime
@@ -45,6 +46,7 @@ RECORDING: Final = "recording"
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
 _ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
+_SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
 _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
 
 
@@ -490,6 +492,7 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
 
     Raises AuvMcmError, or KeyboardInterrupt after a second signal.
     """
+    sys.setswitchinterval(_SWITCH_S)
     clock = clock or SystemClock()
     source = open_source(parse_source_uri(config.service.source), config, clock)
 

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import gc
 import multiprocessing
+import os
 import signal
 import sys
 import traceback
@@ -32,6 +33,7 @@ from auv_mcm.records import Contact, EchoTrace, Ping, PipelineEvent, SourceEvent
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
 _ALIGNMENT: Final = 64
+_NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 
 
@@ -297,6 +299,7 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
     """The worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    os.nice(_NICENESS)
     memory = SharedMemory(memory_name)
     place = "at its start"
     try:
