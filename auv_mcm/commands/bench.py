@@ -22,6 +22,7 @@ _BENCHES: Final = {
     "inversion": "relief recovered from images, error beside time",
     "augment": "whether embedded targets can be told from simulated ones",
     "framers": "message framing: speed, garbage, and what damage costs",
+    "ports": "the service at a full serial line: start, processor time, how late pings are",
     "soak": "the service for long, and killed: memory, counters, what is lost",
     "pfa": "false alarms per km² and per decision",
     "figure9": "the source paper's examples of classical detection",

@@ -11,6 +11,7 @@ auv-mcm bench froc              every detector, and the steps after it, on missi
 auv-mcm bench cascade           speed and budgets of the trained cascade
 auv-mcm bench inversion, augment   relief recovered from images, and targets put into it
 auv-mcm bench framers           framing of device messages: speed, garbage, damage
+auv-mcm bench ports             the service at a full serial line: start, processor time, how late pings are
 auv-mcm bench soak              the service for long: memory, counters, tasks; what a kill costs
 auv-mcm bench pfa               false alarms per km² and per decision
 auv-mcm bench figure9           the source paper's examples of classical detection
@@ -61,6 +62,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "inversion": ("sim_replay.benches.inversion", "relief and reflectivity recovered from images: error beside time"),
     "augment": ("sim_replay.benches.augment", "whether embedded targets can be told from simulated ones"),
     "framers": ("sim_replay.benches.framers", "framing of device messages: speed beside brping's, garbage, damage"),
+    "ports": ("sim_replay.benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
     "soak": ("sim_replay.benches.soak", "the service between fake devices for long: memory, counters, tasks; what a kill costs"),
     "pfa": ("sim_replay.benches.pfa", "false alarms per km² and per decision"),
     "figure9": ("sim_replay.benches.figure9", "the source paper's examples of classical detection, flown many times"),

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
     "bench",
     [
         *("waterfall", "detect", "simulate", "scenes", "froc", "segmentation", "snakes", "shapes", "beliefs", "images"),
-        *("cascade", "inversion", "augment", "framers", "soak", "pfa", "figure9"),
+        *("cascade", "inversion", "augment", "framers", "ports", "soak", "pfa", "figure9"),
     ],
 )
 def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.CaptureFixture[str]) -> None:

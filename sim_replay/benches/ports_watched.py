@@ -1,0 +1,79 @@
+"""The service with its ports watched, for the bench of ports: it notes when each ping was queued for perception, which is kept busy.
+
+python -m sim_replay.benches.ports_watched CONFIG QUEUED    writes QUEUED, in JSON, when it was told to stop
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import AsyncGenerator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from auv_mcm.clock import SystemClock
+from auv_mcm.commands import read_config
+from auv_mcm.config import Config
+from auv_mcm.records import Contact, Ping, PipelineEvent, SourceEvent
+from auv_mcm.service import Service
+from drivers.source import PortSource
+
+_BUSY_S: Final = 0.08  # of a core, per ping: more than there is between two pings at the rates that are measured
+_N_SORTED: Final = 1 << 15
+
+
+class WatchedPorts(PortSource):
+    """The live source. queued_s: by number of ping, the instant of the monotonic clock at which the service had queued it."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.queued_s: dict[int, float] = {}
+
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+        async for event in super().events():
+            yield event
+            if isinstance(event, Ping):
+                self.queued_s[event.number] = time.monotonic()
+
+
+class BusyPipeline:
+    """Perception that finds nothing and is never done."""
+
+    def __init__(self, config: Config) -> None:
+        self.contacts: tuple[Contact, ...] = ()
+        self.counters: Counter[str] = Counter()
+        self._values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        end_s = time.thread_time() + _BUSY_S
+        while isinstance(event, Ping) and time.thread_time() < end_s:
+            np.sort(self._values)
+        return []
+
+    def finish(self) -> list[PipelineEvent]:
+        return []
+
+
+async def _serve(config: Config, queued: Path) -> None:
+    clock = SystemClock()
+    source = WatchedPorts(config, clock)
+    service = Service(config, source, clock=clock, make_pipeline=BusyPipeline)
+
+    def stop() -> None:
+        queued.write_text(json.dumps(source.queued_s), "ascii")
+        service.stop()
+
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, stop)
+    await service.run()
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO)
+    asyncio.run(_serve(read_config(Path(sys.argv[1])), Path(sys.argv[2])))
