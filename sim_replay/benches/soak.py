@@ -58,6 +58,7 @@ _MOST_ROWS: Final = 12
 _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer that has much else to do
 _BYTES_PER_MB: Final = 1e6
 _HEALTH: Final = re.compile(r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE)
+_TRACEBACK: Final = "Traceback (most recent call last):"
 _STOPPING: Final = " INFO stopping: "
 _CONTACT: Final = re.compile(r"^contact (\S+) (?:new|updated): (\S+), p_mine (\S+), (\S+) (\S+), (\d+) views$")
 _DEAD: Final = re.compile(r"Traceback|\bERROR\b|perception has taken no ping|notice (?:intake_failed|decoder_failed|session_\w+):")
@@ -328,7 +329,7 @@ def _dead(evidence: Evidence) -> list[str]:
     """What did not live to the end of a run, with what says so."""
     lines = [line.text for line in evidence.lines]
     dead = [] if evidence.exit_code == 0 else [f"the service ended with {evidence.exit_code}"]
-    dead += [line for line in lines if _DEAD.search(line)]
+    dead += [line if line != _TRACEBACK else _raised(lines[index + 1 :]) for index, line in enumerate(lines) if _DEAD.search(line)]
     live = lines[: next((index for index, line in enumerate(lines) if _STOPPING in line), len(lines))]
     last = next((match for line in reversed(live) if (match := _HEALTH.match(line))), None)
     if last is None:
@@ -336,6 +337,13 @@ def _dead(evidence: Evidence) -> list[str]:
     elif down := [port for port in last[5].split(",") if not port.endswith(":up")]:
         dead.append(f"at the end these ports were not up: {', '.join(down)}")
     return dead
+
+
+def _raised(lines: Sequence[str]) -> str:
+    """The error that a traceback ends with, and where it was raised, given the lines behind its head."""
+    n_frames = next((index for index, line in enumerate(lines) if not line.startswith(" ")), len(lines))
+    places = [line.strip() for line in lines[:n_frames] if line.lstrip().startswith("File ")]
+    return f"{' '.join(lines[n_frames : n_frames + 1])} ({', '.join(places[-1:])})"
 
 
 def _watched_memory(folder: Path, over: threading.Event) -> list[Memory]:
