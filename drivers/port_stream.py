@@ -10,6 +10,7 @@ from msgspec import structs
 
 from auv_mcm.config import SonarConfig
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
+from auv_mcm.vehicle_config import CanSettings
 from drivers.clocks import DeviceClock, SourceClock, UtcAnchor, wire_delay_s
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
@@ -20,7 +21,7 @@ from drivers.reading_watch import ReadingWatch
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarFrame, SonarReply
 from drivers.stamps import Stamp
-from drivers.vehicle.registry import dialect_of
+from drivers.vehicle.registry import VehicleSettings, dialect_of
 from drivers.vehicle.seam import VehicleState
 
 log = logging.getLogger(__name__)
@@ -96,7 +97,7 @@ class PortStream:
         if port.is_sonar:
             return _SonarReader(port, self._sonar, self._utc)
         if port.vehicle is not None:
-            return _VehicleReader(port)
+            return _VehicleReader(port, port.vehicle)
         if port.device == CAN_PROTOCOL:
             return _BusReader(port.name)
         return _UnitReader(port)
@@ -155,10 +156,12 @@ class _BusReader:
 class _VehicleReader:
     """Where the vehicle says it is, if that is wanted, and on a bus what units say there. What else it says is heard by the pilot."""
 
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: Port, settings: VehicleSettings) -> None:
         self._port = port
-        self._dialect = dialect_of(port.device, port.vehicle)
+        self._dialect = dialect_of(port.device, settings)
         self._bus = _BusReader(port.name) if port.is_bus else None
+        # Where units on the bus tell where the vehicle is, the dialect only repeats them.
+        self._repeats_units = isinstance(settings, CanSettings) and bool(settings.nmea2000_addresses)
 
     @property
     def counters(self) -> Counter[str]:
@@ -166,11 +169,14 @@ class _VehicleReader:
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         item = data if self._bus is None else unpack_can(data)
-        if self._port.unit is None or item is None:
+        if item is None:
             return []
         events = self._dialect.hear(item, stamp)
         self._dialect.take_outgoing(stamp.mono_ns * 1e-9)  # answers are the pilot's to give
-        told: list[Told] = [_vehicle_fix(self._port.name, event) for event in events if isinstance(event, VehicleState)]
+        if self._port.unit is None:
+            return []
+        states = [] if self._repeats_units else [event for event in events if isinstance(event, VehicleState)]
+        told: list[Told] = [_vehicle_fix(self._port.name, state) for state in states]
         return told if self._bus is None else told + self._bus.feed(data, stamp)
 
     def finish(self) -> list[Told]:

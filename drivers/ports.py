@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from msgspec import structs
 
@@ -15,12 +15,13 @@ from drivers.navigation.registry import CAN_PROTOCOL
 from drivers.navigation.settings import NavMergeSettings
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarSettings
-from drivers.vehicle.registry import BUS_DIALECTS, settings_of
+from drivers.vehicle.guard import Guard
+from drivers.vehicle.registry import VEHICLES, VehicleSettings, settings_of
 
 PULSE: Final = "pulse"
 """The device of a port that only says when a second begins."""
 
-_BUS_DEVICES: Final = {CAN_PROTOCOL, *BUS_DIALECTS}
+_BUS_DEVICES: Final = {CAN_PROTOCOL, *(name for name, vehicle in VEHICLES.items() if vehicle.is_bus)}
 
 
 class Port(NamedTuple):
@@ -40,7 +41,7 @@ class Port(NamedTuple):
     commands: tuple[bytes, ...]
     ask_every_s: float | None
     unit: NavUnitSettings | None
-    vehicle: Any = None
+    vehicle: VehicleSettings | None = None
 
     @property
     def is_bus(self) -> bool:
@@ -51,8 +52,9 @@ class Port(NamedTuple):
 def read_ports(config: Config) -> tuple[Port, ...]:
     """The ports of a configuration; a wire for commands is a port NAME.commands of its own, and one for pulses a port NAME.pulse.
 
-    Raises UsageError, with the key's path, for a link or setting that its device cannot have.
+    Raises UsageError, with the key's path, for a link or setting that its device cannot have, and for a fence that is no area.
     """
+    Guard(config.vehicle)
     return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]"))
 
 

@@ -17,7 +17,6 @@ from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.service import Record, SourceUri
-from auv_mcm.vehicle_config import VehicleConfig
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.registry import byte_link, can_link
@@ -26,6 +25,7 @@ from drivers.port_stream import pack_can, unpack_can
 from drivers.ports import Port, read_ports
 from drivers.stamps import Stamp
 from drivers.vehicle.end import VehicleEnd
+from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.registry import dialect_of
 
 log = logging.getLogger(__name__)
@@ -77,7 +77,7 @@ class PortSource:
         self._changed = asyncio.Event()
         self._stopping = False
         self._ended = False
-        self._ports = [_ServedPort(port, self, open_link, clock, config.vehicle) for port in read_ports(config)]
+        self._ports = [_ServedPort(port, self, open_link, clock, config) for port in read_ports(config)]
         self._vehicle_port = next((port for port in self._ports if port.vehicle is not None), None)
 
     def record_with(self, record: Record) -> None:
@@ -181,7 +181,7 @@ async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
 class _ServedPort:
     """One port while the source runs: its link kept up, its sonar told how to ping, its vehicle talked to, its states told to a person."""
 
-    def __init__(self, port: Port, source: PortSource, open_link: OpenLink, clock: Clock, policy: VehicleConfig) -> None:
+    def __init__(self, port: Port, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
         self.name = port.name
         self._port = port
         self._source = source
@@ -193,10 +193,9 @@ class _ServedPort:
         self._is_open = False
         self.vehicle: VehicleEnd | None = None
         if port.vehicle is not None:
-            from drivers.vehicle.pilot import Pilot
-
             session = int(clock.utc_s()) & 0xFFFFFFFF
-            pilot = Pilot(dialect_of(port.device, port.vehicle), policy, session=session)
+            dialect = dialect_of(port.device, port.vehicle)
+            pilot = Pilot(dialect, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
             self.vehicle = VehicleEnd(port.name, pilot, self._send_to_vehicle, clock)
 
     @property

@@ -6,15 +6,13 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from auv_mcm.clock import Clock
 from auv_mcm.records import Contact, Notice, Waypoint
 from drivers.stamps import Stamp
+from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.seam import PayloadHealth
-
-if TYPE_CHECKING:
-    from drivers.vehicle.pilot import Pilot
 
 log = logging.getLogger(__name__)
 

@@ -2,37 +2,47 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
-from auv_mcm import vehicle_config
 from auv_mcm.port_config import PortConfig
+from auv_mcm.vehicle_config import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
+from drivers.vehicle.bluefin import BluefinDialect
+from drivers.vehicle.can_dialect import CanDialect
+from drivers.vehicle.imc import ImcDialect
+from drivers.vehicle.iver import IverDialect
+from drivers.vehicle.recon import ReconDialect
 from drivers.vehicle.seam import Dialect
 
-BUS_DIALECTS: Final[frozenset[str]] = frozenset({"vehicle_can"})  # frames instead of bytes
-DIALECTS: Final[Mapping[str, str]] = MappingProxyType(
+VehicleSettings: TypeAlias = ImcSettings | BluefinSettings | IverSettings | ReconSettings | CanSettings
+
+
+class VehicleKind(NamedTuple):
+    """make: a dialect from settings of its own type. is_bus: it speaks in frames instead of bytes."""
+
+    make: Callable[[Any], Dialect[Any]]
+    settings: type[VehicleSettings]
+    is_bus: bool = False
+
+
+VEHICLES: Final[Mapping[str, VehicleKind]] = MappingProxyType(
     {
-        "imc": "drivers.vehicle.imc:ImcDialect",
-        "bluefin": "drivers.vehicle.bluefin:BluefinDialect",
-        "iver": "drivers.vehicle.iver:IverDialect",
-        "recon": "drivers.vehicle.recon:ReconDialect",
-        "vehicle_can": "drivers.vehicle.can_dialect:CanDialect",
+        "imc": VehicleKind(ImcDialect, ImcSettings),
+        "bluefin": VehicleKind(BluefinDialect, BluefinSettings),
+        "iver": VehicleKind(IverDialect, IverSettings),
+        "recon": VehicleKind(ReconDialect, ReconSettings),
+        "vehicle_can": VehicleKind(CanDialect, CanSettings, is_bus=True),
     }
 )
-_SETTINGS: Final[Mapping[str, str]] = {"imc": "Imc", "bluefin": "Bluefin", "iver": "Iver", "recon": "Recon", "vehicle_can": "Can"}
 
 
-def settings_of(port: PortConfig) -> Any:
+def settings_of(port: PortConfig) -> VehicleSettings:
     """The settings of a vehicle's port, its dialect's defaults where it gives none."""
-    given = getattr(port, port.device, None)
-    made = getattr(vehicle_config, f"{_SETTINGS[port.device]}Settings", dict)
-    return made() if given is None else given
+    given: VehicleSettings | None = getattr(port, port.device)  # each section is called like its device
+    return VEHICLES[port.device].settings() if given is None else given
 
 
-def dialect_of(name: str, settings: Any) -> Dialect[Any]:
+def dialect_of(device: str, settings: VehicleSettings) -> Dialect[Any]:
     """A dialect with its settings; each call makes one anew."""
-    module, _, dialect = DIALECTS[name].partition(":")
-    made: Dialect[Any] = getattr(importlib.import_module(module), dialect)(settings)
-    return made
+    return VEHICLES[device].make(settings)

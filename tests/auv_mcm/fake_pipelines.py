@@ -117,6 +117,18 @@ class Seeing(Base):
         return []
 
 
+class Undecided(Base):
+    """The first contact is a likely mine that another look may decide."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        events = super().feed(event)
+        if isinstance(event, Ping) and event.number == 0:
+            undecided = msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,))
+            self.contacts = (undecided,)
+            return [undecided]
+        return events
+
+
 class Failing(Base):
     """Has a defect at ping 5."""
 

@@ -1,0 +1,308 @@
+"""A vehicle at a port: heard for navigation, told of contacts, commanded while it lets us, and left in order. The wires are in memory."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from port_traffic import config_of
+
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.config import Config
+from auv_mcm.errors import HardwareError, UsageError
+from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
+from auv_mcm.service import LiveSource
+from drivers.links.link import Link
+from drivers.port_stream import pack_can
+from drivers.ports import Port, read_ports
+from drivers.source import OnBytes, OnState, PortSource
+from drivers.stamps import Stamp
+from drivers.vehicle.pilot import Pilot
+from sim_replay.fakes.vehicles.bluefin import FakeBluefin
+from sim_replay.fakes.vehicles.can import FakeCan
+from sim_replay.fakes.vehicles.imc import FakeImc
+from sim_replay.fakes.vehicles.iver import FakeIver
+from sim_replay.fakes.vehicles.recon import FakeRecon
+from sim_replay.fakes.vehicles.seam import FakeController
+
+GENEROUS_S = 15.0
+VEHICLE = "vehicle: {command: true, fence_deg: [[42.99, 4.99], [42.99, 5.01], [43.01, 5.01], [43.01, 4.99]]}\n"
+IMC = "ports: [{name: v, link: 'tcp://10.0.0.2:6002', device: imc, imc: {acknowledges: true}}]"
+CAN = "ports: [{name: v, link: 'slcan:///dev/ttyUSB0?bitrate=250000', device: vehicle_can}]"
+WITH_NAVIGATION = ", navigation: {priority: 2}}]"
+BLUEFIN = "ports: [{name: v, link: 'tcp://10.0.0.2:29500', device: bluefin}]"
+IVER = "ports: [{name: v, link: 'serial:///dev/ttyS0?baud=19200', device: iver, iver: {command_timeout_s: 2}}]"
+RECON = "ports: [{name: v, link: 'udp://10.0.0.2:23456', device: recon}]"
+DIALECTS: list[tuple[str, Callable[[], FakeController[Any]]]] = [
+    (IMC, FakeImc),
+    (BLUEFIN, FakeBluefin),
+    (IVER, FakeIver),
+    (RECON, FakeRecon),
+    (CAN, FakeCan),
+]
+each_dialect = pytest.mark.parametrize(("text", "make"), DIALECTS, ids=[make.__name__ for _, make in DIALECTS])
+
+
+class Wire:
+    """The vehicle's computer, at the other end of a wire in memory."""
+
+    def __init__(self, controller: FakeController[Any]) -> None:
+        self.note = ""
+        self.has_unsent = False
+        self.plugged = True
+        self.controller = controller
+        self._waiting: deque[Any] = deque()
+
+    def tick(self, now_s: float) -> None:
+        if self.plugged:
+            pose = NavSample(
+                time_s=1.7e9 + now_s,
+                latitude_deg=43.0,
+                longitude_deg=5.0,
+                heading_rad=1.0,
+                pitch_rad=0.0,
+                roll_rad=0.0,
+                depth_m=10.0,
+                altitude_m=6.0,
+                speed_mps=1.5,
+            )
+            self._waiting += self.controller.tick(pose, False, now_s)
+
+    def fileno(self) -> int:
+        return -1
+
+    def read(self) -> list[Any]:
+        if not self.plugged:
+            raise HardwareError("the wire was pulled; plug it in again")
+        items = list(self._waiting)
+        self._waiting.clear()
+        return items
+
+    def write(self, item: Any) -> bool:
+        self._waiting += self.controller.heard(item, SystemClock().monotonic_s())
+        return True
+
+    def flush(self) -> None: ...
+
+    def on_silence(self) -> str:
+        return "Look at the wire."
+
+    def close(self) -> None: ...
+
+
+class Bench:
+    """A source with a vehicle at its port, and what came of it."""
+
+    def __init__(self, text: str, controller: FakeController[Any]) -> None:
+        self.config: Config = config_of(VEHICLE + text)
+        self.wire = Wire(controller)
+        self.controller = controller
+        self.events: list[SourceEvent] = []
+        self.recorded: list[tuple[str, str, Stamp, bytes]] = []
+        self.source = PortSource(self.config, SystemClock(), self._open)
+        self.source.record_with(lambda *chunk: self.recorded.append(chunk))
+        assert self.source.vehicle is not None
+        self.vehicle = self.source.vehicle
+
+    def _open(self, port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[Any]:
+        async def open_port(counters: Counter[str]) -> Any:
+            if not self.wire.plugged:
+                raise HardwareError("there is no wire; plug one in")
+            self.controller.connected(clock.monotonic_s())
+            return self.wire
+
+        on_item = (lambda frame, stamp: on_bytes(pack_can(frame), stamp)) if port.is_bus else on_bytes
+        return Link(port.name, open_port, on_item, on_state, clock, 60.0)
+
+    def run(self, *steps: Callable[[], bool | None], after_events: tuple[Callable[[], bool | None], ...] = ()) -> None:
+        """Serve while each step in turn is done or, if it says False, waited for; then some more after `events` have ended."""
+
+        async def main() -> None:
+            serving = [asyncio.ensure_future(job) for job in (self.source.serve_vehicle(), self._tick())]
+            reading = asyncio.ensure_future(self._read())
+            await self._all(steps)
+            self.source.stop()
+            await asyncio.wait_for(reading, GENEROUS_S)
+            await self._all(after_events)
+            for task in serving:
+                task.cancel()
+            await asyncio.wait(serving)
+
+        asyncio.run(main())
+
+    async def _all(self, steps: tuple[Callable[[], bool | None], ...]) -> None:
+        for step in steps:
+            async with asyncio.timeout(GENEROUS_S):
+                while step() is False:
+                    await asyncio.sleep(0.005)
+
+    async def _tick(self) -> None:
+        while True:
+            self.wire.tick(SystemClock().monotonic_s())
+            await asyncio.sleep(0.05)
+
+    async def _read(self) -> None:
+        async for event in self.source.events():
+            self.events.append(event)
+
+    def is_heard(self) -> bool:
+        return self.vehicle.authority != "down"
+
+    def has_told(self, n_reports: int) -> Callable[[], bool]:
+        return lambda: self.controller.counters["vehicle.reports"] >= n_reports
+
+
+def contact(number: int, p_mine: float = 0.9) -> Contact:
+    return Contact(
+        id=f"C{number:05d}",
+        time_s=1.7e9,
+        latitude_deg=43.001,
+        longitude_deg=5.001,
+        covariance_m2=np.eye(2),
+        p_mine=p_mine,
+        classification="cylinder",
+        belief={"cylinder": 0.8, "unknown": 0.2},
+        length_m=2.0,
+        width_m=0.5,
+        height_m=NAN,
+        aspects_deg=(),
+        reasons=(),
+        views=(),
+    )
+
+
+def plan() -> tuple[Waypoint, ...]:
+    places = [("start", 43.0), ("leg_entry", 43.0005), ("leg_exit", 43.001)]
+    return tuple(
+        Waypoint(leg=1, kind=kind, latitude_deg=latitude_deg, longitude_deg=5.0, heading_rad=0.0, contact_id="C00001", why="")
+        for kind, latitude_deg in places
+    )
+
+
+@each_dialect
+def test_the_vehicle_is_heard_and_told_and_every_word_is_recorded(text: str, make: Callable[[], FakeController[Any]]) -> None:
+    bench = Bench(text, make())
+    assert isinstance(bench.source, LiveSource)
+
+    def hears_of_it() -> bool:
+        return any("the sonar is silent" in text for text in bench.controller.take_health())
+
+    bench.run(
+        bench.is_heard,
+        lambda: bench.vehicle.tell(contact(1)),
+        bench.has_told(1),
+        lambda: bench.vehicle.tell_health("fault", "the sonar is silent"),
+        hears_of_it,
+    )
+    (report,) = bench.controller.take_reports()
+    assert (report.number, report.revision) == (1, 1)
+    assert abs(report.session - SystemClock().utc_s()) < 60.0
+    ways = Counter(way for _, way, _, _ in bench.recorded)
+    assert ways["in"] > 0
+    assert ways["out"] == bench.source.counters()["port.v.messages_sent"] > 0
+    assert not [event for event in bench.events if isinstance(event, NavSample)]
+
+
+@each_dialect
+def test_where_the_vehicle_says_it_is_serves_as_navigation_if_that_is_wanted(text: str, make: Callable[[], FakeController[Any]]) -> None:
+    bench = Bench(text.replace("}]", WITH_NAVIGATION), make())
+    bench.run(lambda: any(isinstance(event, NavSample) and event.latitude_deg == event.latitude_deg for event in bench.events))
+    sample = next(event for event in bench.events if isinstance(event, NavSample) and event.latitude_deg == event.latitude_deg)
+    assert abs(sample.latitude_deg - 43.0) < 1e-6
+    assert abs(sample.longitude_deg - 5.0) < 1e-6
+
+
+@each_dialect
+def test_a_plan_is_flown_when_it_is_granted_and_control_goes_back_even_after_the_source_has_ended(
+    text: str, make: Callable[[], FakeController[Any]]
+) -> None:
+    bench = Bench(text, make())
+    bench.run(
+        bench.is_heard,
+        lambda: bench.vehicle.propose(plan()),
+        lambda: bench.vehicle.authority == "granted" and bench.controller.command is not None,
+        after_events=(
+            lambda: bench.vehicle.release("the service ends"),
+            lambda: not bench.controller.in_control,
+            lambda: bench.vehicle.propose(plan()),
+        ),
+    )
+    assert not bench.controller.in_control
+    assert bench.source.counters()["vehicle.granted"] == 1
+
+
+@each_dialect
+def test_a_vehicle_that_does_not_want_to_keeps_its_own_plan(text: str, make: Callable[[], FakeController[Any]]) -> None:
+    bench = Bench(text, make())
+    bench.controller.willing = False
+    bench.run(bench.is_heard, lambda: bench.vehicle.propose(plan()), lambda: bench.vehicle.authority in ("requested", "revoked"))
+    assert bench.controller.command is None
+
+
+def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_told_and_once_only() -> None:
+    bench = Bench(CAN, FakeCan())
+
+    def plug(there: bool) -> Callable[[], None]:
+        return lambda: setattr(bench.wire, "plugged", there)
+
+    bench.run(
+        bench.is_heard,
+        lambda: bench.vehicle.tell(contact(1)),
+        bench.has_told(1),
+        plug(False),
+        lambda: bench.vehicle.authority == "down",
+        lambda: bench.vehicle.tell(contact(2)),
+        plug(True),
+        bench.has_told(2),
+    )
+    assert [report.number for report in bench.controller.take_reports()] == [1, 2]
+    assert "port v is up" not in bench.source.faults()
+
+
+def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(self: Pilot[Any], contact: Contact) -> None:
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(Pilot, "tell", failing)
+    bench = Bench(IMC, FakeImc())
+    bench.run(
+        bench.is_heard,
+        lambda: bench.vehicle.propose(plan()),
+        lambda: bench.controller.in_control and bench.vehicle.authority == "granted",
+        lambda: bench.vehicle.tell(contact(1)),
+        lambda: not bench.controller.in_control and bench.vehicle.authority == "listening",
+        lambda: bench.vehicle.propose(plan()),
+    )
+    assert [notice.code for notice in bench.vehicle.take_notices()].count("vehicle_failed") == 1
+    assert bench.source.counters()["vehicle.failed"] == 1
+    assert not bench.controller.in_control
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            IMC.replace("tcp://10.0.0.2:6002", "slcan:///dev/ttyUSB0?bitrate=250000"),
+            "ports[0].link 'slcan:///dev/ttyUSB0?bitrate=250000': a device 'imc' cannot be there",
+        ),
+        (
+            CAN.replace("slcan:///dev/ttyUSB0?bitrate=250000", "udp://h:1"),
+            "a device 'vehicle_can' cannot be there; give it a slcan:// or socketcan:// link",
+        ),
+        (IMC.replace("imc: {acknowledges: true}", "bluefin: {}"), "a section 'bluefin' is for a device 'bluefin', and this one is a 'imc'"),
+        (IMC.replace("acknowledges: true", "source_id: 1"), ">= 24576 - at `ports[0].imc.source_id`"),
+        (IMC.replace("imc: {acknowledges: true}", "sonar: {}"), "a device 'imc' is no sonar"),
+        (
+            "vehicle: {fence_deg: [[43, 5], [43.01, 5.01], [43.01, 5], [43, 5.01]]}\n" + IMC,
+            "fence_deg is no area; give its corners in order",
+        ),
+    ],
+)
+def test_ports_of_vehicles_that_cannot_be_are_refused_with_the_key(text: str, message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        read_ports(config_of(text))
+    assert message in str(caught.value)
