@@ -93,6 +93,7 @@ _EARTH_RADIUS_M: Final = 6_371_000.0
 class _Pending(NamedTuple):
     """A report that waits for its answer."""
 
+    ticket: int
     contact: imc.MineContact
     due_s: float
     wait_s: float
@@ -128,7 +129,7 @@ class ImcDialect:
         self._position_deg = (NAN, NAN)
         self._health: PayloadHealth | None = None
         self._health_due_s = self._heartbeat_due_s = 0.0
-        self._pending: dict[int, _Pending] = {}
+        self._pending: dict[tuple[int, int, int], _Pending] = {}  # by session, number and revision
         self._outbox: list[ImcMessage] = []
 
     @property
@@ -201,8 +202,10 @@ class ImcDialect:
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
         self._outbox.append(target_of(report))
-        if self._settings.acknowledges:
-            self._pending[ticket] = _Pending(contact_of(report), now_s, _REPORT_AGAIN_S)
+        if not self._settings.acknowledges:
+            return
+        contact = contact_of(report)
+        self._pending[contact.session, contact.number, contact.revision] = _Pending(ticket, contact, now_s, _REPORT_AGAIN_S)
 
     def tell_health(self, health: PayloadHealth, now_s: float) -> None:
         self._health, self._health_due_s = health, now_s
@@ -260,10 +263,10 @@ class ImcDialect:
 
     def _due_reports(self, now_s: float) -> list[ImcMessage]:
         due: list[ImcMessage] = []
-        for ticket, (contact, due_s, wait_s) in self._pending.items():
+        for key, (ticket, contact, due_s, wait_s) in self._pending.items():
             if now_s >= due_s:
                 due.append(contact)
-                self._pending[ticket] = _Pending(contact, now_s + wait_s, min(2.0 * wait_s, _REPORT_SELDOM_S))
+                self._pending[key] = _Pending(ticket, contact, now_s + wait_s, min(2.0 * wait_s, _REPORT_SELDOM_S))
         return due
 
     def _idle(self) -> None:
@@ -290,7 +293,8 @@ class ImcDialect:
             self.counters["imc.refused.payload"] += 1
             return []
         if isinstance(message, imc.Abort):
-            return self._withheld(f"Abort from 0x{packet.source:04X}")  # whoever says it
+            self._idle()
+            return [Withheld(f"Abort from 0x{packet.source:04X}")]  # whoever says it, and whether or not we command
         if self._vehicle is None and _is_vehicle(message):
             self._vehicle = packet.source
         if packet.source != self._vehicle:
@@ -409,13 +413,10 @@ class ImcDialect:
         return [] if self._stage != "granted" or old_news else self._withheld(reason)
 
     def _report_answered(self, message: imc.MineContactTaken) -> list[VehicleEvent]:
-        told = (message.session, message.number, message.revision)
-        events: list[VehicleEvent] = []
-        for ticket, (contact, _, _) in list(self._pending.items()):
-            if (contact.session, contact.number, contact.revision) == told:
-                del self._pending[ticket]
-                events.append(Acknowledged(ticket) if message.taken else Rejected(ticket, message.reason))
-        return events
+        pending = self._pending.pop((message.session, message.number, message.revision), None)
+        if pending is None:
+            return []
+        return [Acknowledged(pending.ticket) if message.taken else Rejected(pending.ticket, message.reason)]
 
     def _overdue(self, now_s: float) -> list[VehicleEvent]:
         if self._unanswered_s is not None and now_s - self._unanswered_s > self._settings.control_timeout_s:

@@ -256,7 +256,9 @@ def test_control_that_is_taken_back(last: ImcMessage, reason: str) -> None:
 def test_an_abort_counts_whoever_says_it() -> None:
     talk = Talk()
     talk.take_over()
-    assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == [Withheld("Abort from 0x002F")]
+    withheld = [Withheld("Abort from 0x002F")]
+    assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == withheld
+    assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == withheld, "it is not to be asked for now either"
 
 
 def test_states_told_before_the_take_over_do_not_end_it() -> None:
@@ -451,6 +453,14 @@ def test_contacts_are_told_in_full_until_they_are_acknowledged() -> None:
     assert 4 <= len(again) <= 6, "less and less often"
     assert talk.hear(imc.MineContactTaken(77, 4, 1, 0, "too far")) == [Rejected(10, "too far")]
     assert talk.said_of(imc.MineContact, 60.0) == []
+
+
+def test_a_report_that_is_told_anew_is_answered_under_its_new_ticket() -> None:
+    talk = Talk()
+    talk.dialect.report(a_report(), 9, talk.now_s)
+    talk.dialect.report(a_report(), 10, talk.now_s)
+    assert len(talk.said_of(imc.MineContact)) == 1
+    assert talk.hear(imc.MineContactTaken(77, 3, 1, 1)) == [Acknowledged(10)]
 
 
 def test_a_new_connection_forgets_what_was_half_said() -> None:
