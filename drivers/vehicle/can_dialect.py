@@ -121,9 +121,9 @@ class CanDialect:
     def __init__(self, settings: CanSettings) -> None:
         self._address = settings.payload_address
         self._units = frozenset(settings.nmea2000_addresses)
-        self._receiver = CanReceiver(_NAME, "vehicle", settings.vehicle_address)
-        self._bus = N2kBus(_NAME)
         self._own: Counter[str] = Counter()
+        self._receiver = CanReceiver(_NAME, "vehicle", settings.vehicle_address, self._own)
+        self._bus = N2kBus(_NAME)
         self._health = PayloadHealth("starting", "")
         self._request_number = 0
         self._counter = 0
@@ -135,7 +135,7 @@ class CanDialect:
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self._receiver.counters + self._bus.counters
+        return self._own + self._bus.counters if self._units else self._own
 
     def connected(self, now_s: float) -> None:
         self._link = _Link()
@@ -218,7 +218,7 @@ class CanDialect:
             return []
         self._notice_silence(now_s)
         frames = self._status_frames(now_s)
-        if self._link.is_granted and self._link.command_frames:
+        if self._link.command_frames:  # there are none without a grant
             frames += self._link.command_frames
             self._own[f"{_NAME}.commands"] += 1
         self._link.command_frames = []

@@ -49,8 +49,8 @@ class CanReceiver:
     .value (out of range), .repeated (a part once more), .incomplete (transfers that did not become whole).
     """
 
-    def __init__(self, name: str, sender: Sender, address: int) -> None:
-        self.counters: Counter[str] = Counter()
+    def __init__(self, name: str, sender: Sender, address: int, counters: Counter[str]) -> None:
+        self.counters = counters
         self._name = name
         self._sender = sender
         self._address = address

@@ -154,7 +154,7 @@ class FakeCan:
         return answers + (self._status(now_s) if self._now.has_news else [])
 
     def _new_receiver(self) -> CanReceiver:
-        return CanReceiver("receiver", "payload", self._payload_address)
+        return CanReceiver("receiver", "payload", self._payload_address, Counter())
 
     def _n_nonsense(self) -> int:
         return sum(n for name, n in self._now.receiver.counters.items() if ".refused." in name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from itertools import count, pairwise
 
 import msgspec
@@ -76,7 +77,7 @@ class Bench:
 
     def __init__(self, can_settings: CanSettings | None = None) -> None:
         self.dialect = CanDialect(can_settings or CanSettings())
-        self._receiver = CanReceiver("vehicle", "payload", PAYLOAD)
+        self._receiver = CanReceiver("vehicle", "payload", PAYLOAD, Counter())
         self._counters = count(250)
         self._sequences = count()
         self.dialect.connected(0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def database() -> Any:
 @given(records(), st.integers(0, 255))
 def test_what_is_written_is_read_back(record: can.Record, sequence: int) -> None:
     message = can.BY_RECORD[type(record)]
-    receiver = CanReceiver("can", message.sender, ADDRESS[message.sender])
+    receiver = CanReceiver("can", message.sender, ADDRESS[message.sender], Counter())
     frames = sent(record, sequence)
     assert len(frames) == len(message.parts)
     assert all(frame.extended and len(frame.data) == can.FRAME_BYTES for frame in frames)
@@ -194,7 +195,7 @@ def test_values_out_of_range_are_refused(record: can.Record) -> None:
 
 def test_a_report_is_read_back() -> None:
     message = report_message(REPORT, 300)
-    receiver = CanReceiver("can", "payload", 96)
+    receiver = CanReceiver("can", "payload", 96, Counter())
     again = next(whole for frame in sent(message, 9) if (whole := receiver.add(frame, 0.0))).record
     assert isinstance(again, can.ReportMessage)
     assert again.ticket == 300
@@ -232,7 +233,7 @@ commands = st.builds(
 @given(commands)
 def test_commands_are_read_back_within_half_a_step_and_never_deeper(command: Command) -> None:
     frames = sent(command_message(command, 3.0, 1, 1))
-    receiver = CanReceiver("can", "payload", ADDRESS["payload"])
+    receiver = CanReceiver("can", "payload", ADDRESS["payload"], Counter())
     message = next(whole for frame in frames if (whole := receiver.add(frame, 0.0))).record
     assert isinstance(message, can.GoToMessage | can.SteerMessage)
     again = command_of(message)

@@ -38,7 +38,7 @@ def read(receiver: CanReceiver, frames: list[CanFrame], now_s: float = 0.0) -> l
 
 
 def payload_receiver() -> CanReceiver:
-    return CanReceiver("can", "payload", PAYLOAD)
+    return CanReceiver("can", "payload", PAYLOAD, Counter())
 
 
 def flipped(data: bytes, n_bits: int, random: np.random.Generator) -> bytes:
@@ -145,7 +145,7 @@ def test_halves_of_two_transfers_are_nothing_even_with_one_sequence_number(data:
 def test_a_transfer_that_takes_too_long_is_dropped() -> None:
     record = StateMessage(54.0, 1.0, 10.0, 1.5, 3.0, 0.0, 5.0, 0.0)
     first, *others = encode(record, VEHICLE, 1)
-    receiver = CanReceiver("can", "vehicle", VEHICLE)
+    receiver = CanReceiver("can", "vehicle", VEHICLE, Counter())
     assert read(receiver, [first], 10.0) == []
     assert read(receiver, others, 10.0 + TRANSFER_S + 0.01) == []
     assert receiver.counters["can.refused.incomplete"] == 1
@@ -154,7 +154,7 @@ def test_a_transfer_that_takes_too_long_is_dropped() -> None:
 
 @given(records(OF_VEHICLE))
 def test_frames_of_others_are_counted_and_left_alone(record: Record) -> None:
-    receiver = CanReceiver("can", "vehicle", VEHICLE)
+    receiver = CanReceiver("can", "vehicle", VEHICLE, Counter())
     frames = encode(record, VEHICLE)
     foreign = [frame._replace(can_id=frame.can_id ^ 1) for frame in frames]
     short = [frame._replace(can_id=frame.can_id & 0x7FF, extended=False) for frame in frames]
@@ -170,7 +170,7 @@ def test_frames_of_others_are_counted_and_left_alone(record: Record) -> None:
     st.floats(0.0, 1.0),
 )
 def test_no_frames_raise_or_are_believed(frames: list[tuple[Message, int, bytes, bool]], step_s: float) -> None:
-    receiver = CanReceiver("can", "vehicle", VEHICLE)
+    receiver = CanReceiver("can", "vehicle", VEHICLE, Counter())
     status = VehicleStatus(2, 0, 1, 1, 4, 200)
     for number, (message, address, data, extended) in enumerate(frames):
         receiver.add(CanFrame(can_id_of(message, address), data, extended), step_s * number)
@@ -182,6 +182,6 @@ def test_no_frames_raise_or_are_believed(frames: list[tuple[Message, int, bytes,
 def test_a_value_out_of_range_is_refused_though_its_checksum_is_right() -> None:
     content = bytes((len(GRANTS), 0, 1, 0, 0, 0))
     frame = encode(VehicleStatus(0, 0, 1, 0, 0, 0), VEHICLE)[0]._replace(data=content + crc16(0x81, VEHICLE, content).to_bytes(2, "little"))
-    receiver = CanReceiver("can", "vehicle", VEHICLE)
+    receiver = CanReceiver("can", "vehicle", VEHICLE, Counter())
     assert read(receiver, [frame]) == []
     assert receiver.counters == {"can.refused.value": 1}

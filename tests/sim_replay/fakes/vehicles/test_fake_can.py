@@ -232,6 +232,20 @@ def test_commands_without_control_are_refused() -> None:
     assert vehicle.counters["vehicle.commands_refused"] == 1
 
 
+def test_a_command_of_an_earlier_grant_is_refused() -> None:
+    loop = Loop()
+    loop.take_control()
+    loop.dialect.command(PLACE, loop.now_s)
+    late = loop.dialect.take_outgoing(loop.now_s)
+    loop.dialect.release("", loop.now_s)
+    loop.run(1.0)
+    loop.take_control()
+    for frame in late:
+        loop.vehicle.heard(frame, loop.now_s)
+    assert loop.vehicle.command is None
+    assert loop.vehicle.counters["vehicle.commands_refused"] == 1
+
+
 def test_a_command_that_leaves_something_open_is_refused_and_ends_control() -> None:
     loop = Loop()
     loop.take_control()
