@@ -1,5 +1,7 @@
 """A fake device as a process of its own: python -m sim_replay.fakes JOB.yaml
 
+A JOB with `devices` is a vehicle with all that is aboard; each of its lines then names the device.
+
 It says what happens in lines of JSON on standard output, first `ready` with the address of its wire. It begins at the instant that a line
 `start SECONDS` on standard input names (of the monotonic clock, which all processes share), or at once with --now. It ends, leaving no port
 behind, when standard input ends, on SIGTERM or SIGINT, and with --now when its mission is over.
@@ -20,15 +22,18 @@ from typing import Any, Final
 
 from auv_mcm.errors import AuvMcmError, UsageError
 from sim_replay.fakes.device import FakeDevice
-from sim_replay.fakes.feed import mission_events, time_line
-from sim_replay.fakes.job import read_job
+from sim_replay.fakes.feed import mission_events, read_ahead, time_line
+from sim_replay.fakes.job import VehicleJob, read_job
+from sim_replay.fakes.vehicle_device import FakeVehicle
 
 _SETTLE_S: Final = 0.3  # for the host to open the port
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m sim_replay.fakes", description="Play a mission as one device on a port.")
-    parser.add_argument("job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, speed, seed")
+    parser.add_argument(
+        "job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, ...; or devices, folder, scene, ..."
+    )
     parser.add_argument("--now", action="store_true", help="begin at once instead of when told on standard input")
     arguments = parser.parse_args()
     failed: list[BaseException] = []
@@ -53,25 +58,28 @@ def _leaves(error: BaseException) -> Iterator[BaseException]:
 
 async def _serve(path: Path, now: bool) -> None:
     job = read_job(path)
-    log = None if job.log is None else Path(job.log)
-    device = FakeDevice(job, time_line(mission_events(log, job.scene), job.speed), _report)
+    device: FakeDevice | FakeVehicle
+    if isinstance(job, VehicleJob):
+        device = FakeVehicle(job, lambda name, what, details: _report(what, {"device": name, **details}))
+    else:
+        log = None if job.log is None else Path(job.log)
+        device = FakeDevice(job, read_ahead(time_line(mission_events(log, job.scene), job.speed)), _report)
     serving = asyncio.ensure_future(_played_now(device) if now else _played_as_told(device))
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
     try:
         await serving
     finally:
-        await device.wire.close()
-        _report("counters", dict(device.counters))
+        await device.end()
 
 
-async def _played_now(device: FakeDevice) -> None:
+async def _played_now(device: FakeDevice | FakeVehicle) -> None:
     start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
     start.set_result(time.monotonic() + _SETTLE_S)
     await device.run(start)
 
 
-async def _played_as_told(device: FakeDevice) -> None:
+async def _played_as_told(device: FakeDevice | FakeVehicle) -> None:
     """Until standard input ends, even if the mission ends before."""
     commands = asyncio.StreamReader()
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(commands), sys.stdin)

@@ -6,51 +6,67 @@ import asyncio
 import math
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator
-from itertools import islice
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from msgspec import structs
 
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import NavSample, Ping
+from drivers.links.can_frame import CanFrame
+from sim_replay.fakes.controller import Report, ReportingController
 from sim_replay.fakes.feed import Fed
-from sim_replay.fakes.job import ClockStep, Damage, Fault, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
+from sim_replay.fakes.job import (
+    ClockStep,
+    Damage,
+    Fault,
+    Freeze,
+    Garbage,
+    Job,
+    Nonsense,
+    Offset,
+    PowerOff,
+    Revoke,
+    Stall,
+    Unplug,
+    WrongBaud,
+)
 from sim_replay.fakes.navigation import NAVIGATION_UNITS, FakeNavigation, Message
 from sim_replay.fakes.sonar import DeviceTime, FakeSonar, JsfSonar, PingProtocolSonar, SportScanSonar
-from sim_replay.fakes.wires import Weather, Wire, make_wire
+from sim_replay.fakes.wires import Weather, Wire, make_wire, opened
 
-Report = Callable[[str, dict[str, Any]], None]
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
 
 _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
-_BATCH: Final = 16  # events read at once off the event loop
+_LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
 _GARBAGE_BYTES: Final = 256
 
 
 class FakeDevice:
-    """One device of one run. report(what, details): what happens to it, as it happens.
+    """One device of one run. events: its mission; a sonar plays its pings, every other device its navigation samples. controller: of a
+    vehicle, to which each sample is a tick. report(what, details): what happens to it, as it happens.
 
     Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and `mended` (do),
     `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters: device.messages, .skipped (events
     left out, since wire or computer were busy), .latest_ms (the latest that an event was through, after it was due), and those of the
-    wire and its damage.
+    wire, its damage and the controller.
     """
 
-    def __init__(self, job: Job, events: Iterator[Fed], report: Report) -> None:
+    def __init__(self, job: Job, events: AsyncIterator[Fed], report: Report, controller: ReportingController | None = None) -> None:
         self._job = job
         self._events = events
         self._report = report
         self._own: Counter[str] = Counter()
         self._weather = Weather(job.seed)
         self._random = np.random.Generator(np.random.PCG64(job.seed))
-        kind = job.device.device
+        kind, unit = job.device.device, job.device.beside or job.device.device
         self._sonar: FakeSonar | None = SONARS[kind]() if kind in SONARS else None
-        self._navigation: FakeNavigation | None = NAVIGATION_UNITS[kind]() if kind in NAVIGATION_UNITS else None
-        on_bytes = None if self._sonar is None else self._hear
-        self.wire: Wire = make_wire(job.device, Path(job.folder) / job.name, self._weather, on_bytes)
+        self._navigation: FakeNavigation | None = NAVIGATION_UNITS[unit]() if unit in NAVIGATION_UNITS else None
+        self._controller = controller
+        hear: Callable[[Message], None] | None = None if self._sonar is None and controller is None else self._hear
+        self.wire: Wire = make_wire(job.device, Path(job.folder) / job.name, self._weather, hear)
         self._power_up_s = self._start_s = time.monotonic()
         self._stepped_s = 0.0
         self._has_power = True
@@ -61,7 +77,13 @@ class FakeDevice:
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self.wire.counters + self._weather.counters
+        controller = Counter[str]() if self._controller is None else self._controller.counters
+        return self._own + self.wire.counters + self._weather.counters + controller
+
+    async def end(self) -> None:
+        """Be gone for good, and report the counters."""
+        await self.wire.close()
+        self._report("counters", dict(self.counters))
 
     async def run(self, start: Awaitable[float]) -> None:
         """Be there for the host, and play the mission from the instant of the monotonic clock that `start` gives.
@@ -71,19 +93,23 @@ class FakeDevice:
         async with asyncio.TaskGroup() as tasks:
             self._tasks = tasks
             await self.wire.start()
-            reading = self._read_on()
             self._report("ready", {"uri": self.wire.uri})
             self._start_s = await start
             for fault in self._job.device.faults:
                 tasks.create_task(self._fail(fault, tasks))
-            while batch := await reading:
-                reading = self._read_on()
-                for fed in batch:
-                    await self._play(fed)
+            welcoming = tasks.create_task(self._welcome())
+            async for fed in self._events:
+                await self._play(fed)
+            welcoming.cancel()
             self._report("done", {})
 
-    def _read_on(self) -> asyncio.Future[list[Fed]]:
-        return asyncio.ensure_future(asyncio.to_thread(lambda: list(islice(self._events, _BATCH))))
+    async def _welcome(self) -> None:
+        """Tell the controller of every host that opens the wire."""
+        while self._controller is not None:
+            await opened(self.wire)
+            self._controller.connected(time.monotonic())
+            while self.wire.is_open:
+                await asyncio.sleep(_LOOK_S)
 
     async def _play(self, fed: Fed) -> None:
         event = fed.event
@@ -102,43 +128,59 @@ class FakeDevice:
             self._own["device.messages"] += 1
         self._own["device.latest_ms"] = max(self._own["device.latest_ms"], round(1e3 * (self._elapsed_s() - due_s)))
 
-    def _messages(self, event: Ping | NavSample, at_s: float) -> list[bytes] | list[Message]:
+    def _messages(self, event: Ping | NavSample, at_s: float) -> Sequence[Message]:
         if isinstance(event, Ping):
             assert self._sonar is not None
             return self._sonar.ping(event, self._time(self._start_s + at_s))
-        assert self._navigation is not None
         if not self._freeze or self._told is None:
             self._told = _wrong_by(event, self._offset)
-        return self._navigation.measured(self._told, self._time(self._start_s + self._told.time_s).utc_s)
+        messages: list[Message] = []
+        utc_s = self._time(self._start_s + self._told.time_s).utc_s
+        if self._navigation is not None:
+            messages += self._navigation.measured(self._told, utc_s)
+        if self._controller is not None:
+            messages += self._controller.tick(structs.replace(self._told, time_s=utc_s), time.monotonic())
+        return messages
 
-    def _hear(self, data: bytes) -> None:
+    def _hear(self, data: Message) -> None:
         """What the host writes; answers go out as soon as the wire is free."""
-        sonar = self._sonar
-        if sonar is None or self._tasks is None or not self._has_power:
+        if self._tasks is None or not self._has_power:
             return
-        before = sonar.settings
-        answers = sonar.heard(data, self._time(time.monotonic()))
-        if sonar.settings != before:
-            self._report("settings", {"told": sonar.settings})
-        for answer in answers:
+        for answer in self._answers(data):
             self._tasks.create_task(self.wire.send(answer))
+
+    def _answers(self, data: Message) -> Sequence[Message]:
+        if self._controller is not None:
+            return self._controller.heard(data, time.monotonic())
+        assert self._sonar is not None
+        assert not isinstance(data, CanFrame)
+        before = self._sonar.settings
+        answers = self._sonar.heard(data, self._time(time.monotonic()))
+        if self._sonar.settings != before:
+            self._report("settings", {"told": self._sonar.settings})
+        return answers
 
     async def _fail(self, fault: Fault, tasks: asyncio.TaskGroup) -> None:
         do = str(fault.__struct_config__.tag)
-        await self._sleep_until(fault.at_s)
+        at_s = fault.at_s
+        if fault.after == "grant":
+            assert self._controller is not None
+            await self._controller.granted_once.wait()
+            at_s += self._elapsed_s()
+        await self._sleep_until(at_s)
         self._report("fault", {"do": do})
         garbage = tasks.create_task(self._send_garbage()) if isinstance(fault, Garbage) else None
         await self._set(fault, on=True)
         if fault.for_s is None:
             return
-        await self._sleep_until(fault.at_s + fault.for_s)
+        await self._sleep_until(at_s + fault.for_s)
         if garbage is not None:
             garbage.cancel()
         await self._set(fault, on=False)
         mended_s = time.monotonic()
         self._report("mended", {"do": do})
         if isinstance(fault, Unplug | PowerOff):
-            await self.wire.opened()
+            await opened(self.wire)
             self._report("reopened", {"after_s": round(time.monotonic() - mended_s, 4)})
 
     async def _set(self, fault: Fault, *, on: bool) -> None:
@@ -151,6 +193,8 @@ class FakeDevice:
                     self._power_up_s = time.monotonic()
                     if self._sonar is not None:
                         self._sonar.power_up()
+                    if self._controller is not None:
+                        self._controller.power_up(time.monotonic())
                 await self.wire.set_plugged(not on)
             case Stall():
                 self.wire.set_stalled(on)
@@ -164,6 +208,12 @@ class FakeDevice:
                 self._freeze = on
             case Offset():
                 self._offset = fault if on else Offset(at_s=0.0)
+            case Revoke():
+                assert self._controller is not None
+                self._controller.set_willing(not on, time.monotonic())
+            case Nonsense():
+                assert self._controller is not None
+                self._controller.is_talking_nonsense = on
 
     async def _send_garbage(self) -> None:
         while True:

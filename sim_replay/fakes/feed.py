@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator
+from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from msgspec import structs
 
@@ -16,6 +18,8 @@ from sim_replay.recorded import RecordedMission
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.recording import complete
 from sim_replay.simulator.scene_file import read_scene
+
+_BATCH: Final = 16  # events read at once off the event loop
 
 
 class Fed(NamedTuple):
@@ -59,3 +63,16 @@ def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[Fed]:
             yield Fed(last_s, structs.replace(event, time_s=last_s, speed_mps=event.speed_mps * speed))
         else:
             yield Fed(last_s, structs.replace(event, time_s=last_s))
+
+
+async def read_ahead(events: Iterator[Fed]) -> AsyncIterator[Fed]:
+    """The same, read off the event loop while those before are played."""
+
+    def read_on() -> asyncio.Future[list[Fed]]:
+        return asyncio.ensure_future(asyncio.to_thread(lambda: list(islice(events, _BATCH))))
+
+    reading = read_on()
+    while batch := await reading:
+        reading = read_on()
+        for fed in batch:
+            yield fed

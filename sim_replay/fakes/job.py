@@ -11,12 +11,14 @@ from msgspec import Meta
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName, SonarName
 from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleName
 from drivers.links.uri import BAUD_RATES, CAN_BITRATES
 from sim_replay.fakes.faults import FaultRates
 
 Seconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=3600.0)]
+DeviceName: TypeAlias = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 LinkKind: TypeAlias = Literal["serial", "slcan", "tcp", "udp"]
-CAN_DEVICES: Final = ("nmea2000",)
+CAN_DEVICES: Final = ("nmea2000", "vehicle_can")
 
 
 class _Told(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -24,9 +26,11 @@ class _Told(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class _Fault(_Told, frozen=True, kw_only=True, tag_field="do"):
-    """at_s: after the run's start. for_s: how long, empty for until the end; times are real ones, whatever the mission's speed."""
+    """at_s: after the run's start, or, of a vehicle, after the first time that it granted control. for_s: how long, empty for until the
+    end; times are real ones, whatever the mission's speed."""
 
     at_s: Seconds
+    after: Literal["start", "grant"] = "start"
     for_s: Annotated[float, Meta(gt=0.0, le=3600.0)] | None = None
 
 
@@ -76,14 +80,26 @@ class Offset(_Fault, frozen=True, kw_only=True, tag="offset"):
     heading_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0
 
 
-Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset
+class Revoke(_Fault, frozen=True, kw_only=True, tag="revoke"):
+    """Vehicles only: control is taken back, and not given again before the fault ends."""
+
+
+class Nonsense(_Fault, frozen=True, kw_only=True, tag="nonsense"):
+    """Vehicles only: whatever is said is said once more, cut short or with something in it changed."""
+
+
+Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense
 
 
 class Device(_Told, frozen=True, kw_only=True):
-    """A device at the end of a wire. baud: its own rate; host_baud: what the host believes, if that is another. silent_s: of the link."""
+    """A device at the end of a wire. baud: its own rate; host_baud: what the host believes, if that is another. silent_s: of the link.
 
-    device: SonarName | NavUnitName
+    beside: a navigation unit of a vehicle on the same wire as its controller.
+    """
+
+    device: SonarName | NavUnitName | VehicleName
     link: LinkKind = "serial"
+    beside: NavUnitName | None = None
     baud: int = 115_200
     host_baud: int | None = None
     bus_bitrate: int = 250_000
@@ -103,18 +119,26 @@ class Device(_Told, frozen=True, kw_only=True):
         for fault in self.faults:
             if isinstance(fault, WrongBaud) and not serial:
                 raise ValueError(f"a link '{self.link}' has no baud rate that could be wrong")
-            if isinstance(fault, Freeze | Offset) and self.is_sonar:
+            if isinstance(fault, Freeze | Offset) and (self.is_sonar or self.is_vehicle):
                 raise ValueError(f"a device '{self.device}' is no navigation unit: freeze and offset are for those")
+            if not self.is_vehicle and (isinstance(fault, Revoke | Nonsense) or fault.after == "grant"):
+                raise ValueError(f"a device '{self.device}' is no vehicle: revoke, nonsense and 'after: grant' are for those")
+        if self.beside is not None and (not self.is_vehicle or (self.beside in CAN_DEVICES) != (self.link == "slcan")):
+            raise ValueError(f"a unit '{self.beside}' cannot share the wire of a device '{self.device}' on a link '{self.link}'")
 
     @property
     def is_sonar(self) -> bool:
         return self.device in SONAR_NAMES
 
+    @property
+    def is_vehicle(self) -> bool:
+        return self.device in VEHICLE_NAMES
+
 
 class Job(_Told, frozen=True, kw_only=True):
     """One device of one run. folder: where its port appears; log or scene: the mission; speed: times real time."""
 
-    name: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+    name: DeviceName
     device: Device
     folder: str
     log: str | None = None
@@ -123,10 +147,23 @@ class Job(_Told, frozen=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
 
 
-def read_job(path: Path) -> Job:
-    """A job from a YAML file. Raises UsageError with the key's path for anything that is not understood."""
+class VehicleJob(_Told, frozen=True, kw_only=True):
+    """A vehicle of one run, with all that is aboard, in the world of a scene; one of the devices is its controller."""
+
+    devices: dict[DeviceName, Device]
+    folder: str
+    scene: str
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
+
+    def __post_init__(self) -> None:
+        if (n_vehicles := sum(device.is_vehicle for device in self.devices.values())) != 1:
+            raise ValueError(f"`devices` has {n_vehicles} controllers of vehicles: a vehicle has one, one of {', '.join(VEHICLE_NAMES)}")
+
+
+def read_job(path: Path) -> Job | VehicleJob:
+    """A job from a YAML file: a vehicle's if it names `devices`. Raises UsageError with the key's path for what is not understood."""
     data = load_mapping(read_text(path, "job of a fake device"), str(path), "expected keys such as 'name:' and 'device:'")
     try:
-        return msgspec.convert(data, Job)
+        return msgspec.convert(data, VehicleJob) if "devices" in data else msgspec.convert(data, Job)
     except msgspec.ValidationError as error:
         raise UsageError(f"{path}: {keyed(error)}") from error

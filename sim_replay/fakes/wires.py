@@ -18,7 +18,7 @@ from sim_replay.fakes.net import FakeTcpServer, FakeUdpDevice
 from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
 
-OnBytes: TypeAlias = Callable[[bytes], None]
+Heard: TypeAlias = Callable[[bytes | CanFrame], None]
 _LOOK_S: Final = 0.002
 _NETWORK_BYTES_PER_S: Final = 1e6
 
@@ -49,6 +49,11 @@ class Wire(Protocol):
     @property
     def counters(self) -> Counter[str]: ...
 
+    @property
+    def is_open(self) -> bool:
+        """Whether a host has opened the wire since it was there. Of datagrams nobody can tell; they are taken for heard."""
+        ...
+
     async def start(self) -> None:
         """Appear, for the host to open."""
         ...
@@ -69,10 +74,6 @@ class Wire(Protocol):
         """Of the device; None: the right one."""
         ...
 
-    async def opened(self) -> None:
-        """Returns as soon as the host has opened the wire after it came back."""
-        ...
-
     async def close(self) -> None:
         """Be gone for good."""
         ...
@@ -81,14 +82,18 @@ class Wire(Protocol):
 class SerialWire:
     """A pseudo-terminal."""
 
-    def __init__(self, device: Device, path: Path, weather: Weather, on_bytes: OnBytes | None) -> None:
-        self.port = FakePort(path, device.baud, weather, on_bytes)
+    def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
+        self.port = FakePort(path, device.baud, weather, hear)
         self.uri = f"serial://{path}?baud={device.host_baud or device.baud}{_silence(device, '&')}"
         self._baud = device.baud
 
     @property
     def counters(self) -> Counter[str]:
         return self.port.counters
+
+    @property
+    def is_open(self) -> bool:
+        return self.port.plugged and _is_opened(self.port.path)
 
     async def start(self) -> None:
         self.port.plug()
@@ -115,18 +120,14 @@ class SerialWire:
     async def close(self) -> None:
         self.port.unplug()
 
-    async def opened(self) -> None:
-        while not self.port.plugged or not _is_opened(self.port.path):
-            await asyncio.sleep(_LOOK_S)
-
 
 class SlcanWire(SerialWire):
-    """A CAN adapter at a pseudo-terminal, and the bus behind it. A device on a bus does not hear the host."""
+    """A CAN adapter at a pseudo-terminal, and the bus behind it."""
 
-    def __init__(self, device: Device, path: Path, weather: Weather) -> None:
+    def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
         super().__init__(device, path, weather, None)
         self.uri = f"slcan://{path}?bitrate={device.bus_bitrate}&baud={device.host_baud or device.baud}{_silence(device, '&')}"
-        self._adapter = FakeSlcanAdapter(self.port, device.bus_bitrate)
+        self._adapter = FakeSlcanAdapter(self.port, device.bus_bitrate, hear)
 
     @property
     def counters(self) -> Counter[str]:
@@ -145,8 +146,8 @@ class SlcanWire(SerialWire):
 class TcpWire:
     """A TCP server; without power it refuses connections."""
 
-    def __init__(self, device: Device, weather: Weather, on_bytes: OnBytes | None) -> None:
-        self._server = FakeTcpServer(weather, on_bytes)
+    def __init__(self, device: Device, weather: Weather, hear: Heard | None) -> None:
+        self._server = FakeTcpServer(weather, hear)
         self._silence = _silence(device, "?")
 
     @property
@@ -156,6 +157,10 @@ class TcpWire:
     @property
     def counters(self) -> Counter[str]:
         return self._server.counters
+
+    @property
+    def is_open(self) -> bool:
+        return self._server.n_clients > 0
 
     async def start(self) -> None:
         await self._server.start()
@@ -183,22 +188,22 @@ class TcpWire:
     async def close(self) -> None:
         await self._server.stop()
 
-    async def opened(self) -> None:
-        while not self._server.n_clients:
-            await asyncio.sleep(_LOOK_S)
-
 
 class UdpWire:
     """Datagrams to a port of this computer that was free when the wire was made."""
 
-    def __init__(self, device: Device, weather: Weather, on_bytes: OnBytes | None) -> None:
-        self._device = FakeUdpDevice(weather, on_bytes)
+    def __init__(self, device: Device, weather: Weather, hear: Heard | None) -> None:
+        self._device = FakeUdpDevice(weather, hear)
         self._host_port = _free_udp_port()
         self.uri = f"udp://127.0.0.1:{self._host_port}?peer=127.0.0.1:{self._device.port}{_silence(device, '&')}"
 
     @property
     def counters(self) -> Counter[str]:
         return self._device.counters
+
+    @property
+    def is_open(self) -> bool:
+        return True
 
     async def start(self) -> None:
         """A sender of datagrams is there from the beginning."""
@@ -224,21 +229,24 @@ class UdpWire:
     async def close(self) -> None:
         self._device.close()
 
-    async def opened(self) -> None:
-        """Nobody is told when a socket is opened; what can be said is that datagrams go out again."""
+
+async def opened(wire: Wire) -> None:
+    """Returns as soon as a host has opened the wire."""
+    while not wire.is_open:
+        await asyncio.sleep(_LOOK_S)
 
 
-def make_wire(device: Device, path: Path, weather: Weather, on_bytes: OnBytes | None) -> Wire:
-    """The wire of a device; path: where a serial port appears. on_bytes: what the host writes, None if nobody listens."""
+def make_wire(device: Device, path: Path, weather: Weather, hear: Heard | None) -> Wire:
+    """The wire of a device; path: where a serial port appears. hear: takes what the host writes."""
     match device.link:
         case "serial":
-            return SerialWire(device, path, weather, on_bytes)
+            return SerialWire(device, path, weather, hear)
         case "slcan":
-            return SlcanWire(device, path, weather)
+            return SlcanWire(device, path, weather, hear)
         case "tcp":
-            return TcpWire(device, weather, on_bytes)
+            return TcpWire(device, weather, hear)
         case "udp":
-            return UdpWire(device, weather, on_bytes)
+            return UdpWire(device, weather, hear)
 
 
 def _is_opened(path: Path) -> bool:

@@ -14,9 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan import dubins
 from drivers.vehicle.seam import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import Leg
@@ -31,13 +33,16 @@ _TICK_S: Final = 0.05
 _TURN_LAG_S: Final = 0.4
 _SPEED_LAG_S: Final = 1.5
 _DEPTH_LAG_S: Final = 1.0
-_LOOK_AHEAD_RADII: Final = 0.7  # of the line of sight along a leg
-_RUN_IN_RADII: Final = 3.5  # ahead of where a leg is taken up
-_AT_RUN_IN_RADII: Final = 0.5
+_LOOK_AHEAD_RADII: Final = 0.5  # of the line of sight along a leg
+_WIDE: Final = 1.2  # of the narrowest turn are those on the way back to a leg
+_RUN_IN_RADII: Final = 2.0  # straight before a leg is taken up
+_STEP_M: Final = 0.2
+_ARC_STEP_RAD: Final = math.radians(10.0)
 _ON_LINE_M: Final = 0.5
 _STREAM: Final = 0x53544545  # keeps these random numbers apart from others of the same seed
 
 _Plane: TypeAlias = tuple[float, float]
+Floats: TypeAlias = NDArray[np.float64]
 
 
 class _Wanted(NamedTuple):
@@ -46,6 +51,17 @@ class _Wanted(NamedTuple):
     heading_rad: float
     speed_mps: float
     vertical: Vertical
+
+
+class _Way(NamedTuple):
+    """Through places, joined by straight lines; all (n,), from its start."""
+
+    gone_m: Floats
+    east_m: Floats
+    north_m: Floats
+
+    def at(self, gone_m: float) -> _Plane:
+        return float(np.interp(gone_m, self.gone_m, self.east_m)), float(np.interp(gone_m, self.gone_m, self.north_m))
 
 
 class SteeredVehicle:
@@ -91,6 +107,8 @@ class SteeredVehicle:
         self._leg = 0
         self._way_m = 0.0  # of the leg, had
         self._on_leg = True
+        self._back: _Way | None = None  # to the leg
+        self._gone_m = 0.0  # on it
         self._command: Command | None = None
         self._place: _Plane = (0.0, 0.0)  # of a GoTo
         self._held_rad: float | None = None  # the course kept at the place of a GoTo
@@ -113,15 +131,16 @@ class SteeredVehicle:
 
     @property
     def turn_radius_m(self) -> float:
-        """The widest over ground at the present speed: with the current from astern."""
-        return (self._speed_mps + self._current_mps) ** 2 / (self._speed_mps * self._turn_rate)
+        """The widest over ground at the planned speed, or the present one if that is higher: with the current from astern."""
+        speed_mps = max(self._speed_mps, self._track.speed_mps)
+        return (speed_mps + self._current_mps) ** 2 / (speed_mps * self._turn_rate)
 
     def steer(self, command: Command | None) -> None:
         """What to fly from the next pose on; None: its own plan. To give the same again changes nothing."""
         if command == self._command:
             return
-        if command is not None and self._command is None:
-            self._on_leg = False
+        if command is not None:
+            self._on_leg, self._back = False, None
         self._command = command
         self._held_rad = None
         if isinstance(command, GoTo):
@@ -173,6 +192,10 @@ class SteeredVehicle:
                 return _Wanted(self._heading_to(self._place), command.speed_mps, command.vertical)
         return _Wanted(self._own_heading(), self._track.speed_mps, self._own_altitude)
 
+    @property
+    def _look_ahead_m(self) -> float:
+        return _LOOK_AHEAD_RADII * self.turn_radius_m
+
     def _own_heading(self) -> float:
         if not self.done and self._on_leg:
             along_m, across_m = self.legs[self._leg].along_across(self._east_m, self._north_m)
@@ -184,18 +207,31 @@ class SteeredVehicle:
                 self._leg, self._way_m, self._on_leg = self._leg + 1, 0.0, False
         if self.done:
             return self._heading_rad + 0.5 * self._turn_rate * _TURN_LAG_S
-        leg, radius_m = self.legs[self._leg], self.turn_radius_m
-        along_m, across_m = leg.along_across(self._east_m, self._north_m)
-        run_in_m = self._way_m - _RUN_IN_RADII * radius_m
+        leg = self.legs[self._leg]
         if not self._on_leg:
-            near = math.hypot(along_m - run_in_m, across_m) < _AT_RUN_IN_RADII * radius_m
-            off_rad = math.remainder(self._heading_rad - leg.direction_rad, 2.0 * math.pi)
-            straight_ahead = run_in_m <= along_m <= self._way_m and abs(across_m) < _ON_LINE_M and abs(off_rad) < 0.5
-            self._on_leg = near or straight_ahead
-        if not self._on_leg:
-            return self._heading_to(leg.at(run_in_m, 0.0))
-        sight_rad = math.atan2(-across_m, _LOOK_AHEAD_RADII * radius_m)
-        return self._against_current(leg.direction_rad + sight_rad)
+            self._back = self._back or self._way_to(leg)
+            here = self._east_m, self._north_m
+            while self._gone_m < self._back.gone_m[-1] and math.dist(here, self._back.at(self._gone_m)) < self._look_ahead_m:
+                self._gone_m += _STEP_M
+            self._on_leg = self._gone_m >= self._back.gone_m[-1]
+        if not self._on_leg and self._back is not None:
+            east_m, north_m = self._back.at(self._gone_m)
+            bearing_rad = math.atan2(east_m - self._east_m, north_m - self._north_m)
+            if math.cos(bearing_rad - math.atan2(*self._velocity(self._heading_rad))) < 0.0:
+                self._back = None  # it came off the way, which begins anew from here
+            return self._against_current(bearing_rad)
+        self._back = None
+        _, across_m = leg.along_across(self._east_m, self._north_m)
+        return self._against_current(leg.direction_rad + math.atan2(-across_m, self._look_ahead_m))
+
+    def _way_to(self, leg: Leg) -> _Way:
+        """The shortest way to where the leg was left that ends along it (L. E. Dubins, 1957)."""
+        self._gone_m = 0.0
+        course_rad = math.atan2(*self._velocity(self._heading_rad))
+        entry = dubins.Pose(*leg.at(self._way_m - _RUN_IN_RADII * self.turn_radius_m, 0.0), leg.direction_rad)
+        path = dubins.dubins_path(dubins.Pose(self._east_m, self._north_m, course_rad), entry, _WIDE * self.turn_radius_m)
+        east, north = np.vstack([dubins.sample_path(path, _ARC_STEP_RAD)[:, :2], leg.at(self._way_m, 0.0)]).T
+        return _Way(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))]), east, north)
 
     def _heading_to(self, place: _Plane) -> float:
         """Towards a place; straight on while it lies within the circle that the vehicle would turn on."""

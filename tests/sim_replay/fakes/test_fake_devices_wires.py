@@ -30,7 +30,7 @@ from drivers.sonar.seam import SonarFrame, SonarSettings
 from drivers.stamps import Stamp
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.faults import FaultRates
-from sim_replay.fakes.feed import Fed
+from sim_replay.fakes.feed import Fed, read_ahead
 from sim_replay.fakes.job import ClockStep, Damage, Device, Fault, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
 
 N_PINGS = 20
@@ -54,7 +54,7 @@ class Bench:
         self.reports: list[tuple[str, dict[str, Any]]] = []
         self.told: list[Any] = []
         job = Job(name="unit", device=device, folder=str(folder), seed=5)
-        self.device = FakeDevice(job, mission(n_pings), lambda what, details: self.reports.append((what, details)))
+        self.device = FakeDevice(job, read_ahead(mission(n_pings)), lambda what, details: self.reports.append((what, details)))
         self._kind = device
         self._bus = N2kBus("unit")
         self._decoder: Any = None

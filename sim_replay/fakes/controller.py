@@ -1,0 +1,135 @@
+"""The controller of a fake vehicle at its wire: what it is told and does is reported, and what it says can be spoilt."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.records import NavSample
+from drivers.links.can_frame import CanFrame
+from drivers.vehicle.seam import Command, GoTo
+from sim_replay.fakes.navigation import Message
+from sim_replay.fakes.vehicles.seam import FakeController
+
+Report = Callable[[str, dict[str, Any]], None]
+
+_STREAM: Final = 0x4E4F4E53  # keeps these random numbers apart from others of the same seed
+
+
+class ReportingController:
+    """A controller whose doings are reported: `granted`, `released` (by: `payload`, `vehicle`, or `time-out`), `command` (what is flown
+    from now on), `refused` (n_commands), `contact` (as it was told), `health` (text).
+
+    is_talking_nonsense: every message is said once more, spoilt. granted_once: set when control is granted for the first time.
+    """
+
+    def __init__(self, controller: FakeController[Any], seed: int, report: Report) -> None:
+        self._controller = controller
+        self._random = np.random.Generator(np.random.PCG64([seed, _STREAM]))
+        self._report = report
+        self._nonsense: Counter[str] = Counter()
+        self._was_in_control = False
+        self._was_told: Command | None = None
+        self._before: Counter[str] = Counter()
+        self._taken_back = False
+        self.is_talking_nonsense = False
+        self.granted_once = asyncio.Event()
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._controller.counters + self._nonsense
+
+    @property
+    def in_control(self) -> bool:
+        """Whether the payload commands."""
+        return self._controller.in_control
+
+    @property
+    def command(self) -> Command | None:
+        """What to fly now; None: the vehicle's own plan."""
+        return self._controller.command if self._controller.in_control else None
+
+    def power_up(self, now_s: float) -> None:
+        self._controller.power_up(now_s)
+        self._tell()
+
+    def set_willing(self, willing: bool, now_s: float) -> None:
+        """Not willing: control is taken back, and not given any more."""
+        self._controller.willing = willing
+        if not willing:
+            self._taken_back = True
+            self._controller.revoke(now_s)
+            self._tell()
+            self._taken_back = False
+
+    def connected(self, now_s: float) -> None:
+        self._controller.connected(now_s)
+        self._tell()
+
+    def tick(self, sample: NavSample, now_s: float) -> list[Message]:
+        """What it says by itself where it believes to be; sample.time_s: UTC."""
+        messages = list(self._controller.tick(sample, _is_there(sample, self.command), now_s))
+        self._tell()
+        return self._with_nonsense(messages)
+
+    def heard(self, data: Message, now_s: float) -> list[Message]:
+        messages = list(self._controller.heard(data, now_s))
+        self._tell()
+        return self._with_nonsense(messages)
+
+    def _tell(self) -> None:
+        controller = self._controller
+        risen = controller.counters - self._before
+        self._before = Counter(controller.counters)
+        if controller.in_control and not self._was_in_control:
+            self._report("granted", {})
+            self.granted_once.set()
+        if self.command is not None and self.command != self._was_told:
+            self._report("command", {"kind": type(self.command).__name__, **self.command._asdict()})
+        if n_refused := risen["vehicle.commands_refused"]:
+            self._report("refused", {"n_commands": n_refused})
+        for report in controller.take_reports():
+            self._report("contact", {key: _json(value) for key, value in msgspec.to_builtins(report).items()})
+        for text in controller.take_health():
+            self._report("health", {"text": text})
+        if self._was_in_control and not controller.in_control:
+            by = "vehicle" if self._taken_back else "time-out" if risen["vehicle.commands_expired"] else "payload"
+            self._report("released", {"by": by})
+        self._was_in_control, self._was_told = controller.in_control, self.command
+
+    def _with_nonsense(self, messages: list[Message]) -> list[Message]:
+        if not self.is_talking_nonsense:
+            return messages
+        spoilt = [other for message in messages for other in (message, self._spoilt(message))]
+        self._nonsense["vehicle.nonsense_sent"] += len(spoilt) - len(messages)
+        return spoilt
+
+    def _spoilt(self, message: Message) -> Message:
+        """A frame cut short, since a bus has checksums of its own; bytes cut short or with one of them changed."""
+        if isinstance(message, CanFrame):
+            return message._replace(data=message.data[: self._random.integers(0, max(len(message.data), 1))])
+        if not message or self._random.random() < 0.5:
+            return message[: self._random.integers(0, max(len(message), 1))]
+        place = int(self._random.integers(0, len(message)))
+        changed = message[place] ^ int(self._random.integers(1, 256))
+        return message[:place] + bytes([changed]) + message[place + 1 :]
+
+
+def _is_there(sample: NavSample, command: Command | None) -> bool:
+    if not isinstance(command, GoTo):
+        return False
+    frame = LocalFrame(latitude_deg=sample.latitude_deg, longitude_deg=sample.longitude_deg)
+    east_m, north_m, _ = frame.to_enu(command.latitude_deg, command.longitude_deg, 0.0)
+    return math.hypot(float(east_m), float(north_m)) <= command.radius_m
+
+
+def _json(value: Any) -> Any:
+    """JSON has no NaN."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

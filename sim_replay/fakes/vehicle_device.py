@@ -1,0 +1,200 @@
+"""A fake vehicle: one world, one vehicle in it, and the wires of its sonar, its navigation and its controller.
+
+The vehicle flies in real time, in blocks of a few pings. The echoes of a block are made while the block before is played, of the way that
+the command of that moment makes it go: a command takes effect one to two blocks, 0.1 to 0.4 s at 20 pings a second, after it has come.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+from msgspec import structs
+
+from auv_mcm.errors import UsageError
+from auv_mcm.records import NavSample, Ping
+from sim_replay.fakes.controller import ReportingController
+from sim_replay.fakes.device import FakeDevice
+from sim_replay.fakes.feed import Fed
+from sim_replay.fakes.job import Job, VehicleJob
+from sim_replay.fakes.vehicles.bluefin import FakeBluefin
+from sim_replay.fakes.vehicles.can import FakeCan
+from sim_replay.fakes.vehicles.imc import FakeImc
+from sim_replay.fakes.vehicles.iver import FakeIver
+from sim_replay.fakes.vehicles.recon import FakeRecon
+from sim_replay.fakes.vehicles.seam import FakeController
+from sim_replay.simulator.navigation_error import NavigationModel
+from sim_replay.simulator.objects import Placed
+from sim_replay.simulator.plan import local_frame, planned_legs
+from sim_replay.simulator.scene_file import read_scene
+from sim_replay.simulator.sea import Sea
+from sim_replay.simulator.steered import SteeredVehicle
+from sim_replay.simulator.vehicle import Pose
+
+MakeController = Callable[[], FakeController[Any]]
+ReportOf = Callable[[str, str, dict[str, Any]], None]
+
+CONTROLLERS: Final[Mapping[str, MakeController]] = MappingProxyType(
+    {"imc": FakeImc, "bluefin": FakeBluefin, "iver": FakeIver, "recon": FakeRecon, "vehicle_can": FakeCan}
+)
+_BLOCK: Final = 4  # pings
+_TICK_HZ: Final = 10.0  # of the controller
+_POSE_S: Final = 1.0  # between reports of where it is
+_STRAIGHT_RAD_S: Final = math.radians(6.0)  # turning no faster, it looks at what it passes
+
+
+class Pass(NamedTuple):
+    """A target was abeam. number: of the scene's targets. look_rad: from the vehicle to it, clockwise from north."""
+
+    number: int
+    ground_range_m: float
+    look_rad: float
+
+
+class FakeVehicle:
+    """A vehicle of one run. report(device, what, details): what happens to which device.
+
+    Besides what its devices and its controller report, in the name of the controller: `pose` (once a second: where it truly is, and whether
+    the payload commands), `leg` (number: of its own plan, flown to its end), `passed` (a target abeam on a straight run: number,
+    ground_range_m, look_deg, in_control). counters: world.unrendered, pings that the computer was too slow for.
+    """
+
+    def __init__(self, job: VehicleJob, report: ReportOf, make_controller: MakeController | None = None) -> None:
+        scene = read_scene(job.scene)
+        if scene.sonar.synthetic_aperture is not None:
+            raise UsageError(f"scene {job.scene}: a synthetic aperture is made of whole legs and cannot be steered; leave it out")
+        self._name, controls = next((name, device) for name, device in job.devices.items() if device.is_vehicle)
+        self._report = report
+        self._sea = Sea(scene)
+        self._frame = local_frame(scene.origin)
+        self._vehicle = SteeredVehicle(scene.track, planned_legs(scene.track.plan), scene.seed, self._frame, self._depth_of_floor)
+        self._navigation = NavigationModel(scene.navigation_error, scene.origin, scene.seed)
+        self._rate_hz = scene.sonar.ping_rate_hz
+        self._targets = [thing for thing in self._sea.objects if thing.is_target]
+        self._counters: Counter[str] = Counter()
+        make = make_controller or CONTROLLERS[controls.device]
+        self._controller = ReportingController(make(), job.seed, lambda what, details: report(self._name, what, details))
+        self._queues: dict[str, asyncio.Queue[Fed]] = {name: asyncio.Queue() for name in job.devices}
+        self._is_sonar = {name: device.is_sonar for name, device in job.devices.items()}
+        self.devices: Final = {
+            name: FakeDevice(
+                Job(name=name, device=device, folder=job.folder, scene=job.scene, seed=job.seed + index),
+                _taken_from(self._queues[name]),
+                _named(report, name),
+                self._controller if device.is_vehicle else None,
+            )
+            for index, (name, device) in enumerate(job.devices.items())
+        }
+
+    async def run(self, start: Awaitable[float]) -> None:
+        """Be there for the hosts, and fly from the instant of the monotonic clock that `start` gives; it does not end by itself."""
+        started = asyncio.ensure_future(start)
+        async with asyncio.TaskGroup() as tasks:
+            for device in self.devices.values():
+                tasks.create_task(device.run(asyncio.shield(started)))
+            await self._fly(await asyncio.shield(started))
+
+    async def end(self) -> None:
+        """Be gone for good, and report the counters."""
+        for name, device in self.devices.items():
+            await device.wire.close()
+            counters = device.counters + (self._counters if name == self._name else Counter())
+            self._report(name, "counters", dict(counters))
+
+    async def _fly(self, start_s: float) -> None:
+        number, legs_flown, next_pose_s, next_tick_s = 0, 0, 0.0, 0.0
+        before: Pose | None = None
+        while True:
+            ahead_s = start_s + (number - _BLOCK) / self._rate_hz - time.monotonic()
+            await asyncio.sleep(max(ahead_s, 0.0))
+            self._vehicle.steer(self._controller.command)
+            poses = self._vehicle.fly(_BLOCK, self._rate_hz)
+            told = [self._navigation.told(pose, self._sea.altitude_m(pose)) for pose in poses]
+            silent = self._vehicle.done and self._controller.command is None
+            late = ahead_s < -2.0 * _BLOCK / self._rate_hz
+            self._counters["world.unrendered"] += _BLOCK * late
+            pings: list[Ping] = [] if silent or late else await asyncio.to_thread(self._sound, poses, number, told)
+            for index, (pose, sample) in enumerate(zip(poses, told, strict=True)):
+                at_s = (number + index) / self._rate_hz
+                ticks = at_s >= next_tick_s
+                next_tick_s += ticks / _TICK_HZ
+                self._give(at_s, sample, pings[index] if pings else None, ticks=ticks)
+                if at_s >= next_pose_s:
+                    next_pose_s += _POSE_S
+                    self._report(self._name, "pose", self._described(pose, at_s))
+                for passed in [] if before is None else passes(before, pose, self._targets, self._sea.scene.sonar.range_m):
+                    self._report(self._name, "passed", self._passed(passed))
+                before = pose
+            if self._vehicle.legs_flown > legs_flown:
+                self._report(self._name, "leg", {"number": legs_flown})
+                legs_flown = self._vehicle.legs_flown
+            number += _BLOCK
+
+    def _sound(self, poses: Sequence[Pose], number: int, told: Sequence[NavSample]) -> list[Ping]:
+        return self._sea.sound(poses, number, [sample.altitude_m for sample in told])
+
+    def _give(self, at_s: float, sample: NavSample, ping: Ping | None, *, ticks: bool) -> None:
+        """To all devices what concerns them."""
+        for name, queue in self._queues.items():
+            if self._is_sonar[name]:
+                if ping is not None:
+                    queue.put_nowait(Fed(at_s, structs.replace(ping, time_s=at_s)))
+            elif name != self._name or ticks:
+                queue.put_nowait(Fed(at_s, structs.replace(sample, time_s=at_s)))
+
+    def _described(self, pose: Pose, at_s: float) -> dict[str, Any]:
+        latitude_deg, longitude_deg, _ = self._frame.to_geodetic((pose.east_m, pose.north_m, 0.0))
+        return {
+            "at_s": round(at_s, 3),
+            "latitude_deg": round(float(latitude_deg), 8),
+            "longitude_deg": round(float(longitude_deg), 8),
+            "heading_deg": round(math.degrees(pose.heading_rad) % 360.0, 2),
+            "depth_m": round(pose.depth_m, 2),
+            "altitude_m": round(self._sea.altitude_m(pose), 2),
+            "speed_mps": round(pose.speed_mps, 2),
+            "leg": pose.on_leg,
+            "in_control": self._controller.in_control,
+        }
+
+    def _passed(self, passed: Pass) -> dict[str, Any]:
+        return {
+            "number": passed.number,
+            "ground_range_m": round(passed.ground_range_m, 2),
+            "look_deg": round(math.degrees(passed.look_rad) % 360.0, 1),
+            "in_control": self._controller.in_control,
+        }
+
+    def _depth_of_floor(self, east_m: float, north_m: float) -> float:
+        return self._sea.scene.world.depth_m - self._sea.world.floor_m(east_m, north_m)
+
+
+def passes(before: Pose, pose: Pose, targets: Sequence[Placed], range_m: float) -> list[Pass]:
+    """Targets that came abeam between two poses, no farther than range_m, while the vehicle hardly turned."""
+    turn_rad = math.remainder(pose.heading_rad - before.heading_rad, 2.0 * math.pi)
+    if abs(turn_rad) > _STRAIGHT_RAD_S * (pose.time_s - before.time_s):
+        return []
+    found = []
+    for number, target in enumerate(targets):
+        if _ahead_m(before, target) > 0.0 >= _ahead_m(pose, target):
+            east_m, north_m = target.east_m - pose.east_m, target.north_m - pose.north_m
+            if (ground_range_m := math.hypot(east_m, north_m)) <= range_m:
+                found.append(Pass(number, ground_range_m, math.atan2(east_m, north_m)))
+    return found
+
+
+def _ahead_m(pose: Pose, target: Placed) -> float:
+    return (target.east_m - pose.east_m) * math.sin(pose.heading_rad) + (target.north_m - pose.north_m) * math.cos(pose.heading_rad)
+
+
+async def _taken_from(queue: asyncio.Queue[Fed]) -> AsyncIterator[Fed]:
+    while True:
+        yield await queue.get()
+
+
+def _named(report: ReportOf, name: str) -> Callable[[str, dict[str, Any]], None]:
+    return lambda what, details: report(name, what, details)

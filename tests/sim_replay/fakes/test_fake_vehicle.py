@@ -1,0 +1,245 @@
+"""A fake vehicle flies what a host on its wires commands, sounds what it passes there, and tells what happens to it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from plain_vehicle import PlainController
+
+from auv_mcm.clock import SystemClock
+from auv_mcm.errors import UsageError
+from drivers.links.link import Link
+from drivers.links.registry import byte_link
+from drivers.links.uri import parse_link_uri
+from drivers.navigation.registry import text_decoder
+from drivers.navigation.seam import NavFix
+from drivers.sonar.registry import sonar_named
+from drivers.sonar.seam import SonarFrame, SonarSettings
+from drivers.stamps import Stamp
+from sim_replay.fakes.job import Device, Fault, Nonsense, PowerOff, Revoke, Unplug, VehicleJob, read_job
+from sim_replay.fakes.vehicle_device import FakeVehicle, passes
+from sim_replay.simulator.objects import place_objects
+from sim_replay.simulator.plan import local_frame
+from sim_replay.simulator.scene_file import parse_scene
+from sim_replay.simulator.vehicle import Pose
+
+SCENE = """
+name: a short leg
+world: {depth_m: 15, relief_rms_m: 0, seabeds: [{type: sand}]}
+sonar: {range_m: 20, n_samples: 200, ping_rate_hz: 20}
+track: {altitude_m: 5, speed_mps: 4, turn_rate_deg_s: 40, plan: {pattern: lawnmower, heading_deg: 0, n_legs: 1, leg_m: 6}}
+objects: [{kind: cylinder, east_m: 8, north_m: 4}]
+"""
+FRAME = local_frame(parse_scene(SCENE, "here").origin)
+
+
+class Host:
+    """Listens on all wires of a vehicle, and writes to its controller."""
+
+    def __init__(self, folder: Path, *faults: Fault, link: Any = "tcp") -> None:
+        scene = folder / "scene.yaml"
+        scene.write_text(SCENE, "utf-8")
+        self.controller = PlainController()
+        self.reports: list[tuple[str, str, dict[str, Any]]] = []
+        self.said: list[str] = []
+        self.frames: list[SonarFrame] = []
+        self.fixes: list[NavFix] = []
+        devices = {
+            "sonar": Device(device="ping_protocol", link="udp"),
+            "nav": Device(device="nmea0183"),
+            "vehicle": Device(device="bluefin", link=link, faults=faults),
+        }
+        job = VehicleJob(devices=devices, folder=str(folder), scene=str(scene))
+        self.vehicle = FakeVehicle(job, lambda device, what, details: self.reports.append((device, what, details)), lambda: self.controller)
+        self._sonar = sonar_named("ping_protocol").decoder()
+        self._nav = text_decoder("nmea0183", "nav")
+        self._links: dict[str, Link[bytes]] = {}
+
+    def write(self, words: str) -> None:
+        self._links["vehicle"].write(words.encode() + b"\n")
+
+    def told(self, what: str) -> list[dict[str, Any]]:
+        """Details of what was reported of the controller."""
+        return [details for device, told, details in self.reports if (device, told) == ("vehicle", what)]
+
+    async def run(self, script: Callable[[Host], Awaitable[None]]) -> None:
+        start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
+        flying = asyncio.ensure_future(self.vehicle.run(start))
+        await asyncio.sleep(0.02)
+        for name, device in self.vehicle.devices.items():
+            self._links[name] = self._open(name, device.wire.uri)
+        listening = [asyncio.ensure_future(link.run()) for link in self._links.values()]
+        while any(link.state != "up" for link in self._links.values()):
+            await asyncio.sleep(0.005)
+        start.set_result(time.monotonic() + 0.05)
+        try:
+            await script(self)
+        finally:
+            for task in (flying, *listening):
+                task.cancel()
+            await asyncio.gather(flying, *listening, return_exceptions=True)
+            await self.vehicle.end()
+
+    def _open(self, name: str, uri: str) -> Link[bytes]:
+        def hear(data: bytes, stamp: Stamp) -> None:
+            if name == "sonar":
+                self.frames += [item for item in self._sonar.feed(data, stamp) if isinstance(item, SonarFrame)]
+            elif name == "nav":
+                self.fixes += [item for item in self._nav.feed(data, stamp) if isinstance(item, NavFix)]
+            else:
+                self.said += data.decode("ascii", "replace").splitlines()
+
+        def on_state(state: str, reason: str) -> None:
+            if name == "sonar" and state == "up":
+                for command in sonar_named("ping_protocol").commands(SonarSettings(range_m=20.0, n_samples=200)):
+                    self._links["sonar"].write(command)
+
+        return byte_link(parse_link_uri(uri, "link"), hear, on_state, SystemClock())
+
+
+def flown(folder: Path, script: Callable[[Host], Awaitable[None]], *faults: Fault, link: Any = "tcp") -> Host:
+    async def main() -> Host:
+        host = Host(folder, *faults, link=link)
+        await host.run(script)
+        return host
+
+    return asyncio.run(main())
+
+
+async def until(condition: Callable[[], object], host: Host, *keep: str) -> None:
+    """Wait, saying what keeps the vehicle patient."""
+    until_s = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < until_s, host.reports[-5:]
+        for words in keep:
+            host.write(words)
+        await asyncio.sleep(0.05)
+
+
+def goto(east_m: float, north_m: float) -> str:
+    latitude_deg, longitude_deg, _ = FRAME.to_geodetic((east_m, north_m, 0.0))
+    return f"GOTO {latitude_deg:.8f} {longitude_deg:.8f}"
+
+
+@pytest.mark.parametrize("link", ["tcp", "serial", "udp"])
+def test_it_flies_where_it_is_told_past_what_is_there_and_then_its_own_plan(tmp_path: Path, link: Any) -> None:
+    async def script(host: Host) -> None:
+        host.write("TELL 7 1 0.5")
+        host.write("TELL 7 1 0.5")
+        host.write("FINE")
+        host.write("ASK")
+        await until(lambda: "yes" in host.said, host)
+        await until(lambda: "there" in host.said, host, goto(0.0, 14.0))
+        host.write("RELEASE")
+        await until(lambda: host.told("released"), host)
+
+    host = flown(tmp_path, script, link=link)
+    whats = [what for device, what, _ in host.reports if device == "vehicle"]
+    assert {"contact", "health"} <= set(whats)
+    order = ["ready", "granted", "command", "released", "counters"]
+    assert [what for what in whats if what in order] == order
+    assert host.told("released") == [{"by": "payload"}]
+    assert host.told("contact")[0]["number"] == 7
+    (passed,) = [told for told in host.told("passed") if told["in_control"]]
+    assert passed["ground_range_m"] == pytest.approx(8.0, abs=1.0)
+    assert passed["look_deg"] == pytest.approx(90.0, abs=10.0)
+    assert host.told("counters")[0]["vehicle.reports_repeated"] == 1
+    assert host.frames
+    assert [frame.number for frame in host.frames] == sorted(frame.number for frame in host.frames)
+    assert host.fixes
+
+
+def test_a_payload_that_falls_silent_is_out_of_command(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        host.write("ASK")
+        host.write(goto(60.0, 0.0))
+        await until(lambda: host.told("released"), host)
+
+    assert flown(tmp_path, script).told("released") == [{"by": "time-out"}]
+
+
+def test_control_is_taken_back_and_not_given_while_it_is_unwilling(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        host.write("ASK")
+        await until(lambda: host.told("released"), host, "KEEP")
+        host.write("ASK")
+        host.write(goto(60.0, 0.0))
+        await until(lambda: host.told("refused"), host)
+
+    host = flown(tmp_path, script, Revoke(at_s=0.2, after="grant"))
+    assert host.told("released") == [{"by": "vehicle"}]
+    assert host.told("refused") == [{"n_commands": 1}]
+    assert "no" in host.said
+    assert not host.told("command")
+
+
+def test_a_vehicle_without_power_has_forgotten_everything_and_greets_again(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        host.write("TELL 7 1 0.5")
+        host.write("ASK")
+        await until(lambda: any(details["do"] == "power_off" for details in host.told("mended")), host)
+        await until(lambda: host.controller.connections == 2, host)
+        host.write("TELL 7 1 0.5")
+        await until(lambda: len(host.told("contact")) == 2, host)
+
+    host = flown(tmp_path, script, PowerOff(at_s=0.3, for_s=0.3), link="serial")
+    assert len(host.told("released")) == 1
+    assert "reopened" in [what for device, what, _ in host.reports if device == "vehicle"]
+
+
+def test_without_its_cable_it_flies_on_and_so_do_its_other_wires(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        await until(lambda: host.told("mended") and host.told("leg"), host)
+
+    host = flown(tmp_path, script, Unplug(at_s=0.1, for_s=0.5))
+    assert len(host.frames) >= 10
+
+
+def test_nonsense_comes_beside_what_it_has_to_say(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        await until(lambda: len(host.said) > 20, host)
+
+    host = flown(tmp_path, script, Nonsense(at_s=0.0), link="udp")
+    assert host.told("counters")[0]["vehicle.nonsense_sent"] >= 5
+    sound = [words for words in host.said if words.startswith("at ") and len(words.split()) == 3 and len(words) >= 20]
+    assert len(sound) >= 5
+
+
+def pose(east_m: float, north_m: float, heading_rad: float = 0.0, time_s: float = 0.0) -> Pose:
+    return Pose(time_s, east_m, north_m, 10.0, heading_rad, 0.0, 0.0, heading_rad, 4.0, -1)
+
+
+def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:
+    targets = place_objects(parse_scene(SCENE, "here"))
+    (passed,) = passes(pose(0.0, 3.9), pose(0.0, 4.1, time_s=0.05), targets, 20.0)
+    assert passed.number == 0
+    assert passed.ground_range_m == pytest.approx(8.0, abs=0.01)
+    assert passed.look_rad == pytest.approx(math.pi / 2.0, abs=0.02)
+    assert not passes(pose(0.0, 3.9), pose(0.0, 4.1, time_s=0.05), targets, 7.0)
+    assert not passes(pose(0.0, 3.9), pose(0.0, 4.1, 0.05, time_s=0.05), targets, 20.0)
+    assert not passes(pose(0.0, 4.1), pose(0.0, 4.3, time_s=0.05), targets, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("devices", "named"),
+    [
+        ("{nav: {device: pd6}}", "0 controllers"),
+        ("{a: {device: imc, link: udp}, b: {device: iver}}", "2 controllers"),
+        ("{a: {device: imc, link: slcan}}", "does not go with a link"),
+        ("{a: {device: vehicle_can, link: slcan, beside: pd6}}", "cannot share"),
+        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: revoke, at_s: 1}]}}", "no vehicle"),
+        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "no vehicle"),
+        ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "no navigation unit"),
+    ],
+)
+def test_a_vehicle_that_cannot_be_is_refused(devices: str, named: str, tmp_path: Path) -> None:
+    path = tmp_path / "job.yaml"
+    path.write_text(f"{{folder: here, scene: demo, devices: {devices}}}", "utf-8")
+    with pytest.raises(UsageError, match=named):
+        read_job(path)
