@@ -177,8 +177,9 @@ def test_tickets_go_round_and_pass_over_those_awaited() -> None:
     outbox.tell(contact(1))
     (first,) = outbox.take_due(0.0)
     tickets = set()
-    for turn in range(66_000):
-        outbox.tell(contact(2, 0.5 + 0.1 * (turn % 2)))
+    changing = contact(2, 0.5), contact(2, 0.6)
+    for turn in range(65_600):
+        outbox.tell(changing[turn % 2])
         (due,) = outbox.take_due(0.0)
         tickets.add(due.ticket)
         outbox.acknowledged(due.ticket)

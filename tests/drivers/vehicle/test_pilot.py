@@ -1,0 +1,444 @@
+"""The payload commands only while the vehicle lets it, inside the bounds, and gives control back on every way out."""
+
+from __future__ import annotations
+
+import logging
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperDialect, stamp
+
+from auv_mcm.records import NAN, Contact, Waypoint
+from auv_mcm.vehicle_config import VehicleConfig
+from drivers.navigation.corrections import moved, offset_m
+from drivers.vehicle.pilot import Pilot
+from drivers.vehicle.seam import (
+    Acknowledged,
+    Arrived,
+    Capability,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    Rejected,
+    Steer,
+    VehicleEvent,
+    VehicleState,
+    Vertical,
+    Withheld,
+)
+
+HOME_DEG = (54.0, 8.0)
+FENCE_DEG = tuple(moved(*HOME_DEG, *corner) for corner in ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0)))
+Metres = tuple[float, float]
+
+
+def settings(**changes: Any) -> VehicleConfig:
+    return VehicleConfig(**{"command": True, "fence_deg": FENCE_DEG, "ask_again_s": 20.0, **changes})
+
+
+def waypoint(leg: int, kind: str, place_m: Metres) -> Waypoint:
+    latitude_deg, longitude_deg = moved(*HOME_DEG, *place_m)
+    return Waypoint(
+        leg=leg, kind=kind, latitude_deg=latitude_deg, longitude_deg=longitude_deg, heading_rad=0.0, contact_id="C00001", why=""
+    )
+
+
+def plan(*legs: tuple[Metres, Metres], start_m: Metres = (0.0, 0.0)) -> tuple[Waypoint, ...]:
+    points = [waypoint(1, "start", start_m)]
+    for number, (entry, way_out) in enumerate(legs, start=1):
+        points += [waypoint(number, "leg_entry", entry), waypoint(number, "leg_exit", way_out)]
+    return tuple(points)
+
+
+TWO_LEGS = plan(((0.0, 40.0), (0.0, 90.0)), ((60.0, 90.0), (60.0, 40.0)))
+
+
+def contact(number: int, p_mine: float = 0.9) -> Contact:
+    return Contact(
+        id=f"C{number:05d}",
+        time_s=1.7e9,
+        latitude_deg=54.0,
+        longitude_deg=8.0,
+        covariance_m2=np.eye(2),
+        p_mine=p_mine,
+        classification="cylinder",
+        belief={"cylinder": p_mine, "unknown": 1.0 - p_mine},
+        length_m=2.0,
+        width_m=0.5,
+        height_m=NAN,
+        aspects_deg=(90.0,),
+        reasons=(),
+        views=(),
+    )
+
+
+class Sea:
+    """A pilot, a vehicle and the time. The vehicle tells its state ten times a second, grants what is asked, and does what it is told."""
+
+    def __init__(self, capabilities: Capability = GOES_BY_ITSELF, **changes: Any) -> None:
+        self.dialect = PaperDialect(capabilities)
+        self.pilot = Pilot(self.dialect, settings(**changes), session=7)
+        self.now_s = 100.0
+        self.place_m: Metres = (0.0, 0.0)
+        self.heading_rad = 0.0
+        self.told: dict[str, float] = {"depth_m": 20.0, "altitude_m": 8.0}
+        self.talks = self.answers = True
+        self.pilot.connected(self.now_s)
+
+    def hear(self, *events: VehicleEvent) -> None:
+        self.pilot.hear(events, stamp(self.now_s))
+
+    def state(self) -> VehicleState:
+        return VehicleState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
+            **self.told  # type: ignore[arg-type]
+        )
+
+    def tick(self, seconds: float = 0.1) -> None:
+        for _ in range(max(1, round(seconds / 0.1))):
+            self.now_s += 0.1
+            self._move()
+            n_said = len(self.dialect.said)
+            if self.talks:
+                self.hear(self.state())
+            self.pilot.take_outgoing(self.now_s)
+            if self.answers and "request" in self.dialect.said[n_said:]:
+                self.hear(Granted("as you like"))
+
+    def until(self, authority: str, within_s: float = 40.0) -> None:
+        end_s = self.now_s + within_s
+        while self.pilot.authority != authority:
+            self.tick()
+            assert self.now_s < end_s, f"not {authority} within {within_s} s but {self.pilot.health()}"
+
+    def _move(self) -> None:
+        if self.pilot.authority != "granted" or not self.dialect.commands:
+            return
+        command = self.dialect.commands[-1][1]
+        if isinstance(command, GoTo):
+            east_m, north_m = offset_m(moved(*HOME_DEG, *self.place_m), (command.latitude_deg, command.longitude_deg))
+            self.heading_rad = math.atan2(east_m, north_m) % (2.0 * math.pi)
+        else:
+            self.heading_rad += min(max(math.remainder(command.heading_rad - self.heading_rad, 2.0 * math.pi), -0.03), 0.03)
+            self.heading_rad %= 2.0 * math.pi
+        step_m = 0.1 * command.speed_mps
+        self.place_m = (self.place_m[0] + step_m * math.sin(self.heading_rad), self.place_m[1] + step_m * math.cos(self.heading_rad))
+
+    def released(self) -> list[str]:
+        return [line.removeprefix("release ") for line in self.dialect.said if line.startswith("release")]
+
+    def codes(self) -> list[str]:
+        return [notice.code for notice in self.pilot.take_notices()]
+
+
+@pytest.mark.parametrize("capabilities", [GOES_BY_ITSELF, IS_STEERED])
+def test_a_plan_is_flown_and_control_returned(capabilities: Capability) -> None:
+    sea = Sea(capabilities)
+    sea.tick(1.0)
+    assert sea.pilot.authority == "listening"
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    track: list[Metres] = []
+    for _ in range(3000):
+        sea.tick()
+        track.append(sea.place_m)
+    assert sea.pilot.authority == "listening"
+    assert sea.released() == ["the plan is flown"]
+    for point in TWO_LEGS[1:]:
+        place_m = offset_m(HOME_DEG, (point.latitude_deg, point.longitude_deg))
+        assert min(math.dist(place_m, place) for place in track) < 4.0
+    kind = GoTo if capabilities == GOES_BY_ITSELF else Steer
+    assert all(isinstance(command, kind) for _, command in sea.dialect.commands)
+    assert {command.vertical for _, command in sea.dialect.commands} == {Vertical("altitude", 5.0)}
+    assert sea.pilot.counters["vehicle.plans_flown"] == 1
+    assert sea.codes() == ["vehicle_control_granted", "vehicle_control_returned"]
+
+
+def test_commands_are_repeated_in_time_and_changed_at_once() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.tick(60.0)
+    times = [time_s for time_s, _ in sea.dialect.commands]
+    gaps = [b - a for a, b in pairwise(times)]
+    assert max(gaps) <= sea.dialect.command_period_s + 0.11
+    targets = [command for _, command in sea.dialect.commands]
+    assert len({(target.latitude_deg, target.longitude_deg) for target in targets if isinstance(target, GoTo)}) >= 2
+
+
+def test_nothing_is_asked_for_without_a_plan_or_without_leave_to_command() -> None:
+    sea = Sea()
+    sea.tick(30.0)
+    assert "request" not in sea.dialect.said
+    mute = Sea(command=False)
+    mute.pilot.propose(TWO_LEGS, mute.now_s)
+    mute.tick(30.0)
+    assert "request" not in mute.dialect.said
+    passive = Sea(Capability.NAVIGATION | Capability.CONTACT)
+    passive.pilot.propose(TWO_LEGS, passive.now_s)
+    passive.tick(30.0)
+    assert "request" not in passive.dialect.said
+
+
+def test_the_vehicle_takes_control_back_and_the_broken_leg_is_flown_again_later() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(45.0)  # on the first leg
+    assert "leg=1/2" in sea.pilot.health()
+    sea.hear(Withheld("operator"))
+    assert sea.pilot.authority == "revoked"
+    n_commands = len(sea.dialect.commands)
+    sea.tick(15.0)
+    assert len(sea.dialect.commands) == n_commands
+    assert sea.released() == []  # there is nothing to give back
+    assert "revoked (operator)" in sea.pilot.health()
+    sea.until("granted")
+    sea.tick(0.2)
+    command = sea.dialect.commands[n_commands][1]
+    assert isinstance(command, GoTo)
+    assert (command.latitude_deg, command.longitude_deg) == (TWO_LEGS[1].latitude_deg, TWO_LEGS[1].longitude_deg)
+
+
+def test_control_is_returned_when_the_position_is_lost() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(1.0)
+    sea.talks = False
+    for _ in range(32):
+        sea.hear(Acknowledged(1))  # it still speaks
+        sea.tick()
+    assert sea.pilot.authority == "listening"
+    assert sea.released() == ["the vehicle's position is not known"]
+    assert sea.pilot.counters["vehicle.refused.position_unknown"] == 1
+    assert "position_unknown" in sea.pilot.health()
+
+
+@pytest.mark.parametrize(
+    ("told", "code"),
+    [({"altitude_m": 1.5}, "too_low"), ({"depth_m": 120.0}, "too_deep"), ({"latitude_deg": 54.01}, "outside_fence")],
+)
+def test_control_is_returned_when_the_vehicle_is_where_it_must_not_be(told: dict[str, float], code: str) -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(1.0)
+    sea.told |= told
+    n_commands = len(sea.dialect.commands)
+    sea.tick(5.0)
+    assert len(sea.released()) == 1
+    assert len(sea.dialect.commands) == n_commands
+    assert sea.pilot.counters[f"vehicle.refused.{code}"] == 1
+
+
+def test_every_refusal_is_logged_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
+    sea = Sea()
+    with caplog.at_level(logging.WARNING):
+        sea.pilot.propose(plan(((0.0, 40.0), (0.0, 400.0))), sea.now_s)
+        sea.tick(1.0)
+    assert "way-point 2 of 2, or the way to it, lies outside the fence [plan_outside_fence]" in caplog.text
+    assert "vehicle_refused" in sea.codes()
+    assert "lies outside the fence" in sea.pilot.health()
+    assert "request" not in sea.dialect.said
+
+
+def test_silence_ends_control_and_speech_brings_it_back() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(1.0)
+    sea.talks = False
+    sea.until("down", within_s=3.5)
+    assert len(sea.released()) == 1
+    sea.talks = True
+    sea.until("granted", within_s=25.0)
+
+
+def test_noise_is_no_sign_of_life() -> None:
+    sea = Sea()
+    sea.tick(1.0)
+    sea.talks = False
+    for _ in range(40):
+        sea.pilot.hear(None, stamp(sea.now_s))
+        sea.tick()
+    assert sea.pilot.authority == "down"
+
+
+def test_a_payload_that_stalled_gives_control_back_before_anything_else_leaves() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(2.0)
+    n_commands = len(sea.dialect.commands)
+    sea.now_s += 5.5
+    sea.tick()
+    assert len(sea.dialect.commands) == n_commands
+    assert len(sea.released()) == 1
+    assert sea.pilot.counters["vehicle.refused.expired"] == 1
+
+
+def test_an_old_plan_is_dropped_unless_it_is_proposed_again() -> None:
+    sea = Sea(plan_valid_s=30.0)
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.tick(20.0)
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.tick(20.0)
+    assert sea.released() == []
+    sea.tick(15.0)
+    assert sea.pilot.authority == "listening"
+    assert sea.pilot.counters["vehicle.refused.plan_expired"] == 1
+    assert "leg=0/0" in sea.pilot.health()
+
+
+def test_a_withdrawn_plan_ends_control() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.pilot.propose((), sea.now_s)
+    sea.tick()
+    assert sea.pilot.authority == "listening"
+    assert len(sea.released()) == 1
+
+
+def test_a_new_plan_takes_the_place_of_the_one_before_without_letting_go() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(10.0)
+    sea.pilot.propose(plan(((50.0, 0.0), (100.0, 0.0)), start_m=sea.place_m), sea.now_s)
+    sea.tick(0.2)
+    command = sea.dialect.commands[-1][1]
+    assert isinstance(command, GoTo)
+    assert offset_m(HOME_DEG, (command.latitude_deg, command.longitude_deg)) == pytest.approx((50.0, 0.0), abs=0.01)
+    assert sea.released() == []
+
+
+def test_turns_that_are_behind_the_vehicle_are_not_flown() -> None:
+    sea = Sea()
+    turns = [waypoint(1, "turn", (0.0, north_m)) for north_m in (10.0, 20.0, 30.0)]
+    sea.place_m = (1.0, 24.0)
+    sea.pilot.propose((waypoint(1, "start", (0.0, 0.0)), *turns, *TWO_LEGS[1:]), sea.now_s)
+    sea.until("granted")
+    sea.tick(0.2)
+    command = sea.dialect.commands[0][1]
+    assert isinstance(command, GoTo)
+    assert offset_m(HOME_DEG, (command.latitude_deg, command.longitude_deg)) == pytest.approx((0.0, 30.0), abs=0.01)
+
+
+def test_the_service_stops() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.pilot.release("the service stops", sea.now_s)
+    assert sea.released() == ["the service stops"]
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    n_asked = sea.dialect.said.count("request")
+    sea.tick(60.0)
+    assert sea.dialect.said.count("request") == n_asked
+    assert sea.pilot.authority == "listening"
+
+
+def test_the_wire_breaks_in_control() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick(1.0)
+    sea.pilot.disconnected(sea.now_s)
+    assert sea.pilot.authority == "down"
+    assert sea.dialect.said[-2:] == ["release the wire is closed", "disconnected"]
+    assert sea.pilot.take_outgoing(sea.now_s) == []
+    sea.pilot.connected(sea.now_s)
+    sea.until("granted")
+
+
+def test_the_vehicle_says_that_it_has_arrived() -> None:
+    sea = Sea(arrival_radius_m=3.0)
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.until("granted")
+    sea.tick()
+    sea.hear(Arrived())  # 40 m away: of something else
+    sea.tick()
+    assert len({command for _, command in sea.dialect.commands}) == 1
+    sea.place_m = (0.0, 30.0)
+    sea.tick()
+    sea.hear(Arrived())
+    sea.hear(Arrived())
+    sea.tick()
+    command = sea.dialect.commands[-1][1]
+    assert isinstance(command, GoTo)
+    assert offset_m(HOME_DEG, (command.latitude_deg, command.longitude_deg)) == pytest.approx((0.0, 90.0), abs=0.01)
+
+
+def test_a_vehicle_that_arrives_everywhere_and_takes_control_back_leaves_nothing_half_done() -> None:
+    sea = Sea()
+    sea.pilot.propose(plan(((0.0, 4.0), (0.0, 9.0))), sea.now_s)
+    sea.until("granted")
+    for _ in range(3):
+        sea.tick()
+        sea.hear(Arrived(), Withheld("done"))
+        assert "leg=" in sea.pilot.health()
+    sea.tick(40.0)
+    assert sea.pilot.authority == "listening"
+    assert sea.pilot.counters["vehicle.plans_flown"] == 1
+
+
+def test_contacts_are_told_at_once_and_again_after_the_link_was_lost() -> None:
+    sea = Sea()
+    sea.tick()
+    sea.pilot.tell(contact(1))
+    sea.pilot.tell(contact(2))
+    sea.pilot.take_outgoing(sea.now_s)
+    (_, _, ticket), _ = sea.dialect.reports
+    sea.hear(Acknowledged(ticket))
+    assert "reports_waiting=1" in sea.pilot.health()
+    sea.talks = False
+    sea.until("down")
+    sea.talks = True
+    sea.tick()
+    assert [(report.number, report.revision) for _, report, _ in sea.dialect.reports] == [(1, 1), (2, 1), (2, 1)]
+
+
+def test_contacts_wait_for_the_vehicle() -> None:
+    sea = Sea()
+    sea.talks = False
+    sea.pilot.tell(contact(1))
+    sea.tick(1.0)
+    assert sea.dialect.reports == []
+    sea.talks = True
+    sea.tick()
+    assert len(sea.dialect.reports) == 1
+
+
+def test_a_refused_report_is_told_to_people_once_per_contact() -> None:
+    sea = Sea()
+    sea.tick()
+    for p_mine in (0.5, 0.6):
+        sea.pilot.tell(contact(1, p_mine))
+        sea.tick()
+        sea.hear(Rejected(sea.dialect.reports[-1][2], "too small"))
+    sea.tick(60.0)
+    assert len(sea.dialect.reports) == 2
+    assert sea.codes() == ["vehicle_report_rejected"]
+
+
+def test_health_is_told_when_it_changes_and_when_the_wire_opens() -> None:
+    sea = Sea()
+    sea.pilot.tell_health(PayloadHealth("normal", ""), sea.now_s)
+    sea.pilot.tell_health(PayloadHealth("normal", ""), sea.now_s)
+    sea.pilot.disconnected(sea.now_s)
+    sea.pilot.connected(sea.now_s)
+    assert [line for line in sea.dialect.said if line.startswith("health")] == ["health normal", "health normal"]
+
+
+def test_a_state_told_in_pieces_is_one_state() -> None:
+    sea = Sea()
+    sea.pilot.propose(TWO_LEGS, sea.now_s)
+    sea.talks = False
+    whole = sea.state()
+    for _ in range(20):
+        sea.hear(VehicleState(whole.received, whole.latitude_deg, whole.longitude_deg))
+        sea.hear(VehicleState(whole.received, heading_rad=0.0, depth_m=20.0))
+        sea.hear(VehicleState(whole.received, altitude_m=8.0))
+        sea.tick()
+    assert sea.pilot.authority == "granted"

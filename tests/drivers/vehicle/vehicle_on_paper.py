@@ -1,0 +1,74 @@
+"""A dialect that writes down what it is told, for tests of what decides whether anything may be said at all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TypeAlias
+
+from drivers.stamps import Stamp
+from drivers.vehicle.seam import Capability, Command, ContactReport, PayloadHealth, VehicleEvent
+
+Heard: TypeAlias = tuple[VehicleEvent, ...] | None
+"""What the vehicle says at once; None: noise."""
+
+GOES_BY_ITSELF = Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.ACKNOWLEDGED | Capability.HEALTH
+IS_STEERED = Capability.NAVIGATION | Capability.STEERING | Capability.CONTACT | Capability.HEALTH
+
+
+def stamp(now_s: float) -> Stamp:
+    return Stamp(round(now_s * 1e9), 0)
+
+
+class PaperDialect:
+    """W is `Heard` one way and a line of text the other; lines that wait when the wire opens anew are forgotten."""
+
+    silent_after_s = 3.0
+    command_period_s = 1.0
+
+    def __init__(self, capabilities: Capability = GOES_BY_ITSELF) -> None:
+        self.capabilities = capabilities
+        self.counters: Counter[str] = Counter()
+        self.said: list[str] = []  # connected, disconnected, request, release REASON, command, report N.R, health STATE
+        self.commands: list[tuple[float, Command]] = []
+        self.reports: list[tuple[float, ContactReport, int]] = []
+        self._lines: list[str] = []
+
+    def connected(self, now_s: float) -> None:
+        self._lines.clear()
+        self._say("connected")
+
+    def disconnected(self) -> None:
+        self._say("disconnected")
+
+    def hear(self, data: Heard, stamp: Stamp) -> list[VehicleEvent]:
+        if data is None:
+            self.counters["paper.refused.noise"] += 1
+            return []
+        self.counters["paper.messages"] += 1
+        return list(data)
+
+    def request(self, now_s: float) -> None:
+        self._say("request")
+
+    def command(self, command: Command, now_s: float) -> None:
+        self.commands.append((now_s, command))
+        self._say("command")
+
+    def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
+        self.reports.append((now_s, report, ticket))
+        self._say(f"report {report.number}.{report.revision}")
+
+    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+        self._say(f"health {health.state}")
+
+    def release(self, reason: str, now_s: float) -> None:
+        self._lines = [line for line in self._lines if line != "command"]
+        self._say(f"release {reason}")
+
+    def take_outgoing(self, now_s: float) -> list[Heard]:
+        self._lines.clear()
+        return []
+
+    def _say(self, line: str) -> None:
+        self.said.append(line)
+        self._lines.append(line)
