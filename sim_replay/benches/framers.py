@@ -31,7 +31,8 @@ from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile
 from drivers.sonar.ping_protocol import PingDecoder, PingGrammar
 from drivers.stamps import Stamp
-from drivers.vehicle import imc_messages
+from drivers.vehicle import can_messages, imc_messages
+from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
 from sim_replay.benches.arguments import count
 
@@ -46,6 +47,7 @@ _CHUNK_BYTES: Final = 4096
 _GARBAGE_BYTES: Final = 1 << 20
 _N_SAMPLES: Final = 1200
 _ARRIVED: Final = Stamp(0, 0)
+_VEHICLE_CAN_ADDRESS: Final = 96
 
 
 class Wire(NamedTuple):
@@ -321,6 +323,28 @@ def _fast_packet_read(chunks: Iterable[bytes]) -> list[Hashable]:
     return found
 
 
+def _vehicle_can_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    """Reports, commands and statuses of a payload, of 11, 4 and 1 frames, by way of an slcan adapter."""
+    wired = []
+    for number in range(n):
+        told: can_messages.Record
+        if number % 3 == 0:
+            place = random.uniform(-80.0, 80.0), 1.0, random.uniform(-179.0, 179.0)
+            told = can_messages.ReportMessage(1, number, 7, 1, 1e9, *place, 0.5, 18.0, 0, 1, *random.random(12))
+        elif number % 3 == 1:
+            told = can_messages.GoToMessage(random.uniform(-80.0, 80.0), 1.5, random.uniform(-179.0, 179.0), 3.0, 5.0, 1, 3.0, number, 1)
+        else:
+            told = can_messages.PayloadStatus(1, 3, 1, 1, number)
+        wired.append(b"".join(map(slcan_encode, can_messages.encode(told, _VEHICLE_CAN_ADDRESS, number))))
+    return wired
+
+
+def _vehicle_can_read(chunks: Iterable[bytes]) -> list[Hashable]:
+    parser, receiver = SlcanParser(Counter()), CanReceiver("vehicle_can", "payload", _VEHICLE_CAN_ADDRESS, Counter())
+    whole = (receiver.add(frame, 0.0) for chunk in chunks for frame in parser.feed(chunk))
+    return [received.record for received in whole if received is not None]
+
+
 WIRES: Final = (
     Wire("ping_protocol", _ping_messages, read_with(PingGrammar(), tuple)),
     Wire("jsf", _jsf_messages, read_with(JsfGrammar(), tuple)),
@@ -332,6 +356,7 @@ WIRES: Final = (
     Wire("imc", _imc_messages, read_with(ImcGrammar(), tuple)),
     Wire("slcan", _slcan_messages, _slcan_read),
     Wire("fast_packet", _fast_packet_messages, _fast_packet_read),
+    Wire("vehicle_can", _vehicle_can_messages, _vehicle_can_read),
 )
 
 
