@@ -60,6 +60,7 @@ class Liaison:
         self._told_health: tuple[Health, str] | None = None
         self._ending = ""
         self._proposed = False
+        self._parted = ""
         self._position_deg = NAN, NAN
         self._heading_rad = NAN
         self._position_s = -math.inf
@@ -68,6 +69,10 @@ class Liaison:
     def plan(self) -> tuple[Waypoint, ...] | None:
         """What was proposed last, None if nothing ever was."""
         return self._look_again.plan if self._proposed else None
+
+    def health(self) -> str:
+        """For the health line; after parting, how it was then."""
+        return self._parted or self.vehicle.health()
 
     def start(self, serve: Coroutine[Any, Any, None]) -> None:
         """serve: talks to the vehicle until cancelled."""
@@ -93,7 +98,7 @@ class Liaison:
         """Called twice a second while perception runs: what else is to be said. ask: has a plan made, for `take`."""
         now_s = self._clock.monotonic_s()
         position_lost = now_s - self._position_s > _POSITION_LOST_S
-        faults = [self._ending] if self._ending else [*faults, "the position is lost"] if position_lost else faults
+        faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
         self._tell_health("fault" if faults else "normal", "; ".join(faults))
         if self._commands and not self._ending and not position_lost and self.vehicle.authority != "down":
             self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
@@ -123,6 +128,7 @@ class Liaison:
             self._tell_health("failure", reason)
             await asyncio.wait({self._serving}, timeout=_LAST_WORDS_S)
         finally:
+            self._parted = self.vehicle.health()
             self._serving.cancel()
         await asyncio.wait({self._serving})
         return self.vehicle.take_notices()

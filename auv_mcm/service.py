@@ -457,7 +457,7 @@ class Service:
             f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts) - clutter} clutter={clutter} "
             f"lag_ms={self._lag_s * 1e3:.1f}"
             + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
-            + (f" {self._liaison.vehicle.health()}" if self._liaison is not None else "")
+            + (f" {self._liaison.health()}" if self._liaison is not None else "")
         )
 
     def _write(self) -> None:
@@ -473,7 +473,7 @@ class Service:
             **self._tally.totals(),
             **contact_totals(contacts, self._coverage),
             "waypoints": len(waypoints),
-            **({} if self._liaison is None else {"vehicle": self._liaison.vehicle.health()}),
+            **({} if self._liaison is None else {"vehicle": self._liaison.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
             "counters": dict(sorted(self._all_counters().items())),
             "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in self._notices],

@@ -165,7 +165,9 @@ class _VehicleReader:
 
     @property
     def counters(self) -> Counter[str]:
-        return self._dialect.counters if self._bus is None else self._dialect.counters + self._bus.counters
+        """Messages alone: what else there is to count is counted by the pilot's dialect, which speaks as well."""
+        told = Counter({key: count for key, count in self._dialect.counters.items() if key.endswith(".messages")})
+        return told if self._bus is None else told + self._bus.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         item = data if self._bus is None else unpack_can(data)
