@@ -58,7 +58,7 @@ class Fence:
 
     def clearance_m(self, start: Point, end: Point) -> float:
         """How near the straight way comes to the fence; -inf if any of it is outside, or not on the chart."""
-        if not (self._inside(start) and self._inside(end)):
+        if not (self.inside(start) and self.inside(end)):
             return -math.inf
         if any(_cross(start, end, *edge) for edge in self._edges):
             return -math.inf
@@ -72,8 +72,8 @@ class Fence:
             for edge in self._edges
         )
 
-    def _inside(self, point: Point) -> bool:
-        """Even-odd rule; nothing is asked of points on an edge, whose clearance is zero."""
+    def inside(self, point: Point) -> bool:
+        """Even-odd rule; points on an edge may count as either."""
         east_m, north_m = point
         inside = False
         for a, b in self._edges:
@@ -124,7 +124,7 @@ class Guard:
         if state.depth_m > self._config.max_depth_m:
             return Refusal("too_deep", f"depth {state.depth_m:.1f} m is beyond max_depth_m ({self._config.max_depth_m:g})")
         here = self._fence.point(state.latitude_deg, state.longitude_deg)
-        if not self._fence.clearance_m(here, here) > 0.0:
+        if not self._fence.inside(here):
             return Refusal("outside_fence", "the vehicle is outside the fence")
         return None
 
@@ -176,9 +176,11 @@ class Guard:
         if not 0.0 < command.radius_m < math.inf:
             return Refusal("radius", f"radius {command.radius_m:g} m is none")
         here, there = fence.point(state.latitude_deg, state.longitude_deg), fence.point(command.latitude_deg, command.longitude_deg)
+        if (refusal := self._way(here, there, fence)) is not None:
+            return refusal
         if not fence.clearance_m(there, there) >= self._config.fence_margin_m - _ROUNDING_M:
-            return Refusal("target_outside_fence", f"the place to go to is not {self._config.fence_margin_m:g} m inside the fence")
-        return self._way(here, there, fence)
+            return Refusal("target_near_fence", f"the place to go to is not {self._config.fence_margin_m:g} m inside the fence")
+        return None
 
     def _steer(self, command: Steer, state: VehicleState, fence: Fence) -> Refusal | None:
         if not math.isfinite(state.heading_rad):
@@ -191,8 +193,11 @@ class Guard:
 
     def _way(self, here: Point, there: Point, fence: Fence) -> Refusal | None:
         """A vehicle that is within the margin already may leave it, but not come nearer to the fence."""
+        clearance_m = fence.clearance_m(here, there)
+        if clearance_m >= max(self._config.fence_margin_m, _TOUCH_M):
+            return None
         least_m = min(self._config.fence_margin_m, fence.clearance_m(here, here))
-        if not fence.clearance_m(here, there) >= max(least_m - _ROUNDING_M, _TOUCH_M):
+        if not clearance_m >= max(least_m - _ROUNDING_M, _TOUCH_M):
             return Refusal("leads_out", f"the straight way leads out of the fence, or nearer to it than {least_m:.1f} m")
         return None
 

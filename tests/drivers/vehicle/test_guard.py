@@ -138,7 +138,8 @@ def test_a_vehicle_within_the_margin_may_leave_it_and_come_no_nearer() -> None:
     guard = Guard(config(margin_m=20.0))
     here = state((90.0, 0.0))
     assert code(guard, go_to((0.0, 0.0)), here) is None
-    assert code(guard, go_to((95.0, 0.0)), here) == "target_outside_fence"
+    assert code(guard, go_to((95.0, 0.0)), here) == "leads_out"
+    assert code(guard, go_to((90.0, 10.0)), here) == "target_near_fence"
     assert code(guard, Steer(math.radians(270.0), Vertical("altitude", 5.0), 1.5), here) is None
     assert code(guard, Steer(math.radians(90.0), Vertical("altitude", 5.0), 1.5), here) == "leads_out"
 
@@ -233,4 +234,4 @@ def test_a_closed_ring_is_the_same_fence() -> None:
     corners_deg = [moved(*HOME_DEG, *corner) for corner in SQUARE_M]
     closed = Guard(msgspec.structs.replace(config(), fence_deg=(*corners_deg, corners_deg[0])))
     assert code(closed, go_to((90.0, 90.0)), state((-90.0, -90.0))) is None
-    assert code(closed, go_to((99.0, 90.0)), state((-90.0, -90.0))) == "target_outside_fence"
+    assert code(closed, go_to((99.0, 90.0)), state((-90.0, -90.0))) == "leads_out"

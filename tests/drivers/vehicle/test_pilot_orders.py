@@ -36,6 +36,7 @@ CONFIG: Final = VehicleConfig(
 PLACES_M: Final = st.sampled_from(
     [(40.0, 40.0), (40.0, 160.0), (160.0, 40.0), (20.0, 20.0), (100.0, 30.0), (78.0, 150.0), (120.0, 120.0), (-30.0, 50.0)]
 )
+GOOD_PLAN_M: Final = [(40.0, 40.0), (100.0, 40.0), (150.0, 40.0)]
 EXTENT_M: Final = 1e-2
 
 
@@ -64,6 +65,16 @@ class AnyOrder(RuleBasedStateMachine):
         self.asked = self.may_command = self.stopped = False
         self.n_seen = 0
         self.n_commands = 0
+        self.take_command()
+
+    @rule()
+    def take_command(self) -> None:
+        """Where most of what can go wrong begins; if nothing is in the way."""
+        if not self.wire_open:
+            self.connect()
+        self.place_m = (40.0, 40.0)
+        self.propose(GOOD_PLAN_M)
+        self.run(3.0, False)
 
     def hear(self, *events: VehicleEvent) -> None:
         self.pilot.hear(events, stamp(self.now_s))
@@ -129,6 +140,13 @@ class AnyOrder(RuleBasedStateMachine):
         assert any(line.startswith("release") for line in self.dialect.said[n_said:]) == was_in_control
         self.wire_open = False
         self.read()
+
+    @rule(seconds=st.sampled_from([4.0, 25.0, 70.0]))
+    def listen_to_a_vehicle_without_position(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.5)):
+            self.now_s += 0.5
+            self.hear(Acknowledged(1))
+            self.fetch()
 
     @rule(
         place_m=st.one_of(st.none(), PLACES_M),
@@ -236,7 +254,7 @@ class AnyOrder(RuleBasedStateMachine):
             return
         self.connect()
         self.place_m = (40.0, 40.0)
-        self.propose([(40.0, 40.0), (100.0, 40.0), (150.0, 40.0)])
+        self.propose(GOOD_PLAN_M)
         n_commands, start_s = self.n_commands, self.now_s
         while self.n_commands == n_commands:
             self.run(0.2, False)
@@ -244,4 +262,4 @@ class AnyOrder(RuleBasedStateMachine):
 
 
 TestAnyOrder = AnyOrder.TestCase
-TestAnyOrder.settings = settings(max_examples=40, stateful_step_count=40, deadline=None)
+TestAnyOrder.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
