@@ -23,36 +23,51 @@ def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig,
 
     A contact whose leg does not, or that cannot be reached from the one before without a turn outside, is left out, which `refused` says.
     """
+    fence = _Fence(vehicle)
     wanted = [contact for contact in contacts if contact.id not in request.left_out]
     refused: dict[str, str] = {}
     while True:
         chosen = [contact for contact in wanted if contact.id not in refused]
-        waypoints = plan_reinspection(chosen, request.latitude_deg, request.longitude_deg, request.heading_rad, plan)
-        outside = _outside(waypoints, vehicle)
+        pose = request.latitude_deg, request.longitude_deg, request.heading_rad
+        waypoints = plan_reinspection(chosen, *pose, plan, may_run=lambda *ends: fence.holds(ends))
+        outside = _outside(waypoints, fence)
         if not outside:
             return Proposal(waypoints, tuple(refused.items()))
         refused |= outside
 
 
-def _outside(waypoints: tuple[Waypoint, ...], vehicle: VehicleConfig) -> dict[str, str]:
+class _Fence:
+    """least_m: so far inside it ways have to stay."""
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._frame = LocalFrame(latitude_deg=vehicle.fence_deg[0][0], longitude_deg=vehicle.fence_deg[0][1])
+        self._corners = self._points(vehicle.fence_deg)
+        self.least_m = vehicle.fence_margin_m + vehicle.arrival_radius_m
+
+    def holds(self, places_deg: Iterable[tuple[float, float]]) -> bool:
+        """Whether the way from place to place stays inside."""
+        return keeps_inside(self._points(places_deg), self._corners, self.least_m)
+
+    def _points(self, places_deg: Iterable[tuple[float, float]]) -> Points:
+        latitude_deg, longitude_deg = np.array(list(places_deg)).T
+        return self._frame.to_enu(latitude_deg, longitude_deg, np.zeros_like(latitude_deg))[:, :2]
+
+
+def _outside(waypoints: tuple[Waypoint, ...], fence: _Fence) -> dict[str, str]:
     """Contacts, with reasons, whose legs lead out of the fence; where all legs stay inside, the first whose turns do not."""
-    if not waypoints:
-        return {}
-    frame = LocalFrame(latitude_deg=vehicle.fence_deg[0][0], longitude_deg=vehicle.fence_deg[0][1])
-    fence = _points(vehicle.fence_deg, frame)
-    least_m = vehicle.fence_margin_m + vehicle.arrival_radius_m
-    places = _points([(point.latitude_deg, point.longitude_deg) for point in waypoints], frame)
+    places = [(point.latitude_deg, point.longitude_deg) for point in waypoints]
+    why = f"comes within {fence.least_m:g} m of the fence or leads out of it"
     legs: dict[str, str] = {}
     turns: dict[str, str] = {}
     for at, point in enumerate(waypoints):
         if point.kind != "leg_exit":
             continue
-        if not keeps_inside(places[at - 1 : at + 1], fence, least_m):
-            legs[point.contact_id] = f"its leg comes within {least_m:g} m of the fence or leads out of it"
+        if not fence.holds(places[at - 1 : at + 1]):
+            legs[point.contact_id] = f"its leg {why}"
         first = next(k for k, other in enumerate(waypoints) if other.leg == point.leg and other.kind != "start")
         before = max(first - 1, 1)  # the vehicle is where it is when the plan is made
-        if not turns and not keeps_inside(places[before:at], fence, least_m):
-            turns[point.contact_id] = f"the turn towards it comes within {least_m:g} m of the fence or leads out of it"
+        if not turns and not fence.holds(places[before:at]):
+            turns[point.contact_id] = f"the turn towards it {why}"
     return legs or turns
 
 
@@ -95,8 +110,3 @@ def _to_segments(points: Points, starts: Points, ends: Points) -> Points:
     share = np.clip(np.sum((points[:, None] - starts) * along, axis=2) / length2, 0.0, 1.0)
     distance: Points = np.linalg.norm(points[:, None] - (starts + share[..., None] * along), axis=2)
     return distance
-
-
-def _points(places_deg: Iterable[tuple[float, float]], frame: LocalFrame) -> Points:
-    latitude_deg, longitude_deg = np.array(list(places_deg)).T
-    return frame.to_enu(latitude_deg, longitude_deg, np.zeros_like(latitude_deg))[:, :2]

@@ -9,8 +9,8 @@ decides.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,13 @@ from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
 from auv_mcm.records import Contact, Waypoint
 
+Place: TypeAlias = tuple[float, float]
+"""Latitude and longitude, degrees."""
+
 SETTLING_RADII: Final = 1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
 _ARC_STEP_RAD: Final = math.radians(15.0)
 _LEAST_STEP_M: Final = 1e-3  # way-points closer than this are one
+_DETOUR_M: Final = 1e6  # longer than any that there is
 _BLOCK: Final = 1 << 18  # pairs of legs measured at once, bounds memory
 
 
@@ -47,7 +51,12 @@ def needs_second_look(contact: Contact, min_p_mine: float) -> bool:
 
 
 def plan_reinspection(
-    contacts: Iterable[Contact], start_latitude_deg: float, start_longitude_deg: float, start_heading_rad: float, config: PlanConfig
+    contacts: Iterable[Contact],
+    start_latitude_deg: float,
+    start_longitude_deg: float,
+    start_heading_rad: float,
+    config: PlanConfig,
+    may_run: Callable[[Place, Place], bool] = lambda entry, leaving: True,
 ) -> tuple[Waypoint, ...]:
     """Way-points from the start pose past the `max_contacts` most undecided contacts that need a second look, in the order to sail them.
 
@@ -56,7 +65,8 @@ def plan_reinspection(
     Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`. The leg is
     `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each point, [0, 2 pi).
     Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of the way-point polygon from inside
-    are not tighter than it either. Equal input gives equal plans. Empty if no contact needs a second look.
+    are not tighter than it either. may_run: whether a leg from place to place is wanted; others are planned only where a contact
+    leaves no choice. Equal input gives equal plans. Empty if no contact needs a second look.
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
@@ -73,7 +83,8 @@ def plan_reinspection(
     start = Pose(0.0, 0.0, start_heading_rad)
     radius_m = config.turn_radius_m / math.cos(_ARC_STEP_RAD / 2.0)
     legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
-    tour = short_tour(_connections(start, legs, radius_m))
+    unwanted_m = np.array([0.0 if may_run(*leg.ends_deg) else _DETOUR_M for leg in legs])
+    tour = short_tour(_connections(start, legs, radius_m) + _shares(unwanted_m))
     return _waypoints(start, (start_latitude_deg, start_longitude_deg), [legs[index] for index in tour], radius_m, frame, config)
 
 
@@ -110,6 +121,11 @@ def _connections(start: Pose, legs: list[_Leg], radius_m: float) -> NDArray[np.f
     for row in range(0, len(exits), rows):
         cost[row : row + rows] = dubins_lengths(exits[row : row + rows, np.newaxis], entries[np.newaxis], radius_m)
     return cost
+
+
+def _shares(unwanted_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n + 1, n) what ways cost besides, half on either side of each, so that a tour sailed backwards still costs the same."""
+    return 0.5 * (np.concatenate([[0.0], unwanted_m])[:, np.newaxis] + unwanted_m)
 
 
 def _waypoints(

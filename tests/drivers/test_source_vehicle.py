@@ -14,14 +14,17 @@ from port_traffic import config_of
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config
 from auv_mcm.errors import HardwareError, UsageError
+from auv_mcm.port_config import PortConfig
 from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
 from auv_mcm.service import LiveSource
+from auv_mcm.vehicle_config import VEHICLE_NAMES
 from drivers.links.link import Link
 from drivers.port_stream import pack_can
 from drivers.ports import Port, read_ports
 from drivers.source import OnBytes, OnState, PortSource
 from drivers.stamps import Stamp
 from drivers.vehicle.pilot import Pilot
+from drivers.vehicle.registry import VEHICLES
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.can import FakeCan
 from sim_replay.fakes.vehicles.imc import FakeImc
@@ -181,6 +184,10 @@ def plan() -> tuple[Waypoint, ...]:
         Waypoint(leg=1, kind=kind, latitude_deg=latitude_deg, longitude_deg=5.0, heading_rad=0.0, contact_id="C00001", why="")
         for kind, latitude_deg in places
     )
+
+
+def test_every_vehicle_that_a_configuration_may_name_has_its_dialect_and_a_section_called_like_it() -> None:
+    assert set(VEHICLES) == set(VEHICLE_NAMES) <= set(PortConfig.__struct_fields__)
 
 
 @each_dialect

@@ -66,6 +66,13 @@ def test_a_leg_that_leads_out_is_left_out_with_its_reason_and_the_others_stay() 
     assert "its leg comes within 8 m of the fence or leads out of it" in reason
 
 
+@pytest.mark.parametrize("east_m", [-185.0, 185.0])
+def test_a_contact_near_the_fence_is_passed_on_its_inner_side(east_m: float) -> None:
+    proposal = propose([contact(1, east_m, 50.0, look_deg=90.0)], START, PLAN, fenced(SQUARE))
+    assert not proposal.refused
+    assert {point.contact_id for point in proposal.waypoints} == {"C00001"}
+
+
 def test_what_is_not_to_be_looked_at_is_not_in_the_plan() -> None:
     proposal = propose([contact(1, 50.0, 50.0)], START._replace(left_out=frozenset({"C00001"})), PLAN, fenced(SQUARE))
     assert proposal == ((), ())
