@@ -169,6 +169,12 @@ class AnyOrder(RuleBasedStateMachine):
             self.state = whole
             self.hear(state._replace(depth_m=NAN, altitude_m=NAN), whole)
 
+    @rule(place_m=PLACES_M, steps=st.integers(1, 12))
+    def be_elsewhere(self, place_m: tuple[float, float], steps: int) -> None:
+        """Its navigation was corrected."""
+        self.place_m = place_m
+        self.run(0.2 * steps, False)
+
     @rule()
     def grant(self) -> None:
         self.hear(Granted("yes"))
