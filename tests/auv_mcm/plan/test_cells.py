@@ -96,6 +96,12 @@ def test_what_the_budget_left_out_is_not_surveyed() -> None:
     assert cells_of(tile, fraction=0.25).fraction == pytest.approx(0.25 * cells_of(tile).fraction)
 
 
+@pytest.mark.parametrize("n_rows", [1, 2, 3, 5, 197, 250])
+def test_tiles_of_any_length_have_cells(n_rows: int) -> None:
+    cells = cells_of(tile_of(plain(n_rows)))
+    assert cells.altitude_m == pytest.approx(FIRST_RETURN_M)
+
+
 def test_no_cell_is_more_than_whole() -> None:
     assert float(cells_of(tile_of(plain())).fraction.max()) <= 1.0
 
