@@ -1,0 +1,40 @@
+"""What a vehicle told in pieces is put together, and forgotten in time."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from auv_mcm.records import NAN
+from drivers.stamps import Stamp
+from drivers.vehicle.seam import VehicleState
+from drivers.vehicle.whereabouts import Whereabouts
+
+STAMP = Stamp(0, 0)
+
+
+def test_every_quantity_is_known_for_so_long_after_it_was_told() -> None:
+    whereabouts = Whereabouts(valid_s=3.0)
+    assert whereabouts.at(0.0) is None
+    whereabouts.hear(VehicleState(STAMP, 54.0, 8.0, depth_m=20.0), 0.0)
+    whereabouts.hear(VehicleState(STAMP, altitude_m=8.0), 2.0)
+    state = whereabouts.at(3.0)
+    assert state is not None
+    assert (state.latitude_deg, state.longitude_deg, state.depth_m, state.altitude_m) == (54.0, 8.0, 20.0, 8.0)
+    state = whereabouts.at(4.0)
+    assert state is not None
+    assert state.altitude_m == 8.0
+    assert all(map(math.isnan, (state.latitude_deg, state.longitude_deg, state.depth_m, state.heading_rad)))
+    assert whereabouts.position_s == 0.0
+
+
+@pytest.mark.parametrize("position_deg", [(0.0, 0.0), (NAN, 8.0), (54.0, NAN), (91.0, 8.0), (54.0, 181.0), (math.inf, 8.0)])
+def test_positions_that_cannot_be_are_not_believed(position_deg: tuple[float, float]) -> None:
+    whereabouts = Whereabouts(valid_s=3.0)
+    whereabouts.hear(VehicleState(STAMP, *position_deg, depth_m=20.0), 0.0)
+    state = whereabouts.at(0.0)
+    assert state is not None
+    assert math.isnan(state.latitude_deg)
+    assert state.depth_m == 20.0
+    assert all(map(math.isnan, whereabouts.position_deg))
