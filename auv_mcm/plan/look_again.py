@@ -91,6 +91,7 @@ class LookAgain:
         self._looks: dict[str, _Looks] = {}
         self._legs: list[_Leg] = []  # of the plan, not yet flown
         self._on_leg: _Leg | None = None
+        self._along_m = 0.0
         self._commanding = False
         self._begins_here = False  # the plan was made since the payload commands
         self._changed = False
@@ -116,7 +117,8 @@ class LookAgain:
     def move(self, latitude_deg: float, longitude_deg: float, commanding: bool, now_s: float) -> None:
         """Where the vehicle is, once a second or more often. commanding: the payload has control."""
         if commanding != self._commanding:
-            self._commanding, self._on_leg, self._begins_here = commanding, None, False
+            self._leave_leg(now_s)
+            self._commanding, self._begins_here = commanding, False
             if commanding:  # the plan begins where the vehicle was before
                 self._changed, self._asked_s = True, -math.inf
         if not commanding:
@@ -127,9 +129,12 @@ class LookAgain:
             leg: place for leg in self._legs if (place := leg.place(latitude_deg, longitude_deg)).is_near(leg.length_m, end_m, beside_m)
         }
         if self._on_leg not in near:
+            self._leave_leg(now_s)
             self._on_leg = next((leg for leg, place in near.items() if place.along_m < 0.5 * leg.length_m), None)
-        elif near[self._on_leg].along_m >= self._on_leg.length_m - end_m:
-            self._flown(self._on_leg, now_s)
+        if self._on_leg is not None:
+            self._along_m = near[self._on_leg].along_m
+            if self._along_m >= self._on_leg.length_m - end_m:
+                self._leave_leg(now_s)
 
     def request(self, pose: tuple[float, float, float], now_s: float) -> PlanRequest | None:
         """What to plan now, if anything. pose: latitude, longitude (degrees), heading (radians)."""
@@ -165,11 +170,14 @@ class LookAgain:
         lasts_s = 0.5 * self._config.vehicle.plan_valid_s
         return now_s - self._planned_s > (lasts_s if self._commanding else min(lasts_s, _REFRESH_S))
 
-    def _flown(self, leg: _Leg, now_s: float) -> None:
+    def _leave_leg(self, now_s: float) -> None:
+        """It was flown if the contact, abeam of its middle, was passed."""
+        leg, self._on_leg = self._on_leg, None
+        if leg is None or self._along_m <= 0.5 * leg.length_m:
+            return
         looks = self._looks[leg.contact_id]
         looks.n_flown, looks.n_vain, looks.flown_s = looks.n_flown + 1, looks.n_vain + 1, now_s
         self._legs.remove(leg)
-        self._on_leg = None
         if looks.is_given_up:
             text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not asked for any more"
             self._notices.append(Notice(code="look_given_up", text=text))

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import msgspec
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_propose import FRAME, SQUARE, contact, fenced, geodetic
@@ -132,6 +133,16 @@ def test_a_contact_that_two_legs_show_nothing_new_of_is_given_up() -> None:
         assert len(mission.proposed) == 2 * n_flown
     assert not any(mission.plan(100.0) for _ in range(20))
     assert [notice.code for notice in mission.look_again.take_notices()] == ["look_given_up"]
+
+
+@pytest.mark.parametrize(("upto", "counts"), [(0.4, False), (0.7, True)])
+def test_a_leg_that_ends_early_counts_if_the_contact_was_passed(upto: float, counts: bool) -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    ((entry, leaving),) = legs(mission.plan())
+    mission.fly(entry, leaving, upto)
+    mission.be_at(0.0, 0.0, commanding=False)  # the vehicle has taken control back
+    assert bool(legs(mission.plan(40.0))) is not counts
 
 
 @given(st.lists(st.sampled_from(["fly", "wait", "see", "lose", "command"]), max_size=25))
