@@ -11,11 +11,16 @@ from typing import Any, Final, NamedTuple, get_args
 
 from auv_mcm.config import Config, port_keys
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName
+from auv_mcm.vehicle_config import VEHICLE_NAMES, BluefinSettings, IverSettings, ReconSettings
 from drivers.links import pulse
 from drivers.links.uri import EXAMPLES
 from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, nmea0183, sentences
 from drivers.ports import PULSE, Port, read_ports
 from drivers.sonar import imagenex, jsf_messages, ping_messages
+from drivers.vehicle import bluefin_sentences, can_messages, imc_messages, iver, recon
+from drivers.vehicle.ascii_fields import Table
+from drivers.vehicle.iver_sentences import table_of as iver_table
+from drivers.vehicle.recon_sentences import table_of as recon_table
 
 _EXAMPLE: Final = """\
 # Ports of a vehicle, for a configuration file. 'auv-mcm run --interface' prints what is spoken there.
@@ -51,6 +56,12 @@ ports:
     link: socketcan://can0
     device: nmea2000
     navigation: {priority: 3}
+
+  # The vehicle's own controller, which is told of contacts. With a section 'navigation' what it tells of its position serves as well.
+  - name: vehicle
+    link: tcp://192.168.2.10:29500
+    device: bluefin
+    navigation: {priority: 4}
 """
 
 _TYPES: Final = {"b": "i8", "B": "u8", "h": "i16", "H": "u16", "i": "i32", "I": "u32", "q": "i64", "Q": "u64", "f": "f32", "d": "f64"}
@@ -86,7 +97,7 @@ def interface_text(config: Config) -> str:
         lines = [line for port in ports for line in (*_port_lines(port), "")]
     else:
         lines = ["No ports are configured; these are the links and devices there are.", "", *(f"  {link}" for link in EXAMPLES), ""]
-    devices = dict.fromkeys(port.device for port in ports) if ports else (*SONAR_NAMES, *get_args(NavUnitName))
+    devices = dict.fromkeys(port.device for port in ports) if ports else (*SONAR_NAMES, *get_args(NavUnitName), *VEHICLE_NAMES)
     for device in devices:
         lines += [*_device_lines(device), ""]
     return "\n".join(lines[:-1]) + "\n"
@@ -112,9 +123,19 @@ def struct_fields(names: Sequence[str], layout: Struct) -> list[str]:
 def _port_lines(port: Port) -> list[str]:
     baud = "" if port.baud is None else f", {port.baud} baud"
     lines = [f"port '{port.name}': {port.address.place}{baud}"]
-    used = "pings" if port.is_sonar else "UTC" if port.device == PULSE else "navigation"
-    used += " and navigation" if port.is_sonar and port.unit is not None else ""
+    used = (
+        "pings"
+        if port.is_sonar
+        else "the talk with the vehicle"
+        if port.vehicle is not None
+        else "UTC"
+        if port.device == PULSE
+        else "navigation"
+    )
+    used += " and navigation" if used != "navigation" and port.unit is not None else ""
     lines.append(f"  in:  {port.device}, for {used}")
+    if port.vehicle is not None:
+        return [*lines, f"  out: {port.device}: contacts and health; commands only with vehicle.command and while the vehicle lets us"]
     if not port.commands:
         return [*lines, "  out: nothing"]
     when = "when it opens or is heard again" if port.ask_every_s is None else f"every {port.ask_every_s:g} s"
@@ -168,15 +189,20 @@ def _nmea0183(is_of_burst: bool) -> Iterable[Layout]:
     for key, kind in sentences.SENTENCES.items():
         if is_of_burst and not (key.startswith("PIXSE") or key == "HDT"):
             continue
-        at = 1 + key.count(",")
-        names = iter(kind.make._fields)  # type: ignore[attr-defined]  # every record is a named tuple
-        fields = []
-        for codec in kind.codecs:
-            n_fields = 1 if codec is None else codec.n_fields
-            places = f"{at}" if n_fields == 1 else f"{at}-{at + n_fields - 1}"
-            fields.append(f"{places:>5} {'not read' if codec is None else next(names)}")
-            at += n_fields
-        yield Layout(f"${key}" if key.startswith("P") else f"$--{key}", kind.make, fields)
+        yield Layout(f"${key}" if key.startswith("P") else f"$--{key}", kind.make, _sentence_fields(kind))
+
+
+def _sentence_fields(kind: sentences.Sentence[Any]) -> list[str]:
+    """A line per field: its place behind the address, name."""
+    at = 1 + kind.key.count(",")
+    names = iter(kind.make._fields)  # type: ignore[attr-defined]  # every record is a named tuple
+    fields = []
+    for codec in kind.codecs:
+        n_fields = 1 if codec is None else codec.n_fields
+        places = f"{at}" if n_fields == 1 else f"{at}-{at + n_fields - 1}"
+        fields.append(f"{places:>5} {'not read' if codec is None else next(names)}")
+        at += n_fields
+    return fields
 
 
 def _pd6() -> Iterable[Layout]:
@@ -198,6 +224,38 @@ def _nmea2000() -> Iterable[Layout]:
         yield Layout(f"PGN {pgn}, {message.n_bytes} bytes", message.make, fields)
 
 
+def _imc() -> Iterable[Layout]:
+    for number, layout in imc_messages.LAYOUTS.items():
+        names = iter(layout.kind.__struct_fields__)
+        fields = []
+        for part in layout.parts:
+            if isinstance(part, imc_messages.Numbers):
+                fields += [f"{_TYPES[code]:8} {next(names)}" for code in part.layouts["<"].format[1:]]
+            elif isinstance(part, str):
+                fields.append(f"{part:8} {next(names)}")
+            else:
+                kind = "any message" if part.kind is None else part.kind.__name__
+                many = "list of " if isinstance(part, imc_messages.Many) else ""
+                fields.append(f"{'message':8} {next(names)}: {many}{kind}")
+        yield Layout(f"message {number}", layout.kind, fields)
+
+
+def _table(table: Table, start: str) -> Iterable[Layout]:
+    for kind in table.kinds:
+        yield Layout(f"{start}{kind.key}", kind.make, _sentence_fields(kind))
+
+
+def _vehicle_can() -> Iterable[Layout]:
+    for message in can_messages.MESSAGES:
+        fields = []
+        for part, first_byte, signal in message.placed:
+            scale = "" if signal.scale is None else f"x {signal.scale:g} {signal.unit}".rstrip()
+            kind = f"{'i' if signal.signed else 'u'}{8 * signal.n_bytes}"
+            place = f"part {part} byte {first_byte}" if message.is_transfer else f"byte {first_byte}"
+            fields.append(f"{place:14} {kind:4} {scale:10} {signal.name}: {signal.comment}")
+        yield Layout(f"message {message.number}, from the {message.sender}", message.make, fields)
+
+
 _LANGUAGES: Final[Mapping[str, _Language]] = MappingProxyType(
     {
         "ping_protocol": _Language(ping_messages, _ping_protocol),
@@ -208,6 +266,11 @@ _LANGUAGES: Final[Mapping[str, _Language]] = MappingProxyType(
         "pd6": _Language(dvl_pd6, _pd6),
         "water_linked": _Language(dvl_water_linked, _water_linked),
         "nmea2000": _Language(n2k_messages, _nmea2000),
+        "imc": _Language(imc_messages, _imc),
+        "bluefin": _Language(bluefin_sentences, lambda: _table(bluefin_sentences.table_of(BluefinSettings()), "$")),
+        "iver": _Language(iver, lambda: _table(iver_table(IverSettings()), "$")),
+        "recon": _Language(recon, lambda: _table(recon_table(ReconSettings()), "#")),
+        "vehicle_can": _Language(can_messages, _vehicle_can),
         PULSE: _Language(pulse, lambda: ()),
     }
 )

@@ -31,6 +31,11 @@ class Table:
         self._by_key = {kind.key: kind for kind in kinds}
         self._by_record: dict[Any, Sentence[Any]] = {kind.make: kind for kind in kinds}
 
+    @property
+    def kinds(self) -> tuple[Sentence[Any], ...]:
+        """Every sentence."""
+        return tuple(self._by_key.values())
+
     def parse(self, body: str) -> Any | None:
         """The record in a sentence's body; None for a kind not known here. Raises ValueError for one that cannot be true to its kind.
 

@@ -15,12 +15,16 @@ from port_traffic import PORTS, config_of
 from auv_mcm.cli import main
 from auv_mcm.config import Config
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName, NavUnitSettings, PortConfig, SonarPortConfig
+from auv_mcm.vehicle_config import VEHICLE_NAMES
 from drivers.interface import example_text, interface_text, struct_fields
 from drivers.navigation.n2k_messages import MESSAGES
 from drivers.navigation.sentences import SENTENCES
 from drivers.ports import read_ports
 from drivers.sonar.jsf_messages import DATA_HEADER, SideScanHeader
 from drivers.sonar.ping_messages import FIXED_LAYOUTS, PROFILE_FIELDS, PROFILE_HEADER
+from drivers.vehicle.can_messages import MESSAGES as CAN_MESSAGES
+from drivers.vehicle.imc_messages import LAYOUTS
+from drivers.vehicle.registry import VEHICLES
 
 CODES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "f32": "f"}
 
@@ -54,10 +58,13 @@ def test_padding_moves_what_follows(codes: list[str]) -> None:
 
 def test_every_device_is_described_if_no_port_is_configured() -> None:
     text = interface_text(Config())
-    for device in (*SONAR_NAMES, *get_args(NavUnitName)):
+    for device in (*SONAR_NAMES, *get_args(NavUnitName), *VEHICLE_NAMES):
         assert f"\ndevice {device}: " in text
     assert all(f"PGN {pgn}, " in text for pgn in MESSAGES)
     assert all(key in text for key in SENTENCES)
+    assert all(f"message {number}: " in text for number in LAYOUTS)
+    assert all(f"message {message.number}, from the {message.sender}: " in text for message in CAN_MESSAGES)
+    assert all(f"  {key}: " in text for key in ("$BFNVG", "$BPRMB", "$OSI", "$OMS", "#S", "#E"))
     assert not re.search(r"[ \t]$", text, re.MULTILINE)
 
 
@@ -79,13 +86,14 @@ def test_a_pulse_is_printed_with_its_bytes() -> None:
 def test_the_example_is_a_configuration() -> None:
     config = config_of(example_text())
     assert config.service.source == "ports"
-    assert len(read_ports(config)) == len(config.ports) == 5
+    assert len(read_ports(config)) == len(config.ports) == 6
 
 
 def test_every_key_of_a_port_is_explained() -> None:
     text = example_text()
-    for section, path in ((PortConfig, ""), (SonarPortConfig, "sonar."), (NavUnitSettings, "navigation.")):
-        for key in set(section.__struct_fields__) - {"sonar", "navigation"}:
+    vehicles = [(vehicle.settings, f"{name}.") for name, vehicle in VEHICLES.items()]
+    for section, path in ((PortConfig, ""), (SonarPortConfig, "sonar."), (NavUnitSettings, "navigation."), *vehicles):
+        for key in set(section.__struct_fields__) - {"sonar", "navigation", *VEHICLE_NAMES}:
             assert re.search(rf"^#   {path}{key}: .+; (default .+|required)", text, re.MULTILINE), key
     assert "#   navigation.roll_sign: one of -1, 1; default 1 - -1 for a unit" in text
 
