@@ -13,10 +13,10 @@ from itertools import chain, islice, repeat
 from typing import Any, Final, get_args
 
 from auv_mcm.records import ContactClass
-from drivers.navigation.sentences import KNOT_MPS, SENTENCES, Codec, Sentence
+from drivers.navigation.sentences import SENTENCES, Codec, Sentence
 from drivers.vehicle.seam import ContactReport
 
-_FOOT_M: Final = 0.3048
+FOOT_M: Final = 0.3048
 DEGREE: Final = math.pi / 180.0
 _HALF_TURN: Final = math.pi
 _MAX_KEY_FIELDS: Final = 3
@@ -150,17 +150,20 @@ def heading(n_decimals: int) -> Codec:
 HEADING: Final = heading(2)
 PITCH: Final = within(scaled(CENTI, DEGREE), -0.5 * _HALF_TURN, 0.5 * _HALF_TURN)
 ROLL: Final = within(scaled(CENTI, DEGREE), -_HALF_TURN, _HALF_TURN)
-DEPTH: Final = within(CENTI, -10.0, 12_000.0)
-ALTITUDE: Final = within(CENTI, -10.0, 12_000.0)
-SPEED: Final = within(CENTI, -30.0, 30.0)
 
 
-def in_feet(metres: Codec) -> Codec:
-    return scaled(metres, _FOOT_M)
+def depth(codec: Codec, unit: float = 1.0) -> Codec:
+    """A depth or an altitude. unit: what 1 on the wire is, m."""
+    return within(scaled(codec, unit), -10.0, 12_000.0)
 
 
-def in_knots(metres_per_second: Codec) -> Codec:
-    return scaled(metres_per_second, KNOT_MPS)
+def speed(codec: Codec, unit: float = 1.0) -> Codec:
+    """unit: what 1 on the wire is, m/s."""
+    return within(scaled(codec, unit), -30.0, 30.0)
+
+
+DEPTH: Final = depth(CENTI)
+SPEED: Final = speed(CENTI)
 
 
 CLASSES: Final[tuple[ContactClass, ...]] = get_args(ContactClass)

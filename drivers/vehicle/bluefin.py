@@ -54,6 +54,7 @@ _VELOCITY_VALID_S: Final = 2.0
 _PENDING_FOR_S: Final = 60.0
 _TIME_STEP_S: Final = 0.01  # between the times of two sentences, so that an answer in hundredths still tells which it is for
 _ASKED_FOR: Final = ("ACK", "NVG", "NVR", "CTL", "MIS", "MSC", "SHT", "MBS", "MBE")  # ACK first, for the others to be answered
+_WORDS_ON_CONTROL: Final = ("ACK", "CTL", "MIS")  # which may have been lost
 _INVALID, _, _DONE, _PENDING = "0123"
 _RUNNING: Final = "running"
 
@@ -169,6 +170,8 @@ class BluefinDialect(AsciiDialect):
     def _ask(self, now_s: float) -> None:
         if self._permitted:
             self._later += self._grant("the vehicle lets the payload command")
+        else:
+            self._ask_for(*_WORDS_ON_CONTROL)
 
     def _steer(self, steer: Steer, now_s: float) -> None:
         mode = "1" if steer.vertical.reference == "altitude" else "0"
@@ -197,8 +200,11 @@ class BluefinDialect(AsciiDialect):
             self._put(_Item("STS", BluefinStatus(NAN, "0" if self._health.state == "failure" else "1", self._health_text())))
         if now_s - self._heard_s >= self.silent_after_s:
             self._later += self._withhold(f"the vehicle is silent for {self.silent_after_s:.0f} s")
+            end_of_control = self._waiting.get("RCE")
             self._forget()
             self._greet(now_s)
+            if end_of_control is not None:
+                self._put(end_of_control)
         lines = self._said_again(now_s)
         while (item := self._next(now_s)) is not None:
             del self._waiting[item.key]

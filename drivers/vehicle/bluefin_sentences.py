@@ -14,7 +14,6 @@ from auv_mcm.vehicle_config import BluefinSettings
 from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.sentences import Sentence
 from drivers.vehicle.ascii_fields import (
-    ALTITUDE,
     CENTI,
     CLOCK,
     CONTACT,
@@ -160,7 +159,7 @@ def table_of(settings: BluefinSettings) -> Table:
     name = settings.contact_sentence
     return Table(
         Sentence("BFACK", BluefinAnswer, (CLOCK, needed(TEXT), CLOCK, None, one_of(*"0123"), None, TEXT)),
-        Sentence("BFNVG", BluefinPosition, (CLOCK, LATITUDE, LONGITUDE, COUNT, ALTITUDE, DEPTH, HEADING, ROLL, PITCH, CLOCK)),
+        Sentence("BFNVG", BluefinPosition, (CLOCK, LATITUDE, LONGITUDE, COUNT, DEPTH, DEPTH, HEADING, ROLL, PITCH, CLOCK)),
         Sentence("BFNVR", BluefinVelocity, (CLOCK, SPEED, SPEED, SPEED)),
         Sentence("BFCTL", BluefinControl, (CLOCK, one_of("0", "1"))),
         Sentence("BFMIS", BluefinMission, (CLOCK, TEXT, needed(TEXT))),

@@ -15,24 +15,23 @@ from typing import Any, Final, NamedTuple
 
 from auv_mcm.vehicle_config import IverSettings
 from drivers.navigation.nmea0183 import NmeaGrammar, sentence
-from drivers.navigation.sentences import Codec, Sentence
+from drivers.navigation.sentences import KNOT_MPS, Codec, Sentence
 from drivers.vehicle.ascii_fields import (
-    ALTITUDE,
+    CENTI,
     CONTACT,
     COUNT,
     DECIMAL_DEGREES,
-    DEPTH,
+    FOOT_M,
     HEADING,
     PITCH,
     ROLL,
-    SPEED,
     TENTHS,
     TEXT,
     Table,
+    depth,
     heading,
-    in_feet,
-    in_knots,
     needed,
+    speed,
     within,
 )
 from drivers.vehicle.seam import ContactReport
@@ -100,30 +99,34 @@ class IverGrammar(NmeaGrammar):
 
 def table_of(settings: IverSettings) -> Table:
     """The sentences of this vehicle."""
-    depth = TENTHS if settings.remote_helm_version >= _METRES_SINCE else in_feet(TENTHS)
+    depth_unit_m = 1.0 if settings.remote_helm_version >= _METRES_SINCE else FOOT_M
     state: tuple[Codec | None, ...] = (
         None,  # fins and motor
         needed(TEXT),
         None,  # next way-point
         within(DECIMAL_DEGREES, -90.0, 90.0),
         within(DECIMAL_DEGREES, -180.0, 180.0),
-        in_knots(SPEED),
+        speed(CENTI, KNOT_MPS),
         None,  # distance to the next way-point
         None,  # error
-        in_feet(ALTITUDE),
+        depth(CENTI, FOOT_M),
         None,  # parking time
         None,  # declination
         None,  # mission
         None,  # remaining time
         HEADING,
-        in_feet(DEPTH),
+        depth(CENTI, FOOT_M),
     )
     name = settings.contact_sentence
     return Table(
         Sentence("OSI", IverState, state),
         Sentence("C", IverCompass, (HEADING, PITCH, ROLL, TENTHS, TENTHS)),
-        Sentence("OSD,G,C,S", IverPoll, ()),
-        Sentence("OMS", IverSteer, (needed(heading(1)), needed(depth), needed(TENTHS), needed(in_knots(TENTHS)), needed(COUNT))),
+        Sentence("OSD", IverPoll, ()),
+        Sentence(
+            "OMS",
+            IverSteer,
+            (needed(heading(1)), needed(depth(TENTHS, depth_unit_m)), needed(TENTHS), needed(speed(TENTHS, KNOT_MPS)), needed(COUNT)),
+        ),
         *((Sentence(f"{name},C", IverContact, (CONTACT,)), Sentence(f"{name},H", IverHealth, (TEXT,))) if name else ()),
     )
 
@@ -132,7 +135,7 @@ def line_of(table: Table, record: Any) -> bytes:
     """The sentence that says a record of the table."""
     body = table.body_of(record)
     if isinstance(record, IverPoll):
-        body += ",P,,,,"
+        body += ",G,C,S,P,,,,"
     elif isinstance(record, IverCompass):
         body = "".join(letter + field for letter, field in zip("CPRTD", body.split(",")[1:], strict=True))
     return sentence(body)

@@ -63,7 +63,6 @@ class ReconDialect(AsciiDialect):
 
     def _greet(self, now_s: float) -> None:
         self._alive_s = self._disengage_s = now_s
-        self._orders.append(ReconQuery("Depth"))  # a REMUS has been seen to heed nothing before it was asked something
 
     def _forget(self) -> None:
         self._reports.clear()
@@ -141,7 +140,7 @@ class ReconDialect(AsciiDialect):
         said, self._orders = self._orders, []
         if self._wanted and not self._granted and now_s >= self._engage_s:
             self._engage_s = now_s + _ENGAGE_EVERY_S
-            said.append(ReconEngage("1"))
+            said += [ReconQuery("Depth"), ReconEngage("1")]  # a REMUS has been seen to heed nothing before it was asked something
         if now_s >= self._alive_s:
             self._alive_s = now_s + _KEEP_ALIVE_S
             said.append(ReconAlive(self._health_text()))

@@ -16,7 +16,6 @@ from auv_mcm.vehicle_config import ReconSettings
 from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES
 from drivers.navigation.sentences import Codec, Sentence
 from drivers.vehicle.ascii_fields import (
-    ALTITUDE,
     CLOCK,
     CONTACT,
     COUNT,
@@ -179,7 +178,7 @@ _STATE: Final = (
     between("LON", _place(LONGITUDE, 3)),
     between("D", DEPTH),
     between("DG", DEPTH),
-    between("A", ALTITUDE),
+    between("A", DEPTH),
     between("P", _ANGLE),
     between("R", _ANGLE),
     between("TR", _RPM),

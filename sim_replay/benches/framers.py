@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
 from drivers.framing import Framer, Grammar
 from drivers.links.can_frame import CanFrame
 from drivers.links.slcan import SlcanParser
@@ -31,9 +32,12 @@ from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile
 from drivers.sonar.ping_protocol import PingDecoder, PingGrammar
 from drivers.stamps import Stamp
-from drivers.vehicle import can_messages, imc_messages
+from drivers.vehicle import bluefin_sentences, can_messages, imc_messages, iver_sentences, recon_sentences
+from drivers.vehicle.bluefin_sentences import BluefinGrammar
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
+from drivers.vehicle.iver_sentences import IverGrammar
+from drivers.vehicle.recon_sentences import ReconGrammar
 from sim_replay.benches.arguments import count
 
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
@@ -286,6 +290,45 @@ def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
     return wired
 
 
+def _bluefin_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    table = bluefin_sentences.table_of(BluefinSettings())
+    records: list[Any] = []
+    for number in range(n):
+        time_s, (angle_rad, speed_mps) = 0.1 * number, random.uniform(0.0, 1.5, 2).tolist()
+        place = random.uniform(-80.0, 80.0), random.uniform(-179.0, 179.0)
+        if number % 3 == 0:
+            position = (*place, 1.0, 5.0, random.uniform(1.0, 90.0), 4.0 * angle_rad, 0.01, -0.02, time_s)
+            records.append(bluefin_sentences.BluefinPosition(time_s, *position))
+        elif number % 3 == 1:
+            records.append(bluefin_sentences.BluefinVelocity(time_s, angle_rad, speed_mps, 0.0))
+        else:
+            records.append(bluefin_sentences.BluefinAnswer(time_s, "RMB", time_s, "2", "taken"))
+    return [sentence(table.body_of(record)) for record in records]
+
+
+def _iver_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    table = iver_sentences.table_of(IverSettings())
+    records: list[Any] = []
+    for number in range(n):
+        angle_rad, place_deg = random.uniform(0.0, 1.5), random.uniform(-80.0, 80.0, 2).tolist()
+        if number % 2:
+            records.append(iver_sentences.IverCompass(0.004 * number, angle_rad, -angle_rad, 20.0, random.uniform(0.0, 90.0)))
+        else:
+            records.append(iver_sentences.IverState._make(["NAWM"[number % 4], *place_deg, 1.5, 5.0, 0.004 * number, 12.0]))
+    return [iver_sentences.line_of(table, record) for record in records]
+
+
+def _recon_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    table = recon_sentences.table_of(ReconSettings())
+    records = []
+    for number in range(n):
+        place_deg = random.uniform(-80.0, 80.0, 2).tolist()
+        attitude = random.uniform(-0.2, 0.2, 2).tolist()
+        going = (1500.0, 1500.0, 1.5, 0.004 * number, 0.0, 0.0, 1 + 12 * (number % 2), str(number))
+        records.append(recon_sentences.ReconState._make([0.5 * number, *place_deg, 12.0, 12.0, 5.0, *attitude, *going]))
+    return [recon_sentences.frame(table.body_of(record)) for record in records]
+
+
 def _slcan_messages(random: np.random.Generator, n: int) -> list[bytes]:
     wired = []
     for number in range(n):
@@ -354,6 +397,9 @@ WIRES: Final = (
     Wire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar(), str)),
     Wire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar(), tuple)),
     Wire("imc", _imc_messages, read_with(ImcGrammar(), tuple)),
+    Wire("bluefin", _bluefin_messages, read_with(BluefinGrammar(), str)),
+    Wire("iver", _iver_messages, read_with(IverGrammar(), str)),
+    Wire("recon", _recon_messages, read_with(ReconGrammar(), str)),
     Wire("slcan", _slcan_messages, _slcan_read),
     Wire("fast_packet", _fast_packet_messages, _fast_packet_read),
     Wire("vehicle_can", _vehicle_can_messages, _vehicle_can_read),

@@ -23,7 +23,7 @@ from sim_replay.fakes.vehicles.text_controller import (
     steer_of,
 )
 
-_HEARTBEAT_VALID_S: Final = 5.0
+_HEARTBEAT_VALID_S: Final = 20.0  # longer than a sentence is said again, while which no other may come
 _STATUS_EVERY_S: Final = 1.0
 _TIME: Final = re.compile(r"\d{6}\.\d{3}")
 _INVALID, _FAILED, _DONE = 0, 1, 2
@@ -50,6 +50,8 @@ class FakeBluefin(TextController):
             raise ValueError(f"not for a vehicle: {name}")
         if name == "BPLOG":
             (self._asked_for.add if fields[1] == "ON" else self._asked_for.discard)(fields[0])
+            if fields[0] == "CTL":
+                self._told_lets = None
             return self._answer(name, "", _DONE, "")
         try:
             status, text = self._done(name, fields, now_s)

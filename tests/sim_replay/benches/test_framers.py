@@ -108,7 +108,7 @@ def test_a_framer_that_believes_lengths_is_found_out() -> None:
 
 def test_every_protocol_of_a_configuration_is_in_the_campaign() -> None:
     # A bus is damaged where it becomes bytes, at the adapter, and where its messages span frames.
-    protocols = {*SONARS, *TEXT_PROTOCOLS, "pixse", "imc", "slcan", "fast_packet", "vehicle_can"}
+    protocols = {*SONARS, *TEXT_PROTOCOLS, "pixse", "imc", "bluefin", "iver", "recon", "slcan", "fast_packet", "vehicle_can"}
     assert {wire.name for wire in WIRES} == protocols
 
 

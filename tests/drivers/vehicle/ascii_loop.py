@@ -1,0 +1,187 @@
+"""A dialect of sentences and its fake vehicle at the two ends of a wire, and what a lossy wire does to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from hypothesis import strategies as st
+
+from auv_mcm.records import NavSample
+from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
+from drivers.stamps import Stamp
+from drivers.vehicle.ascii_dialect import AsciiDialect
+from drivers.vehicle.bluefin import BluefinDialect
+from drivers.vehicle.iver import IverDialect
+from drivers.vehicle.recon import ReconDialect
+from drivers.vehicle.seam import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
+from sim_replay.fakes.vehicles.bluefin import FakeBluefin
+from sim_replay.fakes.vehicles.iver import FakeIver
+from sim_replay.fakes.vehicles.recon import FakeRecon
+from sim_replay.fakes.vehicles.text_controller import TextController
+
+UTC_S = 1_700_000_000.0
+STEP_S = 0.1
+PAIRS: dict[str, tuple[Callable[[], AsciiDialect], Callable[[], TextController]]] = {
+    "bluefin": (lambda: BluefinDialect(BluefinSettings()), FakeBluefin),
+    "iver": (lambda: IverDialect(IverSettings()), FakeIver),
+    "recon": (lambda: ReconDialect(ReconSettings()), FakeRecon),
+}
+COMMANDS = (b"$BPRMB", b"$OMS,", b"#C,")
+CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "tell_health")
+STEER = Steer(math.radians(123.0), Vertical("depth", 7.5), 1.5)
+POSE = NavSample(
+    time_s=UTC_S,
+    latitude_deg=48.123456,
+    longitude_deg=-5.654321,
+    heading_rad=math.radians(275.3),
+    pitch_rad=math.radians(-2.0),
+    roll_rad=math.radians(1.5),
+    depth_m=12.34,
+    altitude_m=6.5,
+    speed_mps=1.6,
+)
+REPORT = ContactReport(
+    session=1_700_000_123,
+    number=17,
+    revision=2,
+    time_s=UTC_S + 0.125,
+    latitude_deg=48.1237,
+    longitude_deg=-5.6541,
+    sigma_m=1.25,
+    p_mine=0.875,
+    classification="truncated_cone",
+    belief={"cylinder": 0.125, "sphere": 0.0, "truncated_cone": 0.5, "wedge": 0.25, "clutter": 0.0, "unknown": 0.125},
+    n_views=2,
+    depth_m=18.75,
+    length_m=1.02,
+    width_m=0.98,
+    height_m=0.45,
+    length_sigma_m=0.1,
+    width_sigma_m=0.12,
+    height_sigma_m=0.06,
+)
+
+
+def stamp_at(now_s: float) -> Stamp:
+    return Stamp(round(now_s * 1e9), round((UTC_S + now_s) * 1e9))
+
+
+class Loop:
+    """Both ends, ten times a second. lost: whether this message to the vehicle, or from it, does not arrive."""
+
+    def __init__(self, name: str, lost: Callable[[bytes], bool] = lambda message: False) -> None:
+        dialect, vehicle = PAIRS[name]
+        self.dialect, self.vehicle = dialect(), vehicle()
+        self.lost = lost
+        self.now_s = 100.0
+        self.pose = POSE
+        self.events: list[VehicleEvent] = []
+        self.sent: list[tuple[float, bytes]] = []
+        self.steer: Steer | None = None
+        self.dialect.connected(self.now_s)
+        self.vehicle.connected(self.now_s)
+
+    def step(self) -> None:
+        self.now_s += STEP_S
+        sample = NavSample(**{**{name: getattr(self.pose, name) for name in self.pose.__struct_fields__}, "time_s": UTC_S + self.now_s})
+        if self.steer is not None and self.granted and round(self.now_s / STEP_S) % 10 == 0:
+            self.dialect.command(self.steer, self.now_s)
+        self._hear(self.vehicle.tick(sample, False, self.now_s))
+        self.flush()
+
+    def flush(self) -> None:
+        """Until neither has anything to say."""
+        while lines := self.dialect.take_outgoing(self.now_s):
+            for line in lines:
+                self.sent.append((self.now_s, line))
+                if not self.lost(line):
+                    self._hear(self.vehicle.heard(line, self.now_s))
+
+    def _hear(self, lines: list[bytes]) -> None:
+        for line in lines:
+            if not self.lost(line):
+                self.events += self.dialect.hear(line, stamp_at(self.now_s))
+
+    def run(self, seconds: float) -> Loop:
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+        return self
+
+    @property
+    def granted(self) -> bool:
+        told = [event for event in self.events if isinstance(event, Granted | Withheld)]
+        return bool(told) and isinstance(told[-1], Granted)
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+    def commands(self) -> list[tuple[float, bytes]]:
+        return [(now_s, line) for now_s, line in self.sent if line.startswith(COMMANDS)]
+
+
+def in_control(name: str) -> Loop:
+    """A loop in which the payload commands."""
+    loop = Loop(name).run(2.0)
+    loop.dialect.request(loop.now_s)
+    loop.steer = STEER
+    loop.run(3.0)
+    assert loop.granted
+    assert loop.vehicle.in_control
+    return loop
+
+
+@st.composite
+def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
+    """What may happen to a dialect, in any order: calls, lines of the vehicle and its own, damaged or not, noise, and time."""
+    steps: list[tuple[str, Any]] = [("connected", None), ("hear", lines[0]), ("request", None)] if draw(st.booleans()) else []
+    for _ in range(draw(st.integers(1, 40))):
+        kind = draw(st.sampled_from(["line", "line", "line", "damaged", "noise", "wait", "call", "call"]))
+        if kind in ("line", "damaged"):
+            line = draw(st.sampled_from(lines))
+            if kind == "damaged":
+                at = draw(st.integers(0, len(line) - 1))
+                line = line[:at] + draw(st.binary(max_size=3)) + line[at + draw(st.integers(0, 5)) :]
+            steps.append(("hear", line))
+        elif kind == "noise":
+            steps.append(("hear", draw(st.binary(max_size=30))))
+        elif kind == "wait":
+            steps.append(("wait", draw(st.sampled_from([0.1, 1.0, 4.0, 6.0, 30.0]))))
+        else:
+            steps.append(
+                (draw(st.sampled_from(["connected", "disconnected", "request", "command", "release", "report", "tell_health"])), None)
+            )
+    return steps
+
+
+def play(dialect: AsciiDialect, steps: list[tuple[str, Any]]) -> tuple[list[tuple[bool, bytes]], list[VehicleEvent]]:
+    """What it sends, each with whether control was granted then, as told by its events and given back by us; and its events."""
+    now_s, granted = 100.0, False
+    sent: list[tuple[bool, bytes]] = []
+    events: list[VehicleEvent] = []
+    for kind, value in steps:
+        heard: list[VehicleEvent] = []
+        match kind:
+            case "wait":
+                now_s += value
+            case "hear":
+                heard = dialect.hear(value, stamp_at(now_s))
+            case "connected" | "request":
+                getattr(dialect, kind)(now_s)
+            case "disconnected":
+                dialect.disconnected()
+            case "command":
+                dialect.command(STEER, now_s)
+            case "release":
+                dialect.release("a test", now_s)
+            case "report":
+                dialect.report(REPORT, 1 + len(sent) % 7, now_s)
+            case "tell_health":
+                dialect.tell_health(PayloadHealth("fault", "a lens, *dirty*\x00"), now_s)
+        for event in heard:
+            granted = isinstance(event, Granted) if isinstance(event, Granted | Withheld) else granted
+        granted &= kind not in ("connected", "disconnected", "release")
+        events += heard
+        sent += [(granted, line) for line in dialect.take_outgoing(now_s)]
+    return sent, events

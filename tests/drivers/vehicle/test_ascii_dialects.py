@@ -1,0 +1,245 @@
+"""All dialects of sentences: they never raise, command unasked, or flood the wire; their vehicles obey and are let go."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import pytest
+from ascii_loop import COMMANDS, PAIRS, POSE, REPORT, STEER, Loop, dialogues, in_control, play, stamp_at
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+
+from drivers.navigation.nmea0183 import sentence
+from drivers.vehicle.ascii_dialect import FloorBelow
+from drivers.vehicle.recon_sentences import frame
+from drivers.vehicle.seam import GoTo, PayloadHealth, Steer, VehicleState, Vertical, Withheld
+
+BLUEFIN_LINES = [
+    *(f"BFCTL,101010.00{i},1" for i in range(2)),
+    "BFCTL,101011.000,0",
+    *(
+        f"BFACK,101010.000,{name},{of},0,{status},,text"
+        for name in ("LOG", "STS", "BPRMB", "MCM")
+        for of in ("", "221641.000")
+        for status in "0123"
+    ),
+    "BFNVG,101010.000,4807.5,N,00539.2,W,1,5.0,12.0,123.0,1.0,2.0,101010.000",
+    "BFNVR,101010.000,1.0,0.5,0.0",
+    "BFMIS,101010.000,plan,Running",
+    "BFMIS,101010.000,plan,Completed",
+    "BFMSC,101010.000,look",
+    "BFSHT,101010.000",
+    "BFMBE,101010.000,d,1,2,survey",
+    "BPLOG,ACK,ON",
+    "BPRCE,101010.000,0",
+]
+IVER_LINES = [
+    *(f"OSI,0,{mode},1,48.1,-5.2,3.0,50,N,20.0,0,0,m,0,123.0,40.0,0" for mode in ("N", "A", "W", "S", "P", "M", "mP", "?")),
+    "C82.8P-3.89R-2.63T20.3D3.2",
+    "GPRMC,101010.000,A,4807.5,N,00539.2,W,3.0,123.0,010120,,",
+    "OMS,90.0,5.0,20.0,3.0,5",
+]
+RECON_LINES = [
+    *(
+        f"S,T10:10:10.000,LAT48N7.5,LON5W39.2,D12.0,DG0,A5.0,P0,R0,TR0,TRG0,V1.5,H123.0,HR0,HG0,M{mode},l1"
+        for mode in ("1", "D", "5", "9", "0", "3", "81", "11", "4D")
+    ),
+    "s,SHUTDOWN",
+    "E,1",
+]
+LINES = {
+    "bluefin": [sentence(body) for body in BLUEFIN_LINES],
+    "iver": [sentence(body) for body in IVER_LINES],
+    "recon": [frame(body) for body in RECON_LINES],
+}
+every_dialect = pytest.mark.parametrize("name", PAIRS)
+
+
+@every_dialect
+@settings(max_examples=100)
+@given(data=st.data())
+def test_no_order_of_events_raises_or_makes_a_command_leave_without_control(name: str, data: st.DataObject) -> None:
+    dialect = PAIRS[name][0]()
+    sent, _ = play(dialect, data.draw(dialogues(LINES[name])))
+    assert all(granted for granted, line in sent if line.startswith(COMMANDS))
+
+
+@every_dialect
+@settings(max_examples=30)
+@given(chunks=st.lists(st.binary(max_size=300), max_size=8))
+def test_random_bytes_are_nothing_and_raise_nothing(name: str, chunks: list[bytes]) -> None:
+    dialect, vehicle = PAIRS[name][0](), PAIRS[name][1]()
+    dialect.connected(0.0)
+    dialect.request(0.0)
+    for i, chunk in enumerate(chunks):
+        assert dialect.hear(chunk, stamp_at(0.1 * i)) == []
+        vehicle.heard(chunk, 0.1 * i)
+    assert not any(line.startswith(COMMANDS) for line in dialect.take_outgoing(1.0))
+    assert not vehicle.in_control
+
+
+@every_dialect
+@settings(max_examples=8, phases=[Phase.generate])
+@given(lost=st.lists(st.booleans(), min_size=1, max_size=16))
+def test_a_lossy_wire_is_not_flooded_and_never_deadlocks(name: str, lost: list[bool]) -> None:
+    fates = iter(lost)
+    loop = Loop(name, lambda line: next(fates, False))
+    loop.steer = STEER
+    loop.dialect.request(loop.now_s)
+    for _ in range(3):
+        loop.dialect.report(REPORT, 9, loop.now_s)
+        loop.run(12.0)
+        loop.dialect.request(loop.now_s)
+    for _ in range(8):  # the loss of an answer costs a Bluefin 5 s
+        loop.dialect.request(loop.now_s)
+        loop.run(10.0)
+    assert loop.granted, "once the wire is good again control is had"
+    assert loop.vehicle.in_control
+    per_second = Counter(int(now_s) for now_s, _ in loop.sent)
+    assert max(per_second.values()) < 25
+    assert loop.vehicle.counters["vehicle.reports"] <= 1
+
+
+@every_dialect
+def test_the_vehicle_flies_what_it_is_told_and_its_own_plan_after_release(name: str) -> None:
+    loop = in_control(name)
+    flown = loop.vehicle.command
+    assert flown is not None
+    assert flown.heading_rad == pytest.approx(STEER.heading_rad, abs=1e-3)
+    assert flown.vertical.value_m == pytest.approx(7.5, abs=0.05)
+    assert flown.speed_mps == pytest.approx(1.5, abs=0.03)
+    n_sent = len(loop.commands())
+    loop.dialect.release("the plan is flown", loop.now_s)
+    loop.run(6.0)
+    assert not loop.vehicle.in_control
+    assert loop.vehicle.command is None
+    assert [line for _, line in loop.commands()[n_sent:] if not line.startswith(b"#C,X")] == []
+
+
+@every_dialect
+def test_control_that_is_taken_back_stops_all_commands_and_is_had_again_when_asked_for(name: str) -> None:
+    loop = in_control(name)
+    loop.vehicle.revoke(loop.now_s)
+    loop.run(2.0)
+    assert not loop.granted
+    assert isinstance(loop.of(Withheld)[-1].reason, str)
+    n_sent = len(loop.commands())
+    loop.run(15.0)
+    assert len(loop.commands()) == n_sent
+    assert loop.vehicle.counters["vehicle.elements_cancelled"] == 0
+    loop.dialect.request(loop.now_s)
+    loop.run(3.0)
+    assert loop.granted
+    assert loop.vehicle.in_control
+
+
+@every_dialect
+def test_a_vehicle_that_is_not_willing_is_not_commanded(name: str) -> None:
+    loop = Loop(name)
+    loop.vehicle.willing = False
+    loop.run(1.0)
+    loop.dialect.request(loop.now_s)
+    loop.steer = STEER
+    loop.run(15.0)
+    assert not loop.granted
+    assert loop.commands() == []
+    assert loop.vehicle.command is None
+
+
+@every_dialect
+def test_a_payload_that_dies_is_let_go_by_the_vehicle(name: str) -> None:
+    loop = in_control(name)
+    for _ in range(80):
+        loop.now_s += 0.1
+        loop.vehicle.tick(structs.replace(POSE, time_s=POSE.time_s + loop.now_s), False, loop.now_s)
+    assert not loop.vehicle.in_control
+    assert loop.vehicle.counters["vehicle.commands_expired"] == 1
+
+
+@every_dialect
+def test_after_a_reboot_of_the_vehicle_all_goes_on_when_asked_again(name: str) -> None:
+    loop = in_control(name)
+    loop.vehicle.power_up(loop.now_s)
+    loop.run(25.0)
+    loop.dialect.request(loop.now_s)
+    loop.run(12.0)
+    assert loop.granted
+    assert loop.vehicle.in_control
+    assert loop.events[-1].received.mono_ns > (loop.now_s - 2.0) * 1e9 if isinstance(loop.events[-1], VehicleState) else True
+
+
+@every_dialect
+def test_a_contact_is_told_within_a_second_also_in_control(name: str) -> None:
+    loop = in_control(name)
+    loop.dialect.report(REPORT, 5, loop.now_s)
+    loop.run(0.5)
+    assert loop.vehicle.take_reports() == [REPORT]
+
+
+@every_dialect
+def test_health_is_told(name: str) -> None:
+    loop = Loop(name).run(2.0)
+    loop.dialect.tell_health(PayloadHealth("failure", "no sonar, *no* pings"), loop.now_s)
+    loop.run(3.0)
+    assert "failure no sonar   no  pings" in loop.vehicle.take_health()[-1]
+
+
+@every_dialect
+def test_the_vehicle_tells_where_it_is(name: str) -> None:
+    state = Loop(name).run(3.0).of(VehicleState)[-1]
+    assert state.latitude_deg == pytest.approx(POSE.latitude_deg, abs=1e-6)
+    assert state.longitude_deg == pytest.approx(POSE.longitude_deg, abs=1e-6)
+    for quantity in ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"):
+        assert getattr(state, quantity) == pytest.approx(getattr(POSE, quantity), abs=0.01), quantity
+
+
+@every_dialect
+def test_commands_that_cannot_be_said_are_counted_and_not_sent(name: str) -> None:
+    loop = Loop(name).run(2.0)
+    loop.dialect.command(STEER, loop.now_s)
+    assert loop.dialect.counters[f"{name}.command_without_grant"] == 1
+    loop = in_control(name)
+    n_sent, loop.steer = len(loop.commands()), None
+    unfit: list[Any] = [STEER._replace(speed_mps=math.nan), STEER._replace(vertical=Vertical("depth", math.inf))]
+    for command in (*unfit, GoTo(48.0, -5.0, Vertical("depth", 5.0), 1.5, 3.0)):
+        loop.dialect.command(command, loop.now_s)
+    loop.flush()
+    assert len(loop.commands()) == n_sent
+    assert loop.dialect.counters[f"{name}.command_unfit"] == 3
+
+
+@every_dialect
+def test_altitudes_are_flown(name: str) -> None:
+    loop = in_control(name)
+    loop.steer = Steer(1.0, Vertical("altitude", 5.0), 1.5)
+    loop.run(2.0)
+    flown = loop.vehicle.command
+    assert flown is not None
+    wanted = Vertical("altitude", 5.0) if name == "bluefin" else Vertical("depth", 12.34 + 6.5 - 5.0)
+    assert flown.vertical.reference == wanted.reference
+    assert flown.vertical.value_m == pytest.approx(wanted.value_m, abs=0.06)
+
+
+@pytest.mark.parametrize("name", ["iver", "recon"])
+def test_an_altitude_over_an_unknown_floor_is_not_commanded(name: str) -> None:
+    loop = in_control(name)
+    loop.pose = structs.replace(POSE, altitude_m=math.nan)
+    loop.steer = None
+    loop.run(3.2)
+    n_sent, loop.steer = len(loop.commands()), Steer(1.0, Vertical("altitude", 5.0), 1.5)
+    loop.run(1.1)
+    assert len(loop.commands()) == n_sent
+    assert loop.dialect.counters[f"{name}.command_without_floor"] == 1
+
+
+def test_one_long_echo_leads_nobody_into_the_ground() -> None:
+    floor = FloorBelow()
+    for i, altitude_m in enumerate((6.0, 6.1, 60.0, 6.2)):
+        floor.heard(10.0, altitude_m, float(i) * 0.5)
+        assert floor.depth_m(Vertical("altitude", 5.0), float(i) * 0.5) == pytest.approx(11.0)
+    assert floor.depth_m(Vertical("depth", 30.0), 1.5) == 30.0
+    assert floor.depth_m(Vertical("altitude", 90.0), 1.5) == 0.0
+    assert math.isnan(floor.depth_m(Vertical("altitude", 5.0), 9.0))

@@ -1,0 +1,64 @@
+"""Iver Remote Helm: its mode decides, and silence gives control back."""
+
+from __future__ import annotations
+
+import pytest
+from ascii_loop import REPORT, STEER, in_control, stamp_at
+
+from auv_mcm.vehicle_config import IverSettings
+from drivers.navigation.nmea0183 import sentence
+from drivers.vehicle.iver import IverDialect
+from drivers.vehicle.seam import Capability, Granted, VehicleState, Withheld
+
+
+def state(mode: str) -> bytes:
+    return sentence(f"OSI,0,{mode},1,48.1,-5.2,3.0,50,N,20.0,0,0,survey,0,123.0,40.0,0")
+
+
+@pytest.mark.parametrize("mode", ["S", "P", "M", "mP", "m", "?", "X"])
+def test_no_control_in_modes_that_are_a_persons_or_not_known(mode: str) -> None:
+    dialect = IverDialect(IverSettings())
+    dialect.connected(0.0)
+    dialect.request(0.0)
+    told, where = dialect.hear(state(mode), stamp_at(0.1))
+    assert isinstance(told, Withheld)
+    assert f"mode {mode[0]}" in told.reason
+    assert isinstance(where, VehicleState)
+    assert [type(event) for event in dialect.hear(state("N"), stamp_at(0.2))] == [VehicleState], "it has to be asked again"
+
+
+@pytest.mark.parametrize("mode", ["N", "A", "W"])
+def test_control_in_modes_that_obey_and_only_when_asked_for(mode: str) -> None:
+    dialect = IverDialect(IverSettings())
+    dialect.connected(0.0)
+    assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.1))] == [VehicleState]
+    dialect.request(0.2)
+    assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.3))] == [Granted, VehicleState]
+    assert [type(event) for event in dialect.hear(state("M"), stamp_at(0.4))] == [Withheld, VehicleState]
+
+
+def test_it_is_polled_and_steered_for_as_long_as_its_settings_say() -> None:
+    dialect = IverDialect(IverSettings(poll_s=0.2, command_timeout_s=2, max_pitch_deg=15.0, remote_helm_version=4, contact_sentence=""))
+    assert dialect.command_period_s == 0.5
+    assert Capability.CONTACT not in dialect.capabilities
+    dialect.connected(0.0)
+    assert dialect.take_outgoing(0.0) == [b"$OSD,G,C,S,P,,,,*5F\r\n"]
+    assert dialect.take_outgoing(0.1) == []
+    dialect.request(0.1)
+    dialect.hear(state("N"), stamp_at(0.1))
+    dialect.take_outgoing(0.1)
+    dialect.command(STEER, 0.15)
+    dialect.report(REPORT, 1, 0.15)
+    assert dialect.take_outgoing(0.15) == [sentence("OMS,123.0,24.6,15.0,2.9,2")]
+    assert dialect.take_outgoing(0.31) == [b"$OSD,G,C,S,P,,,,*5F\r\n"], "a command is said once each time it is given"
+
+
+def test_release_says_nothing_and_the_vehicle_goes_on_by_itself_in_time() -> None:
+    loop = in_control("iver")
+    n_commands = len(loop.commands())
+    loop.dialect.release("done", loop.now_s)
+    loop.run(5.5)
+    assert len(loop.commands()) == n_commands
+    assert not any(line.startswith((b"$OMSTOP", b"$OMSTART", b"$OMW")) for _, line in loop.sent)
+    assert loop.vehicle.counters["vehicle.commands_expired"] == 1
+    assert loop.vehicle.command is None
