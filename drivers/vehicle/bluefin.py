@@ -149,6 +149,8 @@ class BluefinDialect(AsciiDialect):
         self._permitted = permitted
         if permitted:
             return self._grant(reason)
+        self._waiting.pop("RCE", None)  # what it does now is its own, and not to be ended
+        self._said = [item for item in self._said if item.key != "RCE"]
         return self._withhold(reason) if self._granted else []  # what was not granted yet may still be
 
     def _state(self, told: BluefinPosition, received: Stamp) -> VehicleState:

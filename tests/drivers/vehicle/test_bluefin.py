@@ -164,6 +164,16 @@ def test_what_the_payload_did_not_begin_it_does_not_end() -> None:
     assert not any(line.startswith(b"$BPRCE") for _, line in loop.sent)
 
 
+def test_once_the_vehicle_has_taken_control_back_the_end_of_control_is_not_said_again() -> None:
+    loop = in_control("bluefin")
+    loop.lost = lambda line: line.startswith(b"$BPRCE")
+    loop.dialect.release("stop", loop.now_s)
+    loop.run(1.0)
+    loop.vehicle.revoke(loop.now_s)
+    loop.run(20.0)
+    assert sum(line.startswith(b"$BPRCE") for _, line in loop.sent) == 1
+
+
 @pytest.mark.parametrize(("status", "told"), [(0, Rejected), (2, Acknowledged)])
 def test_the_answer_to_a_contact_is_told(status: int, told: type) -> None:
     dialect = greeted()
