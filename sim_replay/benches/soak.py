@@ -59,6 +59,7 @@ _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer t
 _BYTES_PER_MB: Final = 1e6
 _HEALTH: Final = re.compile(r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE)
 _TRACEBACK: Final = "Traceback (most recent call last):"
+_OVERRUN: Final = "port.overrun"
 _STOPPING: Final = " INFO stopping: "
 _CONTACT: Final = re.compile(r"^contact (\S+) (?:new|updated): (\S+), p_mine (\S+), (\S+) (\S+), (\d+) views$")
 _DEAD: Final = re.compile(r"Traceback|\bERROR\b|perception has taken no ping|notice (?:intake_failed|decoder_failed|session_\w+):")
@@ -282,8 +283,8 @@ def _bench_soak(minutes: float, speed: float, folder: Path) -> None:
         memory = watching.result()
     print(f"{duration_s / 60.0:.1f} min of mission at {speed:g} times real time; service, perception and 2 devices as processes\n")
     _print_memory(memory, speed)
-    unexplained = _print_counters(evidence)
-    dead = _dead(evidence)
+    unexplained = print_counters(evidence)
+    dead = found_dead(evidence)
     print(f"\nunexplained: {', '.join(unexplained) or 'none'}")
     print(f"died: {'; '.join(dead) or 'nothing'}")
     if dead:
@@ -309,23 +310,31 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
     print()
 
 
-def _print_counters(evidence: Evidence) -> list[str]:
+def print_counters(evidence: Evidence) -> list[str]:
     """Print all; the names of those that a sound run has no reason for."""
     unexplained = []
+    told = {name: report.details for name, reports in evidence.reports.items() for report in reports if report.what == "counters"}
+    expected = dict(_EXPECTED)
+    for name, counters in told.items():
+        if counters.get(_OVERRUN, 0):
+            expected |= {
+                f"port.{name}.*.{what}": "messages that lost bytes on the line" for what in ("bytes_skipped", "refused.*", "lone_*")
+            }
     print(f"{'count':>10}  {'counter':<36}reason")
     for name, n in sorted(evidence.summary.get("counters", {}).items()):
-        why = next((why for pattern, why in _EXPECTED.items() if fnmatchcase(name, pattern)), None)
+        why = next((why for pattern, why in expected.items() if fnmatchcase(name, pattern)), None)
         if why is None:
             unexplained.append(f"{name} {n}")
         print(f"{n:>10}  {name:<36}{why or 'UNEXPLAINED'}")
-    for name, reports in evidence.reports.items():
-        for report in reports:
-            if report.what == "counters" and (n := report.details.get("device.skipped", 0)):
-                print(f"{n:>10}  events that the fake device '{name}' left out, since the computer was too slow")
+    for name, counters in told.items():
+        if n := counters.get("device.skipped", 0):
+            print(f"{n:>10}  events that the fake device '{name}' left out, since the computer was too slow")
+        if n := counters.get(_OVERRUN, 0):
+            print(f"{n:>10}  bytes that the line of the fake device '{name}' lost, since the computer was too slow to read them")
     return unexplained
 
 
-def _dead(evidence: Evidence) -> list[str]:
+def found_dead(evidence: Evidence) -> list[str]:
     """What did not live to the end of a run, with what says so."""
     lines = [line.text for line in evidence.lines]
     dead = [] if evidence.exit_code == 0 else [f"the service ended with {evidence.exit_code}"]
