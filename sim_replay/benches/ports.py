@@ -61,11 +61,17 @@ class StartUp(NamedTuple):
 
 
 class Latency(NamedTuple):
-    """From a ping's last byte at the port until it was queued for perception, ms at _SPIKES. perception_share: of a core, meanwhile."""
+    """From a ping's last byte at the port until it was queued for perception, ms at _SPIKES.
+
+    perception_share: of a core, meanwhile. waited_share: of the time, in which the service's event loop waited for a core, as it does where
+    other programs run. n_lost: bytes, of a bench that was itself kept from running; pings next to them come late.
+    """
 
     n_pings: int
     spikes_ms: tuple[float, ...]
     perception_share: float
+    waited_share: float
+    n_lost: int
 
 
 class Line:
@@ -213,7 +219,11 @@ def run(arguments: argparse.Namespace) -> int:
         for at, spikes_ms in zip(_SPIKES, zip(*(run.spikes_ms for run in runs), strict=True), strict=True):
             print(f"{f'last byte to queue, {at:g} %':<34}{statistics.median(spikes_ms):>8.2f} ms")
         share = statistics.median(run.perception_share for run in runs)
-        print(f"{sum(run.n_pings for run in runs)} pings, while perception took {100.0 * share:.0f} % of a core")
+        waited = statistics.median(run.waited_share for run in runs)
+        print(f"{sum(run.n_pings for run in runs)} pings, while perception took {100.0 * share:.0f} % of a core", end="")
+        print(
+            f" and the service waited for one {100.0 * waited:.1f} % of the time; {sum(run.n_lost for run in runs)} bytes lost by the bench"
+        )
     return 0
 
 
@@ -246,15 +256,17 @@ def latency(seconds: float, folder: Path, baud: int) -> Latency:
     ):
         service.said_s("ready: ")
         time.sleep(_SETTLE_S)
-        begun_s = time.monotonic()
+        begun_s, n_lost_before = time.monotonic(), line.n_lost
         perception = _children(service.pid)
-        begun_cpu_s = sum(map(_cpu_s, perception))
+        begun_cpu_s, begun_wait_s = sum(map(_cpu_s, perception)), _waited_s(service.pid)
         time.sleep(seconds)
-        share = (sum(map(_cpu_s, perception)) - begun_cpu_s) / (time.monotonic() - begun_s)
+        took_s = time.monotonic() - begun_s
+        share, waited_share = (sum(map(_cpu_s, perception)) - begun_cpu_s) / took_s, (_waited_s(service.pid) - begun_wait_s) / took_s
+        n_lost = line.n_lost - n_lost_before
         service.stop()
     queued_s = {int(number): at_s for number, at_s in json.loads((folder / "queued.json").read_bytes()).items()}
     late_s = [at_s - line.sent_s[2 * number + 1] for number, at_s in queued_s.items() if line.sent_s[2 * number + 1] >= begun_s]
-    return Latency(len(late_s), tuple((1e3 * np.percentile(late_s, _SPIKES)).tolist()), share)
+    return Latency(len(late_s), tuple((1e3 * np.percentile(late_s, _SPIKES)).tolist()), share, waited_share, n_lost)
 
 
 def pings(n_bytes: int) -> list[bytes]:
@@ -304,6 +316,11 @@ def _cpu_s(pid: int) -> float:
     """Processor time that a process has taken, all threads."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _waited_s(pid: int) -> float:
+    """For how long the main thread of a process could have run, but had no core."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text("ascii").split()[1]) / 1e9
 
 
 def _children(pid: int) -> list[int]:
