@@ -40,13 +40,14 @@ from sim_replay.fakes.wires import Weather, Wire, make_wire, opened
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
 
 _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
+_TICK_S: Final = 0.1  # of a controller
 _LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
 _GARBAGE_BYTES: Final = 256
 
 
 class FakeDevice:
     """One device of one run. events: its mission; a sonar plays its pings, every other device its navigation samples. controller: of a
-    vehicle, to which each sample is a tick. report(what, details): what happens to it, as it happens.
+    vehicle, to which each sample is a tick; standing: where that is before the start. report(what, details): what happens, as it happens.
 
     Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and `mended` (do),
     `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters: device.messages, .skipped (events
@@ -54,7 +55,14 @@ class FakeDevice:
     wire, its damage and the controller.
     """
 
-    def __init__(self, job: Job, events: AsyncIterator[Fed], report: Report, controller: ReportingController | None = None) -> None:
+    def __init__(
+        self,
+        job: Job,
+        events: AsyncIterator[Fed],
+        report: Report,
+        controller: ReportingController | None = None,
+        standing: NavSample | None = None,
+    ) -> None:
         self._job = job
         self._events = events
         self._report = report
@@ -65,6 +73,7 @@ class FakeDevice:
         self._sonar: FakeSonar | None = SONARS[kind]() if kind in SONARS else None
         self._navigation: FakeNavigation | None = NAVIGATION_UNITS[unit]() if unit in NAVIGATION_UNITS else None
         self._controller = controller
+        self._standing = standing
         hear: Callable[[Message], None] | None = None if self._sonar is None and controller is None else self._hear
         self.wire: Wire = make_wire(job.device, Path(job.folder) / job.name, self._weather, hear)
         self._power_up_s = self._start_s = time.monotonic()
@@ -94,10 +103,11 @@ class FakeDevice:
             self._tasks = tasks
             await self.wire.start()
             self._report("ready", {"uri": self.wire.uri})
+            welcoming, standing = tasks.create_task(self._welcome()), tasks.create_task(self._stand())
             self._start_s = await start
+            standing.cancel()
             for fault in self._job.device.faults:
                 tasks.create_task(self._fail(fault, tasks))
-            welcoming = tasks.create_task(self._welcome())
             async for fed in self._events:
                 await self._play(fed)
             welcoming.cancel()
@@ -110,6 +120,14 @@ class FakeDevice:
             self._controller.connected(time.monotonic())
             while self.wire.is_open:
                 await asyncio.sleep(_LOOK_S)
+
+    async def _stand(self) -> None:
+        """Have the controller talk before its vehicle flies."""
+        while self._controller is not None and self._standing is not None:
+            now_s = time.monotonic()
+            for message in self._controller.tick(structs.replace(self._standing, time_s=self._time(now_s).utc_s), now_s):
+                await self.wire.send(message)
+            await asyncio.sleep(_TICK_S)
 
     async def _play(self, fed: Fed) -> None:
         event = fed.event

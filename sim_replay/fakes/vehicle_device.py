@@ -45,7 +45,7 @@ CONTROLLERS: Final[Mapping[str, MakeController]] = MappingProxyType(
 _BLOCK: Final = 4  # pings
 _TICK_HZ: Final = 10.0  # of the controller
 _POSE_S: Final = 1.0  # between reports of where it is
-_STRAIGHT_RAD_S: Final = math.radians(6.0)  # turning no faster, it looks at what it passes
+_STRAIGHT_RAD_S: Final = math.radians(15.0)  # turning no faster, it looks at what it passes
 
 
 class Pass(NamedTuple):
@@ -87,6 +87,7 @@ class FakeVehicle:
                 _taken_from(self._queues[name]),
                 _named(report, name),
                 self._controller if device.is_vehicle else None,
+                self._standing(),
             )
             for index, (name, device) in enumerate(job.devices.items())
         }
@@ -105,6 +106,13 @@ class FakeVehicle:
             await device.wire.close()
             counters = device.counters + (self._counters if name == self._name else Counter())
             self._report(name, "counters", dict(counters))
+
+    def _standing(self) -> NavSample:
+        """What navigation says before it moves."""
+        scene = self._sea.scene
+        (pose,) = SteeredVehicle(scene.track, self._vehicle.legs, scene.seed, self._frame, self._depth_of_floor).fly(1, self._rate_hz)
+        sample = NavigationModel(scene.navigation_error, scene.origin, scene.seed).told(pose, self._sea.altitude_m(pose))
+        return structs.replace(sample, speed_mps=0.0)
 
     async def _fly(self, start_s: float) -> None:
         number, legs_flown, next_pose_s, next_tick_s = 0, 0, 0.0, 0.0

@@ -15,7 +15,7 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,13 +25,16 @@ import yaml
 from auv_mcm.config import Config
 from auv_mcm.errors import HardwareError
 from auv_mcm.outputs import make_directory
-from sim_replay.fakes.job import Job
-from sim_replay.hil.scenario import AsReplayed, Read, Scenario, service_config, service_yaml
-from sim_replay.hil.verdict import Evidence, Line, Placed, Report, contacts_of, targets_of
+from sim_replay.fakes.job import Job, VehicleJob
+from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
+from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.recorded import RecordedMission
 from sim_replay.replay import replay
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import named_scenes, read_scene
+from sim_replay.simulator.sea import Sea
+from sim_replay.simulator.truth import Log, truth_of
 
 RESULTS: Final = "results"
 SERVICE_LOG: Final = "service.log"
@@ -54,16 +57,20 @@ def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Eviden
     results = folder / RESULTS / "latest"
     results.unlink(missing_ok=True)  # of an earlier run, whose results are no evidence of this one
     say("mission")
-    log, targets = _mission(read, folder)
-    jobs = [_job(scenario, name, index, log, folder) for index, name in enumerate(scenario.devices)]
+    jobs: list[Job] | list[VehicleJob]
+    if scenario.vehicle is None:
+        log, targets = _mission(read, folder)
+        jobs = [_job(scenario, name, index, log, folder) for index, name in enumerate(scenario.devices)]
+    else:
+        log, targets, jobs = None, _known_targets(read), [_vehicle_job(read, folder)]
     say("devices and service")
     live = _interruptible(_Run(scenario, folder, say).live(jobs))
+    config = service_config(scenario, dict.fromkeys(scenario.devices, ""), read.name)
     summary = _read_json(results / "summary.json")
     contacts = _read_json(results / "contacts.geojson")
     replayed = None
-    if any(isinstance(expectation.expected, AsReplayed) for expectation in scenario.expectations):
+    if log is not None and any(isinstance(expectation.expected, AsReplayed) for expectation in scenario.expectations):
         say("direct replay")
-        config = service_config(scenario, dict.fromkeys(scenario.devices, ""), read.name)
         replayed = _replayed(log, folder / "replayed", config)
     return Evidence(
         exit_code=live.exit_code,
@@ -73,15 +80,18 @@ def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Eviden
         contacts=contacts_of(contacts) if contacts else (),
         targets=targets,
         replayed=replayed,
+        killed_s=live.killed_s,
+        fence_deg=config.vehicle.fence_deg,
     )
 
 
 class _Live(msgspec.Struct):
-    """What the processes said while they ran. exit_code: of the service, None if it had to be killed."""
+    """What the processes said while they ran. exit_code: of the service, None if it had to be killed. killed_s: when that was wanted."""
 
     exit_code: int | None
     lines: Sequence[Line]
     reports: dict[str, list[Report]]
+    killed_s: float | None
 
 
 class _Run:
@@ -90,12 +100,14 @@ class _Run:
         self._folder = folder
         self._say = say
 
-    async def live(self, jobs: Sequence[Job]) -> _Live:
+    async def live(self, jobs: Sequence[Job | VehicleJob]) -> _Live:
         processes: list[_Process] = []
         try:
             for job in jobs:
                 processes.append(await self._device(job))
-            uris = {job.name: await _uri_of(process) for job, process in zip(jobs, processes, strict=True)}
+            uris: dict[str, str] = {}
+            for job, process in zip(jobs, processes, strict=True):
+                uris |= await _uris_of(process, job)
             service = await self._service(uris)
             processes.append(service)
             await service.said("ready: ", _READY_S)
@@ -104,18 +116,38 @@ class _Run:
             start_s = time.monotonic() + _SETTLE_S
             for process in processes:  # also to the service, which listens only where its clock is to step
                 process.tell(f"start {start_s:.6f}\n")
+            killed_s = None
+            if self._scenario.kill is not None:
+                killed_s = await self._killed(service, processes[0], self._scenario.kill, start_s)
             exit_code = await self._served(service, start_s)
         finally:
             await asyncio.gather(*(process.end() for process in processes))
         lines = [Line(at_s - start_s, text) for at_s, text in service.lines]
-        reports = {job.name: _reports(process, start_s) for job, process in zip(jobs, processes, strict=False)}
-        return _Live(exit_code=exit_code, lines=lines, reports=reports)
+        reports: dict[str, list[Report]] = {name: [] for name in self._scenario.devices}
+        for job, process in zip(jobs, processes, strict=False):
+            for name, report in _reports(process, start_s):
+                reports[name or _name_of(job)].append(report)
+        return _Live(exit_code=exit_code, lines=lines, reports=reports, killed_s=killed_s)
 
-    async def _device(self, job: Job) -> _Process:
-        path = self._folder / f"{job.name}.yaml"
+    async def _device(self, job: Job | VehicleJob) -> _Process:
+        name = _name_of(job)
+        path = self._folder / f"{name}.yaml"
         path.write_text(yaml.safe_dump(msgspec.to_builtins(job), sort_keys=False), "utf-8")
         arguments = ["-m", "sim_replay.fakes", str(path)]
-        return await _Process.begin(f"fake device '{job.name}'", arguments, self._folder / f"{job.name}.log")
+        return await _Process.begin(f"fake device '{name}'", arguments, self._folder / f"{name}.log")
+
+    async def _killed(self, service: _Process, vehicle: _Process, kill: Kill, start_s: float) -> float | None:
+        """Kill the service as told and wait until the run is over. Returns when it was, after the run's start; None: never granted."""
+        try:
+            await vehicle.said('"what": "granted"', start_s + self._scenario.run_s - time.monotonic())
+        except HardwareError:
+            return None
+        await asyncio.sleep(kill.after_grant_s)
+        self._say("killing the service")
+        service.signal(signal.SIGKILL)
+        killed_s = time.monotonic() - start_s
+        await asyncio.sleep(max(0.0, self._scenario.run_s - killed_s))
+        return killed_s
 
     async def _service(self, uris: dict[str, str]) -> _Process:
         path = self._folder / "service.yaml"
@@ -233,11 +265,30 @@ def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
         log = read.folder / read.scenario.log
         RecordedMission([log], Config().sonar)  # refuses what cannot be used
         return log, []
+    simulated = simulate(read_scene(_scene_of(read)), folder)
+    return simulated.log, targets_of(_read_json(simulated.truth))
+
+
+def _known_targets(read: Read) -> list[Placed]:
+    """The targets of a scene that nobody has flown through."""
+    sea = Sea(read_scene(_scene_of(read)))
+    return targets_of(truth_of(sea, Log(sea)))
+
+
+def _scene_of(read: Read) -> str:
+    """The name of a shipped scene, or the path of a file."""
     assert read.scenario.scene is not None
     name = read.scenario.scene
-    scene = read_scene(name if name in named_scenes() else str(read.folder / name))
-    simulated = simulate(scene, folder)
-    return simulated.log, targets_of(_read_json(simulated.truth))
+    return name if name in named_scenes() else str((read.folder / name).resolve())
+
+
+def _vehicle_job(read: Read, folder: Path) -> VehicleJob:
+    scenario = read.scenario
+    return VehicleJob(devices=scenario.devices, folder=str(folder.resolve()), scene=_scene_of(read), seed=scenario.seed)
+
+
+def _name_of(job: Job | VehicleJob) -> str:
+    return job.name if isinstance(job, Job) else next(name for name, device in job.devices.items() if device.is_vehicle)
 
 
 def _job(scenario: Scenario, name: str, index: int, log: Path, folder: Path) -> Job:
@@ -256,17 +307,18 @@ def _replayed(log: Path, folder: Path, config: Config) -> list[Placed]:
     return contacts_of(_read_json(folder / "contacts.geojson"))
 
 
-async def _uri_of(device: _Process) -> str:
-    return str(json.loads(await device.said('"what": "ready"', _READY_S))["uri"])
+async def _uris_of(device: _Process, job: Job | VehicleJob) -> dict[str, str]:
+    """Addresses of a device's wire, or of those of a vehicle, by name."""
+    ready = {job.name: '"what": "ready"'} if isinstance(job, Job) else {name: f'"ready", "device": "{name}"' for name in job.devices}
+    return {name: str(json.loads(await device.said(text, _READY_S))["uri"]) for name, text in ready.items()}
 
 
-def _reports(device: _Process, start_s: float) -> list[Report]:
-    reports = []
+def _reports(device: _Process, start_s: float) -> Iterator[tuple[str | None, Report]]:
+    """With the name of the device where a line gives one."""
     for _, line in device.lines:
         if line.startswith("{"):
             details = json.loads(line)
-            reports.append(Report(details.pop("mono_s") - start_s, details.pop("what"), details))
-    return reports
+            yield details.pop("device", None), Report(details.pop("mono_s") - start_s, details.pop("what"), details)
 
 
 def _read_json(path: Path) -> Any:

@@ -120,8 +120,58 @@ class AsReplayed(_Rule, frozen=True, kw_only=True, tag="as_replayed"):
     p_mine_within: float
 
 
-Counted: TypeAlias = CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound
-Rule: TypeAlias = Counted | ExitCode | Reopened | AsReplayed
+class ReportRule(_Count, frozen=True, kw_only=True, tag="reported"):
+    """How often a fake device reported something, in all or between two instants of the run. containing: in its details, as JSON."""
+
+    device: str
+    what: str
+    containing: str = ""
+    between_s: Window | None = None
+
+
+class ToldInTime(_Rule, frozen=True, kw_only=True, tag="told_in_time"):
+    """Every contact that the service says on its console with min_p_mine or more is told to a vehicle this soon, as it is or as it has
+    become by then; there is at least one."""
+
+    device: str
+    within_s: float
+    min_p_mine: float
+
+
+class Passed(_Count, frozen=True, kw_only=True, tag="passed"):
+    """Targets that a vehicle passed on a straight run while the payload commanded, at a ground range from..to, and looking at them from a
+    direction this far from every one before."""
+
+    device: str
+    ground_range_m: Window
+    other_look_deg: float = 0.0
+
+
+class Sharper(_Count, frozen=True, kw_only=True, tag="sharper"):
+    """Contacts that a vehicle was told of with one view first and with more last, then with a p_mine farther from 0.5."""
+
+    device: str
+
+
+class InsideFence(_Rule, frozen=True, kw_only=True, tag="inside_fence"):
+    """No place that a vehicle was told to go to, and none where it was while the payload commanded, lies outside the fence of
+    `service.vehicle`; it was commanded at least once."""
+
+    device: str
+
+
+class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
+    """After the service was killed, a vehicle leaves the last command this soon and flies its own plan until the end."""
+
+    device: str
+    within_s: float
+
+
+Counted: TypeAlias = (
+    CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound | ReportRule | Passed | Sharper
+)
+VehicleRule: TypeAlias = ReportRule | ToldInTime | Passed | Sharper | InsideFence | Silence
+Rule: TypeAlias = Counted | ExitCode | Reopened | AsReplayed | ToldInTime | InsideFence | Silence
 
 
 class Expectation(_Told, frozen=True, kw_only=True):
@@ -138,13 +188,21 @@ class HostClockStep(_Told, frozen=True, kw_only=True):
     by_s: float
 
 
+class Kill(_Told, frozen=True, kw_only=True):
+    """The service is killed (SIGKILL) so long after a vehicle has granted control for the first time."""
+
+    after_grant_s: Annotated[float, Meta(ge=0.0)]
+
+
 class Scenario(_Told, frozen=True, kw_only=True):
     """One run. about: what it shows. scene or log: the mission, a path beside the scenario or the name of a shipped scene.
+
+    With a vehicle's controller among the devices all of them are aboard one vehicle, which flies in the scene as it is told.
 
     speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop. service: its
     configuration; the link of a port is the name of its device in braces. file_limit_bytes: no file of the service, once it is ready, grows
     beyond it, as on a disk that is full; room for its results must be left. host_clock_step: what the service takes for this computer's
-    UTC steps.
+    UTC steps. kill: the service, after which the run goes on.
     """
 
     about: Annotated[str, Meta(min_length=1)]
@@ -159,6 +217,12 @@ class Scenario(_Told, frozen=True, kw_only=True):
     stop_within_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 60.0
     file_limit_bytes: Annotated[int, Meta(ge=1000)] | None = None
     host_clock_step: HostClockStep | None = None
+    kill: Kill | None = None
+
+    @property
+    def vehicle(self) -> str | None:
+        """The name of the vehicle's controller."""
+        return next((name for name, device in self.devices.items() if device.is_vehicle), None)
 
 
 class Read(NamedTuple):
@@ -212,6 +276,14 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
         yield "give the mission once: either `scene` or `log`"
     if not scenario.devices:
         yield "`devices` is empty: at least one is needed"
+    if sum(device.is_vehicle for device in scenario.devices.values()) > 1:
+        yield "`devices` has two controllers of vehicles: a run has one vehicle"
+    if scenario.vehicle is not None and scenario.scene is None:
+        yield f"`devices.{scenario.vehicle}` is a vehicle, which needs a world to fly in: give a `scene`"
+    if scenario.vehicle is not None and scenario.speed != 1.0:
+        yield f"`speed` is {scenario.speed:g}, but a vehicle flies in real time: give the scene's vehicle a higher speed"
+    if scenario.vehicle is None and scenario.kill is not None:
+        yield "`kill` waits for a grant, and `devices` has no vehicle that could give one"
     for name in scenario.devices:
         if not _DEVICE_NAME.fullmatch(name):
             yield f"`devices.{name}`: a name has small letters, digits and underscores"
@@ -226,6 +298,8 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
     for index, expectation in enumerate(scenario.expectations):
         rule = expectation.expected
         if isinstance(rule, SettingsRule | DeviceRule | Reopened) and rule.device not in scenario.devices:
+            yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
+        if isinstance(rule, VehicleRule) and rule.device not in scenario.devices:
             yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
         if isinstance(rule, TargetsFound) and scenario.scene is None:
             yield f"`expectations[{index}]` needs the truth, which only a `scene` tells"

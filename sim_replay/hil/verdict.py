@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from auv_mcm.geodesy import LocalFrame
+from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import (
     AsReplayed,
     Counted,
@@ -20,30 +22,22 @@ from sim_replay.hil.scenario import (
     DeviceRule,
     ExitCode,
     Expectation,
+    InsideFence,
     LineRule,
     NoticeRule,
+    Passed,
     Reopened,
+    ReportRule,
     Rule,
     SettingsRule,
+    Sharper,
+    Silence,
     SummaryRule,
     TargetsFound,
+    ToldInTime,
     Window,
 )
-
-
-class Line(NamedTuple):
-    """A line of the service's output, and when it came, seconds after the run's start."""
-
-    at_s: float
-    text: str
-
-
-class Report(NamedTuple):
-    """What a fake device said: see sim_replay.fakes.device."""
-
-    at_s: float
-    what: str
-    details: Mapping[str, Any]
+from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, told_in_time
 
 
 class Placed(NamedTuple):
@@ -58,7 +52,8 @@ class Placed(NamedTuple):
 class Evidence(NamedTuple):
     """All that is known of a run. exit_code: None if the service had to be killed. summary: {} if it wrote none.
 
-    targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it.
+    targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the service was killed by
+    intent. fence_deg: of the service's configuration.
     """
 
     exit_code: int | None
@@ -68,6 +63,8 @@ class Evidence(NamedTuple):
     contacts: Sequence[Placed]
     targets: Sequence[Placed]
     replayed: Sequence[Placed] | None
+    killed_s: float | None = None
+    fence_deg: Sequence[tuple[float, float]] = ()
 
 
 class Verdict(NamedTuple):
@@ -142,6 +139,25 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _limited(rule, n_found, what)
         case AsReplayed():
             return _as_replayed(rule, evidence)
+        case ReportRule():
+            first_s, last_s = rule.between_s or (-math.inf, math.inf)
+            reports = [report for report in evidence.reports[rule.device] if report.what == rule.what and first_s <= report.at_s <= last_s]
+            n_reports = sum(rule.containing in json.dumps(report.details) for report in reports)
+            containing = f" with {rule.containing}" if rule.containing else ""
+            return _limited(rule, n_reports, f"times '{rule.device}' reports {rule.what}{containing}{_window(rule.between_s)}")
+        case Passed():
+            low_m, high_m = rule.ground_range_m
+            what = f"passes under command at {low_m:g} to {high_m:g} m, {rule.other_look_deg:g} degrees or more from looks before"
+            return _limited(rule, n_passed(rule, evidence.reports[rule.device]), what)
+        case Sharper():
+            what = "contacts with one view first, with more last, and then farther from 0.5"
+            return _limited(rule, n_sharper(evidence.reports[rule.device]), what)
+        case ToldInTime():
+            return told_in_time(rule, evidence.lines, evidence.reports[rule.device])
+        case InsideFence():
+            return inside_fence(evidence.fence_deg, evidence.reports[rule.device])
+        case Silence():
+            return own_plan_after(rule, evidence.killed_s, evidence.reports[rule.device])
 
 
 def _limited(rule: Counted, value: float, what: str, *, is_known: bool = True) -> tuple[str, str, bool]:

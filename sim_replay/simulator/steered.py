@@ -30,7 +30,7 @@ FASTEST: Final = 1.5  # of the planned speed
 STEEPEST_RAD: Final = math.radians(20.0)
 
 _TICK_S: Final = 0.05
-_TURN_LAG_S: Final = 0.4
+_TURN_LAG_S: Final = 0.3
 _SPEED_LAG_S: Final = 1.5
 _DEPTH_LAG_S: Final = 1.0
 _LOOK_AHEAD_RADII: Final = 0.5  # of the line of sight along a leg
@@ -189,7 +189,7 @@ class SteeredVehicle:
                     self._held_rad = math.atan2(east_mps, north_mps)
                 if self._held_rad is not None:
                     return _Wanted(self._against_current(self._held_rad), command.speed_mps, command.vertical)
-                return _Wanted(self._heading_to(self._place), command.speed_mps, command.vertical)
+                return _Wanted(self._heading_to(self._place, command.radius_m), command.speed_mps, command.vertical)
         return _Wanted(self._own_heading(), self._track.speed_mps, self._own_altitude)
 
     @property
@@ -233,12 +233,13 @@ class SteeredVehicle:
         east, north = np.vstack([dubins.sample_path(path, _ARC_STEP_RAD)[:, :2], leg.at(self._way_m, 0.0)]).T
         return _Way(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))]), east, north)
 
-    def _heading_to(self, place: _Plane) -> float:
-        """Towards a place; straight on while it lies within the circle that the vehicle would turn on."""
+    def _heading_to(self, place: _Plane, radius_m: float) -> float:
+        """Towards a place; straight on while no turn would bring it as near as radius_m."""
         east_m, north_m = place[0] - self._east_m, place[1] - self._north_m
         sine, cosine = math.sin(self._heading_rad), math.cos(self._heading_rad)
         ahead_m, across_m = east_m * sine + north_m * cosine, east_m * cosine - north_m * sine
-        if math.hypot(ahead_m, abs(across_m) - self.turn_radius_m) < self.turn_radius_m and abs(across_m) > 0.1 * abs(ahead_m):
+        off_centre_m = math.hypot(ahead_m, abs(across_m) - self.turn_radius_m)
+        if off_centre_m < self.turn_radius_m - radius_m and abs(across_m) > 0.1 * abs(ahead_m):
             return self._heading_rad
         return self._against_current(math.atan2(east_m, north_m))
 

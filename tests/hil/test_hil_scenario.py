@@ -92,10 +92,11 @@ def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_a
 def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -> None:
     read = read_scenario(name)
     scenario = read.scenario
-    assert scenario.run_s <= 20.0
+    assert scenario.run_s <= (20.0 if scenario.vehicle is None else 60.0)
     assert read.scenario.scene is not None
     assert (read.folder / read.scenario.scene).is_file()
-    assert yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"] == {"is": "exit_code"}
+    ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]
+    assert ends == ({"is": "exit_code"} if scenario.kill is None else {"is": "exit_code", "code": -9})
     links = {"serial": "serial:///dev/p?baud=9600", "slcan": "slcan:///dev/p?bitrate=250000", "tcp": "tcp://a:1", "udp": "udp://a:1"}
     uris = {device: links[told.link] for device, told in scenario.devices.items()}
     assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
@@ -114,3 +115,49 @@ def test_the_command_lists_scenarios_and_wants_one(capsys: pytest.CaptureFixture
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == shipped()
     with pytest.raises(UsageError, match="--list"):
         run()
+
+
+FLOWN = """
+about: what it shows
+scene: demo
+run_s: 5
+devices:
+  sonar: {device: ping_protocol}
+  vehicle: {device: imc, link: udp, faults: [{do: revoke, at_s: 1, after: grant}]}
+service:
+  service: {source: ports}
+  ports:
+    - {name: sonar, link: '{sonar}', device: ping_protocol}
+    - {name: vehicle, link: '{vehicle}', device: imc}
+expectations:
+  - {test: it ends, expected: {is: exit_code}}
+  - {test: it is told, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
+"""
+
+
+def test_a_scenario_with_a_vehicle_is_read() -> None:
+    scenario = parse_scenario(FLOWN, "here")
+    assert scenario.vehicle == "vehicle"
+    assert scenario.devices["vehicle"].faults[0].after == "grant"
+    assert parse_scenario(SOUND, "here").vehicle is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("scene: demo", "log: a.xtf", "needs a world"),
+        ("run_s: 5", "run_s: 5\nspeed: 2", "real time"),
+        ("{device: ping_protocol}", "{device: iver}", "two controllers"),
+        ("told_in_time, device: vehicle", "told_in_time, device: boat", "'boat'"),
+        ("do: revoke", "do: freeze", "no navigation unit"),
+    ],
+)
+def test_a_vehicle_that_cannot_fly_is_refused(old: str, new: str, named: str) -> None:
+    assert old in FLOWN
+    with pytest.raises(UsageError, match=named):
+        parse_scenario(FLOWN.replace(old, new, 1), "my.yaml")
+
+
+def test_a_kill_that_waits_for_a_grant_needs_a_vehicle() -> None:
+    with pytest.raises(UsageError, match="no vehicle"):
+        parse_scenario(SOUND.replace("run_s: 5", "run_s: 5\nkill: {after_grant_s: 1}"), "my.yaml")

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import (
     AsReplayed,
     CounterRule,
@@ -20,7 +21,7 @@ from sim_replay.hil.scenario import (
     SummaryRule,
     TargetsFound,
 )
-from sim_replay.hil.verdict import Evidence, Line, Placed, Report, as_table, contacts_of, judge, targets_of
+from sim_replay.hil.verdict import Evidence, Placed, as_table, contacts_of, judge, targets_of
 
 LATITUDE_DEG, LONGITUDE_DEG = 43.0, 5.0
 METRES_PER_DEGREE = 111_100.0

@@ -1,0 +1,102 @@
+"""What came of a run with a vehicle: what it was told, where it was sent, what it passed there, and who commanded."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, Final, TypeAlias
+
+from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.scenario import Passed, Silence, ToldInTime
+
+Judged: TypeAlias = tuple[str, str, bool]
+"""What was expected, what was found, and whether it is that."""
+
+_CONTACT: Final = re.compile(r"^contact C(\d+) (?:new|updated): \w+, p_mine (\d\.\d+),")
+_P_MINE_WITHIN: Final = 0.02  # two digits on the console, a byte on some wires
+
+
+def told_in_time(rule: ToldInTime, lines: Sequence[Line], reports: Sequence[Report]) -> Judged:
+    """Whether every contact came within its time; one that changed again by then may come as it has become."""
+    expected = f"every contact with p_mine >= {rule.min_p_mine:g} is told to '{rule.device}' within {rule.within_s:g} s"
+    said = [(line.at_s, int(found[1]), float(found[2])) for line in lines if (found := _CONTACT.match(line.text))]
+    told = [(report.at_s, report.details["number"], report.details["p_mine"]) for report in reports if report.what == "contact"]
+    late = []
+    slowest_s = 0.0
+    n_said = 0
+    for index, (at_s, number, p_mine) in enumerate(said):
+        if p_mine < rule.min_p_mine + _P_MINE_WITHIN:
+            continue
+        n_said += 1
+        after_s = [t - at_s for t, n, p in told if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > at_s - rule.within_s]
+        changed = any(n == number and t <= at_s + rule.within_s for t, n, _ in said[index + 1 :])
+        if after_s and min(after_s) <= rule.within_s:
+            slowest_s = max(slowest_s, min(after_s))
+        elif not changed:
+            late.append(f"C{number:05d} of {at_s:.1f} s" + (f" after {min(after_s):.1f} s" if after_s else " never"))
+    outcome = "; ".join(late) or f"{n_said} contacts, the slowest {slowest_s:.2f} s after it was said"
+    return expected, outcome, bool(n_said) and not late
+
+
+def n_passed(rule: Passed, reports: Sequence[Report]) -> int:
+    """How many targets were passed as the rule has it."""
+    looks_deg: dict[int, list[float]] = {}
+    numbers = set()
+    for details in _details(reports, "passed"):
+        number, look_deg = details["number"], details["look_deg"]
+        off_deg = [abs(math.remainder(look_deg - before_deg, 360.0)) for before_deg in looks_deg.get(number, [])]
+        looks_deg.setdefault(number, []).append(look_deg)
+        in_range = rule.ground_range_m[0] <= details["ground_range_m"] <= rule.ground_range_m[1]
+        if details["in_control"] and in_range and min(off_deg, default=180.0) >= rule.other_look_deg:
+            numbers.add(number)
+    return len(numbers)
+
+
+def n_sharper(reports: Sequence[Report]) -> int:
+    """How many contacts got a second view and a p_mine farther from undecided."""
+    told: dict[int, list[Mapping[str, Any]]] = {}
+    for details in _details(reports, "contact"):
+        told.setdefault(details["number"], []).append(details)
+    ends = [(tellings[0], tellings[-1]) for tellings in told.values()]
+    return sum(
+        first["n_views"] == 1 and last["n_views"] >= 2 and abs(last["p_mine"] - 0.5) > abs(first["p_mine"] - 0.5) for first, last in ends
+    )
+
+
+def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Report]) -> Judged:
+    """Whether commands and the commanded vehicle stayed inside."""
+    commands = list(_details(reports, "command"))
+    sent = [(command["latitude_deg"], command["longitude_deg"]) for command in commands if "latitude_deg" in command]
+    been = [(pose["latitude_deg"], pose["longitude_deg"]) for pose in _details(reports, "pose") if pose["in_control"]]
+    n_outside = sum(not _is_inside(place, fence_deg) for place in sent), sum(not _is_inside(place, fence_deg) for place in been)
+    found = f"{n_outside[0]} of {len(sent)} places and {n_outside[1]} of {len(been)} poses outside, {len(commands)} commands"
+    return "commands, and the vehicle under command, stay inside the fence", found, n_outside == (0, 0) and bool(commands)
+
+
+def own_plan_after(rule: Silence, killed_s: float | None, reports: Sequence[Report]) -> Judged:
+    """Whether the vehicle left the last command in time, and was not commanded again."""
+    expected = f"'{rule.device}' is back on its own plan within {rule.within_s:g} s of the kill, and stays there"
+    if killed_s is None:
+        return expected, "the service was never killed", False
+    released_s = [report.at_s - killed_s for report in reports if report.what == "released" and report.at_s > killed_s]
+    later = [report.details["in_control"] for report in reports if report.what == "pose" and report.at_s > killed_s + rule.within_s + 0.5]
+    if not released_s or not later:
+        return expected, "it was not released, or not seen afterwards", False
+    found = f"released after {released_s[0]:.1f} s, commanded in {sum(later)} of {len(later)} poses after that"
+    return expected, found, released_s[0] <= rule.within_s and not any(later)
+
+
+def _details(reports: Iterable[Report], what: str) -> Iterable[Mapping[str, Any]]:
+    return (report.details for report in reports if report.what == what)
+
+
+def _is_inside(place_deg: tuple[float, float], corners_deg: Sequence[tuple[float, float]]) -> bool:
+    """Even-odd rule in latitude and longitude, which is exact enough for an area without the poles or the date line."""
+    latitude, longitude = place_deg
+    inside = False
+    for (lat0, lon0), (lat1, lon1) in pairwise([*corners_deg, *corners_deg[:1]]):
+        if (lat0 > latitude) != (lat1 > latitude) and longitude < lon0 + (latitude - lat0) / (lat1 - lat0) * (lon1 - lon0):
+            inside = not inside
+    return inside

@@ -1,0 +1,119 @@
+"""Verdicts on runs with a vehicle: what it was told, where it was sent and what it passed there; no evidence is never a pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.scenario import Passed, Silence, ToldInTime
+from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, told_in_time
+
+TOLD = ToldInTime(device="vehicle", within_s=1.0, min_p_mine=0.2)
+PASSED = Passed(device="vehicle", ground_range_m=(8.0, 16.0), other_look_deg=45.0, at_least=1)
+FENCE = ((43.0, 5.0), (43.0, 5.1), (43.1, 5.1), (43.1, 5.0))
+
+
+def line(at_s: float, number: int = 12, p_mine: float = 0.5, word: str = "new") -> Line:
+    return Line(at_s, f"contact C{number:05d} {word}: cylinder, p_mine {p_mine:.2f}, 43.0 5.0, 1 views")
+
+
+def contact(at_s: float, number: int = 12, p_mine: float = 0.5, n_views: int = 1) -> Report:
+    return Report(at_s, "contact", {"number": number, "p_mine": p_mine, "n_views": n_views})
+
+
+def passed(look_deg: float, ground_range_m: float = 12.0, number: int = 0, *, in_control: bool = True) -> Report:
+    details = {"number": number, "look_deg": look_deg, "ground_range_m": ground_range_m, "in_control": in_control}
+    return Report(1.0, "passed", details)
+
+
+def pose(at_s: float, latitude_deg: float = 43.05, *, in_control: bool = True) -> Report:
+    return Report(at_s, "pose", {"latitude_deg": latitude_deg, "longitude_deg": 5.05, "in_control": in_control})
+
+
+def command(latitude_deg: float = 43.05, longitude_deg: float = 5.05) -> Report:
+    return Report(1.0, "command", {"kind": "GoTo", "latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
+
+
+@pytest.mark.parametrize(
+    ("lines", "reports", "holds"),
+    [
+        ([line(5.0)], [contact(5.4)], True),
+        ([line(5.0)], [contact(4.9)], True),
+        ([line(5.0)], [contact(6.1)], False),
+        ([line(5.0)], [], False),
+        ([line(5.0)], [contact(5.1, number=13)], False),
+        ([line(5.0)], [contact(5.1, p_mine=0.6)], False),
+        ([line(5.0), line(5.5, p_mine=0.6, word="updated")], [contact(5.6, p_mine=0.6)], True),
+        ([line(5.0), line(7.5, p_mine=0.6, word="updated")], [contact(7.6, p_mine=0.6)], False),
+        ([line(5.0), line(6.0, 13, 0.1)], [contact(5.1)], True),
+        ([line(6.0, 13, 0.1)], [], False),
+        ([Line(1.0, "notice port_up: contact")], [contact(1.0)], False),
+    ],
+)
+def test_contacts_are_told_in_time(lines: list[Line], reports: list[Report], holds: bool) -> None:
+    assert told_in_time(TOLD, lines, reports)[2] is holds
+
+
+@pytest.mark.parametrize(
+    ("reports", "n"),
+    [
+        ([passed(90.0, in_control=False), passed(181.0)], 1),
+        ([passed(90.0, in_control=False), passed(100.0)], 0),
+        ([passed(350.0, in_control=False), passed(20.0)], 0),
+        ([passed(90.0, in_control=False), passed(181.0, in_control=False)], 0),
+        ([passed(90.0, in_control=False), passed(181.0, 20.0)], 0),
+        ([passed(90.0, in_control=False), passed(181.0), passed(270.0)], 1),
+        ([passed(90.0, in_control=False), passed(90.0, number=1)], 1),
+        ([], 0),
+    ],
+)
+def test_passes_under_command_from_another_side_count(reports: list[Report], n: int) -> None:
+    assert n_passed(PASSED, reports) == n
+
+
+@pytest.mark.parametrize(
+    ("reports", "n"),
+    [
+        ([contact(1.0), contact(2.0, p_mine=0.9, n_views=2)], 1),
+        ([contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.2, n_views=2)], 1),
+        ([contact(1.0, p_mine=0.9), contact(2.0, p_mine=0.6, n_views=2)], 0),
+        ([contact(1.0), contact(2.0, p_mine=0.9)], 0),
+        ([contact(2.0, p_mine=0.9, n_views=2)], 0),
+        ([contact(1.0), contact(2.0, number=13, p_mine=0.9, n_views=2)], 0),
+    ],
+)
+def test_contacts_with_a_second_view_that_decides_count(reports: list[Report], n: int) -> None:
+    assert n_sharper(reports) == n
+
+
+@pytest.mark.parametrize(
+    ("reports", "holds"),
+    [
+        ([command(), pose(1.0)], True),
+        ([command(43.2), pose(1.0)], False),
+        ([command(43.05, 5.2)], False),
+        ([command(), pose(1.0, 43.2)], False),
+        ([command(), pose(1.0, 43.2, in_control=False)], True),
+        ([Report(1.0, "command", {"kind": "Steer", "heading_rad": 1.0}), pose(1.0)], True),
+        ([pose(1.0)], False),
+    ],
+)
+def test_whoever_commands_stays_inside_the_fence(reports: list[Report], holds: bool) -> None:
+    assert inside_fence(FENCE, reports)[2] is holds
+
+
+@pytest.mark.parametrize(
+    ("killed_s", "reports", "holds"),
+    [
+        (10.0, [Report(14.0, "released", {}), pose(20.0, in_control=False)], True),
+        (10.0, [Report(18.0, "released", {}), pose(20.0, in_control=False)], False),
+        (10.0, [Report(14.0, "released", {}), pose(20.0)], False),
+        (10.0, [Report(9.0, "released", {}), pose(20.0, in_control=False)], False),
+        (10.0, [Report(14.0, "released", {})], False),
+        (None, [Report(14.0, "released", {}), pose(20.0, in_control=False)], False),
+    ],
+)
+def test_a_vehicle_whose_payload_is_dead_has_its_own_plan(killed_s: Any, reports: list[Report], holds: bool) -> None:
+    assert own_plan_after(Silence(device="vehicle", within_s=6.0), killed_s, reports)[2] is holds
