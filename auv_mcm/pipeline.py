@@ -1,6 +1,6 @@
 """The one chain from pings and navigation to contacts: synchronous, deterministic, the same live and replayed.
 
-    events -> intake -> waterfall -> detection -> suppression -> close look -> ledger -> events
+    events -> intake -> waterfall -> detection -> sea floor and coverage -> suppression -> close look -> ledger -> events
 
 What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on threads,
 or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they cost.
@@ -41,6 +41,8 @@ from auv_mcm.records import (
     SourceEvent,
     Tile,
 )
+from auv_mcm.seabed.model import shipped_seabed_model
+from auv_mcm.seabed.stage import seabed_cells
 from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.transfer import Transfer, recheck_transfer, resolve_transfer
 
@@ -86,6 +88,7 @@ class Pipeline:
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0)
+        self._seabed = shipped_seabed_model()
         self._grid: Grid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -205,8 +208,11 @@ class Pipeline:
         events: list[PipelineEvent] = []
         settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
+            grid = self._cells_around(tile)
+            with self._timed("seabed"):
+                seabed = None if grid is None else seabed_cells(tile, self._seabed)
             with self._timed("coverage"):
-                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result), self._cells_around(tile))
+                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result), grid, seabed)
             events += [tile, patch]
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1

@@ -28,6 +28,8 @@ NAMES: Final = (
     "dark",
     "bright",
     "skewness",
+    "grain_along",
+    "grain_across",
 )
 BLOCK_M: Final = 0.24
 CELL_BLOCKS: Final = 16
@@ -64,7 +66,8 @@ def measure_texture(tile: Tile) -> Texture:
 
     Lacunarities are natural logarithms of the variance over the squared mean of box means of 0.24, 0.48 and 0.96 m; ripple_peak of the
     spectrum's highest value over its mean at all wavenumbers of that size; low_frequencies of the share of wavelengths above 1.5 m; dark
-    and bright of the shares of boxes.
+    and bright of the shares of boxes; grains of the squared difference of neighbouring boxes over the squared mean, which tell the speckle
+    that all else stands on.
     """
     block = max(1, round(BLOCK_M / tile.row_spacing_m)), max(1, round(BLOCK_M / tile.column_spacing_m))
     block_m = block[0] * tile.row_spacing_m, block[1] * tile.column_spacing_m
@@ -90,6 +93,7 @@ def measure_texture(tile: Tile) -> Texture:
             np.log(_in_windows((echo < _DARK) * valid) / count + _LEAST_SHARE),
             np.log(_in_windows((echo > _BRIGHT) * valid) / count + _LEAST_SHARE),
             (third - 3.0 * mean * second + 2.0 * mean**3) / variance**1.5,
+            *_grain(echo, valid),
         ],
         axis=-1,
     )
@@ -139,6 +143,19 @@ def _lacunarity(echo: Array, valid: Array, n: int) -> Array:
     mean = _in_windows(box, n) / n_boxes
     variance = np.maximum(_in_windows(box * box, n) / n_boxes - mean * mean, 0.0)
     return np.asarray(np.log(variance / np.maximum(mean + 1.0, _FLOOR) ** 2 + _LEAST_SHARE))
+
+
+def _grain(echo: Array, valid: Array) -> tuple[Array, Array]:
+    """Half the mean squared difference of neighbours along and across, over the squared mean, as logarithms."""
+    level = _in_windows(echo) / np.maximum(_in_windows(valid), 1.0)
+    told = []
+    for here, there in (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None)))):
+        both, difference = np.zeros_like(echo), np.zeros_like(echo)
+        both[here] = valid[here] * valid[there]
+        difference[here] = (echo[there] - echo[here]) ** 2 * both[here]
+        half = 0.5 * _in_windows(difference) / np.maximum(_in_windows(both), 1.0)
+        told.append(np.asarray(np.log(half / np.maximum(level, _FLOOR) ** 2 + _LEAST_SHARE)))
+    return told[0], told[1]
 
 
 def _anisotropy(level: Array, valid: Array, block_m: tuple[float, float]) -> Array:

@@ -1,7 +1,8 @@
-"""Kinds of sea floor by the texture that each shows: one Gaussian per kind, with a covariance of its own.
+"""Kinds of sea floor by the texture that each shows.
 
-Quadratic discriminant analysis with shrunk covariances (J. H. Friedman, "Regularized discriminant analysis", JASA 84, 1989). What range
-does to a texture (wider beams, longer shadows) is taken off first, as it is on a flat floor. What is far from every kind is `unknown`.
+Odds of the kinds are a logistic regression on textures, their products, and range, which changes textures as well (D. R. Cox, J. Royal
+Statistical Society B 20, 1958; with all products it has the borders of Gaussians with covariances of their own, without asking for
+Gaussians). Beside it each cover that was learnt has its mean and covariance: what is far from all of them is `unknown`.
 """
 
 from __future__ import annotations
@@ -20,14 +21,26 @@ from auv_mcm.seabed.features import NAMES
 
 Array = NDArray[np.float64]
 
+INPUTS: Final = (*NAMES, "log_range")
+N_TERMS: Final = 1 + len(INPUTS) + len(INPUTS) * (len(INPUTS) + 1) // 2
+
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _NEAREST_M: Final = 1.0  # logarithms of range start here
+_FARTHEST: Final = 4.0  # standard deviations; beyond, products would outweigh all else
 
 
 class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One kind: mean of its features, and the lower triangular matrix L that makes them white, rows of rising length: L (z - mean)."""
+    """The log-odds of one kind, up to what is the same for all: a weight for each of `terms`."""
 
-    name: SeabedType
+    kind: SeabedType
+    weights: tuple[_Number, ...]
+
+
+class Cover(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What one cover of the sea floor, such as gravel, shows: mean of its inputs, and the lower triangular matrix L that makes them white,
+    rows of rising length: L (x - mean)."""
+
+    name: str
     mean: tuple[_Number, ...]
     whitening: tuple[tuple[_Number, ...], ...]
 
@@ -35,75 +48,84 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class SeabedModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What each kind of sea floor looks like.
 
-    fitted_on: the missions. features: their names, in order. range_coefficients: per feature of 1, x and x² with x the natural logarithm
-    of the ground range in m, as on a flat floor. temper: by which log-likelihoods are divided, since windows overlap and features tell
-    partly the same. novelty: squared distance in standard deviations from every kind, beyond which a texture is none of them.
+    fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of ground range in m; centre
+    and scale make them comparable. novelty: squared distance in standard deviations from every cover, beyond which a texture is none of
+    them.
     """
 
     fitted_on: str
-    features: tuple[str, ...]
-    range_coefficients: tuple[tuple[_Number, _Number, _Number], ...]
+    inputs: tuple[str, ...]
+    centre: tuple[_Number, ...]
+    scale: tuple[Annotated[float, Meta(gt=0.0, le=1e9)], ...]
     kinds: tuple[Kind, ...]
-    temper: Annotated[float, Meta(ge=0.1, le=100.0)]
-    novelty: Annotated[float, Meta(gt=0.0, le=1e4)]
+    covers: tuple[Cover, ...]
+    novelty: Annotated[float, Meta(gt=0.0, le=1e6)]
 
     def __post_init__(self) -> None:
-        n = len(NAMES)
-        if self.features != NAMES:
-            raise ValueError(f"fitted on features {', '.join(self.features)}, but these are measured: {', '.join(NAMES)}")
-        if len(self.range_coefficients) != n or not self.kinds:
-            raise ValueError(f"needs three range coefficients for each of {n} features, and one kind at least")
+        n = len(INPUTS)
+        if self.inputs != INPUTS:
+            raise ValueError(f"fitted on {', '.join(self.inputs)}, but these are measured: {', '.join(INPUTS)}")
+        if len(self.centre) != n or len(self.scale) != n or not self.kinds or not self.covers:
+            raise ValueError(f"needs a centre and a scale for each of {n} inputs, and one kind and one cover at least")
         for kind in self.kinds:
-            shaped = [len(row) for row in kind.whitening] == list(range(1, n + 1))
-            if len(kind.mean) != n or not shaped or any(row[-1] <= 0.0 for row in kind.whitening):
-                raise ValueError(f"kind '{kind.name}': needs a mean of {n} and a lower triangular matrix with a positive diagonal")
+            if len(kind.weights) != N_TERMS:
+                raise ValueError(f"kind '{kind.kind}': needs {N_TERMS} weights")
+        for cover in self.covers:
+            shaped = [len(row) for row in cover.whitening] == list(range(1, n + 1))
+            if len(cover.mean) != n or not shaped or any(row[-1] <= 0.0 for row in cover.whitening):
+                raise ValueError(f"cover '{cover.name}': needs a mean of {n} and a lower triangular matrix with a positive diagonal")
 
 
-class Likelihood(NamedTuple):
-    """log_p (..., n_kinds): tempered log-likelihood per kind, in the order of SeabedModel.kinds; nearest (...): squared distance in
-    standard deviations from the nearest kind. NaN where a feature is."""
+class Odds(NamedTuple):
+    """log_p (..., n_kinds): logarithm of the probability of each kind, in the model's order, all as likely beforehand; nearest (...):
+    squared distance in standard deviations from the nearest cover. Without meaning where a feature is NaN."""
 
     log_p: Array
     nearest: Array
 
 
-def at_no_range(features: Array, ground_range_m: Array, coefficients: Array) -> Array:
-    """Features (..., n_across, n) less what range does to them; ground_range_m (n_across,), coefficients (n, 3)."""
+def odds_of(features: Array, ground_range_m: Array, model: SeabedModel) -> Odds:
+    """What each kind has for it; features (..., len(NAMES)), ground_range_m of the same shape without the last axis."""
+    x = standardised(features, ground_range_m, np.array(model.centre), np.array(model.scale))
+    distances = [np.sum(((x - np.array(cover.mean)) @ _square(cover.whitening).T) ** 2, axis=-1) for cover in model.covers]
+    log_p = terms(x) @ np.array([kind.weights for kind in model.kinds]).T
+    log_p -= log_p.max(axis=-1, keepdims=True)
+    log_p -= np.log(np.exp(log_p).sum(axis=-1, keepdims=True))
+    return Odds(log_p, np.min(distances, axis=0))
+
+
+def standardised(features: Array, ground_range_m: Array, centre: Array, scale: Array) -> Array:
+    """(..., len(INPUTS)) inputs, centred and scaled."""
     logarithm = np.log(np.maximum(ground_range_m, _NEAREST_M))
-    powers = np.stack([np.ones_like(logarithm), logarithm, logarithm**2], axis=-1)
-    return np.asarray(features - powers @ coefficients.T)
+    return np.asarray((np.concatenate([features, logarithm[..., np.newaxis]], axis=-1) - centre) / scale)
 
 
-def likelihood(features: Array, ground_range_m: Array, model: SeabedModel) -> Likelihood:
-    """How well each kind explains features (..., n_across, len(NAMES)) at ground ranges (n_across,)."""
-    z = at_no_range(features, ground_range_m, np.array(model.range_coefficients))
-    log_p, distances = [], []
-    for kind in model.kinds:
-        whitening = np.zeros((len(NAMES), len(NAMES)))
-        for row, values in enumerate(kind.whitening):
-            whitening[row, : row + 1] = values
-        white = (z - np.array(kind.mean)) @ whitening.T
-        distance = np.sum(white * white, axis=-1)
-        distances.append(distance)
-        log_p.append((float(np.sum(np.log(np.diag(whitening)))) - 0.5 * distance) / model.temper)
-    return Likelihood(np.stack(log_p, axis=-1), np.min(distances, axis=0))
+def terms(x: Array) -> Array:
+    """(..., N_TERMS) of inputs (..., len(INPUTS)): 1, the inputs, and all products of two of them; far inputs are drawn in."""
+    near = np.clip(x, -_FARTHEST, _FARTHEST)
+    first, second = np.triu_indices(len(INPUTS))
+    return np.concatenate([np.ones((*near.shape[:-1], 1)), near, near[..., first] * near[..., second]], axis=-1)
 
 
-def fitted_kind(name: SeabedType, z: Array, shrinkage: float, ridge: float) -> Kind:
-    """The Gaussian of samples (n_samples, len(NAMES)) of one kind.
+def fitted_cover(name: str, x: Array, shrinkage: float, ridge: float) -> Cover:
+    """The Gaussian of standardised inputs (n_samples, len(INPUTS)) of one cover.
 
     The covariance is drawn towards its own diagonal by `shrinkage` (0 to 1), and `ridge` times its mean variance is added. Raises
-    ValueError for fewer samples than features.
+    ValueError for fewer samples than inputs.
     """
-    if z.shape[0] <= z.shape[1]:
-        raise ValueError(f"{z.shape[0]} samples of '{name}' for {z.shape[1]} features: give more missions with it")
-    mean = z.mean(axis=0)
-    covariance = np.cov(z.T)
+    if x.shape[0] <= x.shape[1]:
+        raise ValueError(f"{x.shape[0]} samples of '{name}' for {x.shape[1]} inputs: give more missions with it")
+    mean = x.mean(axis=0)
+    covariance = np.cov(x.T)
     covariance = (1.0 - shrinkage) * covariance + shrinkage * np.diag(np.diag(covariance))
     covariance += ridge * np.trace(covariance) / len(mean) * np.eye(len(mean))
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    rows = tuple(tuple(float(f"{value:.6g}") for value in whitening[row, : row + 1]) for row in range(len(mean)))
-    return Kind(name=name, mean=tuple(float(f"{value:.6g}") for value in mean), whitening=rows)
+    return Cover(name=name, mean=as_stored(mean), whitening=tuple(as_stored(whitening[row, : row + 1]) for row in range(len(mean))))
+
+
+def as_stored(values: Array) -> tuple[float, ...]:
+    """Six digits: what a file for people needs and floors differ by."""
+    return tuple(float(f"{value:.6g}") for value in values)
 
 
 def parse_seabed_model(data: bytes, place: str) -> SeabedModel:
@@ -121,4 +143,11 @@ def shipped_seabed_model() -> SeabedModel:
 
 def kind_indices(model: SeabedModel) -> NDArray[np.uint8]:
     """(n_kinds,) index into SEABED_TYPES of each kind."""
-    return np.array([SEABED_TYPES.index(kind.name) for kind in model.kinds], dtype=np.uint8)
+    return np.array([SEABED_TYPES.index(kind.kind) for kind in model.kinds], dtype=np.uint8)
+
+
+def _square(rows: tuple[tuple[float, ...], ...]) -> Array:
+    matrix = np.zeros((len(rows), len(rows)))
+    for row, values in enumerate(rows):
+        matrix[row, : row + 1] = values
+    return matrix

@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import SEABED_TYPES, SeabedCells, Tile
 from auv_mcm.seabed.features import CELL_BLOCKS, Texture, measure_texture
-from auv_mcm.seabed.model import SeabedModel, kind_indices, likelihood
+from auv_mcm.seabed.model import SeabedModel, kind_indices, odds_of
 
 Array = NDArray[np.float64]
 
 _UNKNOWN: Final = SEABED_TYPES.index("unknown")
 _RIPPLE: Final = SEABED_TYPES.index("ripple")
-_COUPLING: Final = 0.35  # nats that a neighbouring cell of the same kind adds
+_COUPLING: Final = 0.7  # nats that a neighbouring cell of the same kind adds
 _SWEEPS: Final = 3
 
 
 def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
     """What kind of sea floor a tile's core shows."""
     texture = measure_texture(tile)
-    found = likelihood(texture.features, texture.ground_range_m, model)
-    measured = np.isfinite(found.nearest)
-    log_p = np.where(measured[..., np.newaxis], found.log_p, 0.0)
-    posterior = smoothed(log_p, measured)
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(texture.features).all(axis=-1))
+    features = np.where(measured[..., np.newaxis], texture.features, 0.0)
+    found = odds_of(features, np.broadcast_to(texture.ground_range_m, measured.shape), model)
+    posterior = smoothed(found.log_p * measured[..., np.newaxis], measured)
     best = np.argmax(posterior, axis=-1)
     kind = kind_indices(model)[best]
     confidence = np.take_along_axis(posterior, best[..., np.newaxis], axis=-1)[..., 0]

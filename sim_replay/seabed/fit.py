@@ -8,73 +8,82 @@ from typing import Final
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import SEABED_TYPES
-from auv_mcm.seabed.features import NAMES
-from auv_mcm.seabed.model import SeabedModel, at_no_range, fitted_kind, kind_indices, likelihood
-from sim_replay.seabed.samples import Samples
+from auv_mcm.seabed.model import INPUTS, Kind, SeabedModel, as_stored, fitted_cover, odds_of, standardised, terms
+from sim_replay.seabed.missions import KIND_OF
+from sim_replay.seabed.samples import COVERS, Samples
 
-FIT_SEEDS: Final = range(800, 816)
-VALIDATE_SEEDS: Final = range(816, 820)
+Array = NDArray[np.float64]
 
-_FLAT: Final = SEABED_TYPES.index("flat")
-_UNKNOWN: Final = SEABED_TYPES.index("unknown")
+FIT_SEEDS: Final = range(800, 820)
+
 _SHRINKAGE: Final = 0.05
 _RIDGE: Final = 1e-3
-_TEMPERS: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+_WEIGHT_RIDGE: Final = 1e-3
 _KEPT: Final = 0.999  # of the textures that it was fitted on are not novel
+_ITERATIONS: Final = 500
 
 
-def fit_model(fit: Samples, validate: Samples, fitted_on: str) -> SeabedModel:
-    """The model of `fit`, with the temper under which `validate` is least surprised.
-
-    Raises BadInputError if a kind, or enough of it, is missing.
-    """
-    coefficients = range_curves(fit)
-    z = at_no_range(fit.features, fit.ground_range_m, coefficients)
-    kinds = []
-    for index, name in enumerate(SEABED_TYPES):
-        if index == _UNKNOWN:
-            continue
+def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
+    """The model of samples. All kinds weigh alike, and so do all covers of a kind. Raises BadInputError if a cover, or enough of it, is
+    missing."""
+    raw = standardised(samples.features, samples.ground_range_m, np.zeros(len(INPUTS)), np.ones(len(INPUTS)))
+    centre, scale = as_stored(raw.mean(axis=0)), as_stored(np.maximum(raw.std(axis=0), 1e-6))
+    x = standardised(samples.features, samples.ground_range_m, np.array(centre), np.array(scale))
+    covers = []
+    for index, name in enumerate(COVERS):
         try:
-            kinds.append(fitted_kind(name, z[fit.kind == index], _SHRINKAGE, _RIDGE))
+            covers.append(fitted_cover(name, x[samples.cover == index], _SHRINKAGE, _RIDGE))
         except ValueError as error:
             raise BadInputError(str(error)) from error
-    rough = SeabedModel(
+    names = tuple(dict.fromkeys(KIND_OF.values()))
+    kind = np.array([names.index(KIND_OF[cover]) for cover in COVERS])[samples.cover]
+    weights = _regression(terms(x), kind, _alike(samples.cover, kind))
+    model = SeabedModel(
         fitted_on=fitted_on,
-        features=NAMES,
-        range_coefficients=tuple((float(a), float(b), float(c)) for a, b, c in coefficients),
-        kinds=tuple(kinds),
-        temper=1.0,
-        novelty=1e4,
+        inputs=INPUTS,
+        centre=centre,
+        scale=scale,
+        kinds=tuple(Kind(kind=name, weights=as_stored(weights[:, column])) for column, name in enumerate(names)),
+        covers=tuple(covers),
+        novelty=1e6,
     )
-    nearest = likelihood(fit.features, fit.ground_range_m, rough).nearest
-    novelty = float(f"{np.quantile(nearest, _KEPT):.4g}")
-    tempered = [msgspec.structs.replace(rough, temper=temper, novelty=novelty) for temper in _TEMPERS]
-    return min(tempered, key=lambda model: surprise(model, validate))
+    nearest = odds_of(samples.features, samples.ground_range_m, model).nearest
+    return msgspec.structs.replace(model, novelty=float(f"{np.quantile(nearest, _KEPT):.4g}"))
 
 
-def range_curves(samples: Samples) -> NDArray[np.float64]:
-    """(n, 3) coefficients per feature, by least squares on the flat samples; rounded as they are stored."""
-    flat = samples.kind == _FLAT
-    if np.count_nonzero(flat) < 100:
-        raise BadInputError("fewer than 100 samples of flat floor: give more missions with it")
-    logarithm = np.log(np.maximum(samples.ground_range_m[flat], 1.0))
-    powers = np.stack([np.ones_like(logarithm), logarithm, logarithm**2], axis=-1)
-    solved = np.linalg.lstsq(powers, samples.features[flat], rcond=None)[0].T
-    return np.array([[float(f"{value:.6g}") for value in row] for row in solved])
+def _alike(cover: NDArray[np.uint8], kind: NDArray[np.intp]) -> Array:
+    """Weights under which every kind counts the same, and within it every cover; 1 on average."""
+    weight = np.empty(len(cover))
+    for index in np.unique(cover):
+        chosen = cover == index
+        of_kind = np.unique(cover[kind == kind[chosen][0]])
+        weight[chosen] = 1.0 / (np.count_nonzero(chosen) * len(of_kind))
+    return np.asarray(weight / weight.mean())
 
 
-def surprise(model: SeabedModel, samples: Samples) -> float:
-    """Mean of -ln of the probability given to the truth, all kinds weighed alike."""
-    log_p = likelihood(samples.features, samples.ground_range_m, model).log_p
-    log_p = log_p - np.logaddexp.reduce(log_p, axis=-1, keepdims=True)
-    indices = kind_indices(model)
-    losses = [-log_p[samples.kind == index, column].mean() for column, index in enumerate(indices) if (samples.kind == index).any()]
-    return float(np.mean(losses))
+def _regression(inputs: Array, kind: NDArray[np.intp], weight: Array) -> Array:
+    """(n_terms, n_kinds) weights of the multinomial logistic regression with a small ridge on all but the constant."""
+    n_kinds = int(kind.max()) + 1
+    truth = np.eye(n_kinds)[kind] * weight[:, np.newaxis]
+    ridge = np.full((inputs.shape[1], 1), _WEIGHT_RIDGE)
+    ridge[0] = 0.0
+
+    def loss(flat: Array) -> tuple[float, Array]:
+        weights = flat.reshape(inputs.shape[1], n_kinds)
+        log_p = inputs @ weights
+        log_p -= log_p.max(axis=1, keepdims=True)
+        log_p -= np.log(np.exp(log_p).sum(axis=1, keepdims=True))
+        gradient = inputs.T @ (weight[:, np.newaxis] * np.exp(log_p) - truth) / len(kind) + 2.0 * ridge * weights
+        return float(-(truth * log_p).sum() / len(kind) + (ridge * weights * weights).sum()), gradient.ravel()
+
+    start = np.zeros(inputs.shape[1] * n_kinds)
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS})
+    return np.asarray(found.x.reshape(inputs.shape[1], n_kinds), dtype=np.float64)
 
 
 def told_of(seeds: Sequence[int], samples: Samples) -> str:
-    counts = ", ".join(f"{np.count_nonzero(samples.kind == index)} {name}" for index, name in enumerate(SEABED_TYPES) if index != _UNKNOWN)
+    counts = ", ".join(f"{np.count_nonzero(samples.cover == index)} {name}" for index, name in enumerate(COVERS))
     return f"simulated missions of seeds {seeds[0]} to {seeds[-1]}: {counts} cells"

@@ -29,7 +29,8 @@ def mission_scene(seed: int) -> Scene:
     """A scene with every kind of sea floor in patches large enough for whole windows of one kind."""
     rng = np.random.Generator(np.random.PCG64([seed, _STREAM]))
     wavelength_m = float(rng.uniform(0.6, 1.8))
-    steepness = float(rng.uniform(0.07, 0.14))  # height over wavelength; above 0.15 ripples of sand collapse
+    # Height over wavelength; ripples that waves make are near 0.17 (P. L. Wiberg and C. K. Harris, J. Geophysical Research 99, 1994).
+    steepness = float(rng.uniform(0.09, 0.16))
     ripples = Ripples(
         wavelength_m=wavelength_m,
         height_m=steepness * wavelength_m,
@@ -51,7 +52,7 @@ def mission_scene(seed: int) -> Scene:
     return Scene(
         name=f"seabed {seed}",
         seed=seed,
-        world=World(depth_m=25.0, seabeds=seabeds, patch_m=60.0, relief_rms_m=float(rng.uniform(0.02, 0.2))),
+        world=World(depth_m=25.0, seabeds=seabeds, patch_m=60.0, relief_rms_m=float(rng.uniform(0.02, 0.08))),
         sonar=Sonar(
             frequency_khz=float(rng.choice([400.0, 450.0, 600.0])),
             range_m=range_m,

@@ -20,23 +20,29 @@ from sim_replay.simulator.plan import local_frame
 
 _PER_WINDOW: Final = 7  # places asked for along each side of a window
 
+COVERS: Final = tuple(KIND_OF)
 MIXED: Final = 255
-"""In place of a kind: the window shows several, or part of it cannot be placed."""
+"""In place of a cover: the window shows several, or part of it cannot be placed."""
 
 
 class Samples(NamedTuple):
-    """features (n, len(NAMES)) float64, all finite; ground_range_m (n,); kind (n,) uint8, index into SEABED_TYPES."""
+    """features (n, len(NAMES)) float64, all finite; ground_range_m (n,); cover (n,) uint8, index into COVERS."""
 
     features: NDArray[np.float64]
     ground_range_m: NDArray[np.float64]
-    kind: NDArray[np.uint8]
+    cover: NDArray[np.uint8]
 
 
 class TrueTile(NamedTuple):
-    """A tile and, per cell, (n_along, n_across) uint8, the kind that its whole window is, or MIXED."""
+    """A tile and, per cell, (n_along, n_across) uint8, the cover of its whole window, index into COVERS, or MIXED."""
 
     tile: Tile
-    kind: NDArray[np.uint8]
+    cover: NDArray[np.uint8]
+
+
+def kind_of_covers() -> NDArray[np.uint8]:
+    """(len(COVERS),) index into SEABED_TYPES of what each cover counts as."""
+    return np.array([SEABED_TYPES.index(KIND_OF[cover]) for cover in COVERS], dtype=np.uint8)
 
 
 def true_tiles(seed: int) -> list[TrueTile]:
@@ -48,17 +54,17 @@ def true_tiles(seed: int) -> list[TrueTile]:
     for event in mission.events():
         tiles += [told for told in pipeline.feed(event) if isinstance(told, Tile)]
     tiles += [told for told in pipeline.finish() if isinstance(told, Tile)]
-    return [TrueTile(tile, true_kinds(tile, mission, config.sonar)) for tile in tiles]
+    return [TrueTile(tile, true_covers(tile, mission, config.sonar)) for tile in tiles]
 
 
 def samples_of(seed: int) -> Samples:
     """Pure cells of the mission of a seed."""
     parts = []
-    for tile, kind in true_tiles(seed):
+    for tile, cover in true_tiles(seed):
         texture = measure_texture(tile)
-        pure = (kind != MIXED) & np.isfinite(texture.features).all(axis=-1)
-        ranges = np.broadcast_to(texture.ground_range_m, kind.shape)
-        parts.append((texture.features[pure], ranges[pure], kind[pure]))
+        pure = (cover != MIXED) & np.isfinite(texture.features).all(axis=-1)
+        ranges = np.broadcast_to(texture.ground_range_m, cover.shape)
+        parts.append((texture.features[pure], ranges[pure], cover[pure]))
     return Samples(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
@@ -66,8 +72,8 @@ def pooled(samples: list[Samples]) -> Samples:
     return Samples(*(np.concatenate(part) for part in zip(*samples, strict=True)))
 
 
-def true_kinds(tile: Tile, mission: Mission, sonar: SonarConfig) -> NDArray[np.uint8]:
-    """Per cell of a tile the kind that its window is, by where the payload believes it to lie, or MIXED."""
+def true_covers(tile: Tile, mission: Mission, sonar: SonarConfig) -> NDArray[np.uint8]:
+    """Per cell of a tile the cover of its window, by where the payload believes it to lie, or MIXED."""
     texture = measure_texture(tile)
     n_along, n_across = texture.features.shape[:2]
     cell_rows = texture.cell_m[0] / tile.row_spacing_m
@@ -87,10 +93,10 @@ def true_kinds(tile: Tile, mission: Mission, sonar: SonarConfig) -> NDArray[np.u
     )
     place = local_frame(mission.scene.origin).to_enu(*locate(echoes, sonar))
     known = np.isfinite(place).all(axis=1)
-    of_cover = np.array([SEABED_TYPES.index(KIND_OF[cover.type]) for cover in mission.sea.world.covers], dtype=np.uint8)
-    kind = np.full(position.shape, MIXED, dtype=np.uint8)
-    kind[known] = of_cover[mission.sea.world.seabed_at(place[known, 0], place[known, 1])]
-    windows = kind.reshape(n_along, _PER_WINDOW, n_across, _PER_WINDOW).swapaxes(1, 2).reshape(n_along, n_across, -1)
+    of_cover = np.array([COVERS.index(cover.type) for cover in mission.sea.world.covers], dtype=np.uint8)
+    cover = np.full(position.shape, MIXED, dtype=np.uint8)
+    cover[known] = of_cover[mission.sea.world.seabed_at(place[known, 0], place[known, 1])]
+    windows = cover.reshape(n_along, _PER_WINDOW, n_across, _PER_WINDOW).swapaxes(1, 2).reshape(n_along, n_across, -1)
     return np.where((windows == windows[..., :1]).all(axis=-1), windows[..., 0], MIXED).astype(np.uint8)
 
 

@@ -13,7 +13,18 @@ from seabed_tiles import rippled, speckled, tile_of
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES, SeabedType
 from auv_mcm.seabed.features import NAMES, measure_texture
-from auv_mcm.seabed.model import SeabedModel, fitted_kind, likelihood, parse_seabed_model
+from auv_mcm.seabed.model import (
+    INPUTS,
+    N_TERMS,
+    Kind,
+    SeabedModel,
+    as_stored,
+    fitted_cover,
+    odds_of,
+    parse_seabed_model,
+    standardised,
+    terms,
+)
 from auv_mcm.seabed.stage import seabed_cells, smoothed
 
 Array = NDArray[np.float64]
@@ -30,14 +41,39 @@ def textures(name: SeabedType, seed: int) -> Array:
     return inner.reshape(-1, len(NAMES))
 
 
+def ranges_m(n: int) -> Array:
+    """Ground ranges of made-up cells; they change nothing in these floors."""
+    return np.random.Generator(np.random.PCG64(9)).uniform(1.0, 40.0, n)
+
+
 @pytest.fixture(scope="module")
 def model() -> SeabedModel:
+    """The nearest of three made-up floors, by a distance that is a sum of squares."""
     names: tuple[SeabedType, ...] = ("flat", "ripple", "rough")
-    kinds = tuple(fitted_kind(name, np.concatenate([textures(name, seed) for seed in range(4)]), 0.1, 1e-2) for name in names)
-    zero = (0.0, 0.0, 0.0)
-    return SeabedModel(
-        fitted_on="made-up floors", features=NAMES, range_coefficients=(zero,) * len(NAMES), kinds=kinds, temper=2.0, novelty=200.0
+    zero, one = (0.0,) * len(INPUTS), (1.0,) * len(INPUTS)
+    floors = {name: np.concatenate([textures(name, seed) for seed in range(4)]) for name in names}
+    floors = {name: standardised(z, ranges_m(len(z)), np.array(zero), np.array(one)) for name, z in floors.items()}
+    centre, scale = (f(np.concatenate(list(floors.values())), axis=0) for f in (np.mean, np.std))
+    scale = np.maximum(scale, 1.0)
+    floors = {name: (z - centre) / scale for name, z in floors.items()}
+    kinds = []
+    for name, z in floors.items():
+        weights = np.zeros(N_TERMS)
+        mean, variance = z.mean(axis=0), 0.02
+        weights[0], weights[1 : 1 + len(INPUTS)] = -0.5 * float(mean @ mean) / variance, mean / variance
+        kinds.append(Kind(kind=name, weights=as_stored(weights)))
+    covers = tuple(fitted_cover(name, z, 0.1, 1e-2) for name, z in floors.items())
+    fitted = SeabedModel(
+        fitted_on="made-up floors",
+        inputs=INPUTS,
+        centre=as_stored(centre),
+        scale=as_stored(scale),
+        kinds=tuple(kinds),
+        covers=covers,
+        novelty=1e5,
     )
+    known = np.concatenate([textures(name, seed) for name in names for seed in range(4)])
+    return msgspec.structs.replace(fitted, novelty=3.0 * float(odds_of(known, ranges_m(len(known)), fitted).nearest.max()))
 
 
 @pytest.mark.parametrize("name", ["flat", "ripple", "rough"])
@@ -92,27 +128,31 @@ def test_neighbours_settle_what_a_cell_leaves_open_and_no_more() -> None:
     assert smoothed(log_p, alone)[2, 2, 1] == pytest.approx(1.0 / (1.0 + math.exp(-0.3)))
 
 
-def test_likelihoods_are_those_of_gaussians() -> None:
+def test_distances_are_those_of_gaussians() -> None:
     rng = np.random.Generator(np.random.PCG64(7))
-    mixing = rng.normal(size=(len(NAMES), len(NAMES)))
-    samples = rng.normal(size=(50_000, len(NAMES))) @ mixing.T + rng.normal(size=len(NAMES))
-    kind = fitted_kind("flat", samples, 0.0, 0.0)
-    model = SeabedModel(
-        fitted_on="", features=NAMES, range_coefficients=((0.0, 0.0, 0.0),) * len(NAMES), kinds=(kind,), temper=1.0, novelty=100.0
-    )
-    some = samples[:50].reshape(5, 10, -1)
-    told = likelihood(some, np.full(10, 20.0), model)
-    covariance, mean = np.cov(samples.T), samples.mean(axis=0)
-    away = some - mean
-    distance = np.einsum("abi,ij,abj->ab", away, np.linalg.inv(covariance), away)
-    assert told.nearest == pytest.approx(distance, rel=1e-3)
-    assert told.log_p[..., 0] == pytest.approx(-0.5 * (distance + np.linalg.slogdet(covariance)[1]), rel=1e-3, abs=1e-2)
+    n = len(INPUTS)
+    x = rng.normal(size=(50_000, n)) @ rng.normal(size=(n, n)).T + rng.normal(size=n)
+    cover = fitted_cover("sand", x, 0.0, 0.0)
+    whitening = np.zeros((n, n))
+    for row, values in enumerate(cover.whitening):
+        whitening[row, : row + 1] = values
+    away = x[:50] - x.mean(axis=0)
+    expected = np.einsum("ai,ij,aj->a", away, np.linalg.inv(np.cov(x.T)), away)
+    assert np.sum(((x[:50] - np.array(cover.mean)) @ whitening.T) ** 2, axis=1) == pytest.approx(expected, rel=1e-3)
+
+
+def test_terms_are_all_products_once() -> None:
+    x = np.arange(1.0, 1.0 + len(INPUTS)) / 4.0
+    told = sorted(terms(x).tolist())
+    expected = [1.0, *x.tolist(), *(float(x[i] * x[j]) for i in range(len(x)) for j in range(i, len(x)))]
+    assert told == pytest.approx(sorted(expected))
+    assert len(told) == N_TERMS
 
 
 def test_a_file_that_is_no_model_is_refused_by_what_is_wrong(model: SeabedModel) -> None:
     assert parse_seabed_model(msgspec.json.encode(model), "m.json") == model
     good = msgspec.to_builtins(model)
-    changes: tuple[dict[str, object], ...] = ({"features": ["x"]}, {"temper": 0.0}, {"kinds": []}, {"range_coefficients": []}, {"more": 1})
+    changes: tuple[dict[str, object], ...] = ({"inputs": ["x"]}, {"novelty": 0.0}, {"covers": []}, {"centre": []}, {"more": 1})
     for change in changes:
         with pytest.raises(BadInputError, match=r"m\.json.*calibrate seabed"):
             parse_seabed_model(msgspec.json.encode({**good, **change}), "m.json")
