@@ -44,7 +44,7 @@ def clearance_picture(clearance: Clearance) -> Bytes:
         (np.array(_BANDS, dtype=np.uint8), band_of(clearance.p_detected)),
         (np.array([_KINDS[kind] for kind in SEABED_TYPES], dtype=np.uint8), clearance.seabed),
     ):
-        drawn = np.where(seen[..., np.newaxis], colours[chosen[::step, ::step]], np.uint8(_UNSEEN))
+        drawn = np.where(seen[..., np.newaxis], colours[chosen[::step, ::step]], np.array(_UNSEEN, dtype=np.uint8))
         maps.append(np.repeat(np.repeat(drawn[::-1], per_cell, axis=0), per_cell, axis=1))
     keys: tuple[Key, Key] = (
         [(f"{low:g}-{high:g}", colour) for low, high, colour in zip(BANDS[:-1], BANDS[1:], _BANDS, strict=True)],
