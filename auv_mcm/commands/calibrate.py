@@ -1,40 +1,96 @@
-"""A detector's budget for this computer."""
+"""What is measured rather than chosen: a detector's budget for this computer, and the tables that predict performance."""
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
-from auv_mcm.commands import Commands, add_config_option, command, read_config, write_new
+from auv_mcm.commands import Commands, add_config_option, command, read_config, whole, write_new
 from auv_mcm.errors import UsageError
 
 _SIDES: Final = 2
+_LAST_SEED: Final = 2**32 - 1
+
+_BUDGET: Final = (
+    "Measures how many comparisons of the trained cascade one core makes in a second, where nothing is rejected early, and\n"
+    "sets detect.max_evaluations_per_tile so that detection takes at most the share of the time that --duty allows, at the\n"
+    "highest speed over ground. Run it on the vehicle's computer, with nothing else running."
+)
 
 
 def add(commands: Commands) -> None:
     parser = command(
         commands,
         "calibrate",
-        "measure this computer and write the detector's budget that it can afford",
-        "Measures how many comparisons of the trained cascade one core makes in a second, where nothing is rejected early, and\n"
-        "sets detect.max_evaluations_per_tile so that detection takes at most the share of the time that --duty allows, at the\n"
-        "highest speed over ground. Run it on the vehicle's computer, with nothing else running.",
+        "measure this computer, or the payload's own performance",
+        "budget:       the detector's budget that this computer can afford; so does calibrate without a word\n"
+        "performance:  how likely a look finds a mine, by sea floor, range and direction, from simulated missions",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
-            "auv-mcm calibrate --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
+            "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
+            "auv-mcm calibrate performance --out performance.json",
         ],
     )
+    # As it was before there was a choice, and as scripts have it.
+    _add_budget_options(parser, required=False)
+    parser.set_defaults(command=partial(_run_without_a_word, parser))
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|performance")
+    _add_budget(kinds)
+    _add_performance(kinds)
+
+
+def _add_budget(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "budget",
+        "measure this computer and write the detector's budget that it can afford",
+        _BUDGET,
+        ["auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml"],
+    )
+    _add_budget_options(parser, required=True)
+    parser.set_defaults(command=_run_budget)
+
+
+def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     add_config_option(parser)
-    parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=True, help="highest speed over ground, m/s")
+    parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s")
     parser.add_argument("--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="of one core's time (default 0.25)")
     parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with that budget")
-    parser.set_defaults(command=_run)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _add_performance(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "performance",
+        "learn how likely a look finds a mine",
+        "Flies simulated missions full of targets over all kinds of sea floor, and fits the probability that one look finds a\n"
+        "mine to what became of each look. The same seeds make the same tables, here or on a dask cluster.",
+        [
+            "auv-mcm calibrate performance --out performance.json",
+            "auv-mcm calibrate performance --seeds 800-803 --flights 1",
+            "auv-mcm calibrate performance --out performance.json --scheduler tcp://10.0.0.1:8786",
+        ],
+    )
+    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the tables, JSON; they are printed in any case")
+    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help="seeds of the missions (default 800-815)")
+    parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 3)")
+    parser.add_argument("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
+    parser.set_defaults(command=_run_performance)
+
+
+def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+    if arguments.speed is None:
+        parser.error("give what to calibrate, budget or performance; or --speed for the budget")
+    return _run_budget(arguments)
+
+
+def _run_budget(arguments: argparse.Namespace) -> int:
     import msgspec
 
     from auv_mcm.config import config_yaml
@@ -56,6 +112,43 @@ def _run(arguments: argparse.Namespace) -> int:
         text = config_yaml(msgspec.structs.replace(config, detect=detect))
         write_new(arguments.write, text)
     return 0
+
+
+def _run_performance(arguments: argparse.Namespace) -> int:
+    from sim_replay.performance.calibrate import FIT_SEEDS, FLIGHTS, fly_all, tables, to_json, words_for
+    from sim_replay.performance.fit import fit
+    from sim_replay.training.farm import Farm
+
+    if arguments.out is not None:
+        if arguments.out.exists():
+            raise UsageError(f"--out {arguments.out} exists and is left alone: name a new file, or remove that one")
+        if not arguments.out.parent.is_dir():
+            raise UsageError(f"--out {arguments.out}: there is no folder {arguments.out.parent}. Make it first")
+    seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
+    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), _show)
+    print(file=sys.stderr)
+    looks = [look for mission in missions for look in mission]
+    performance = fit(looks, words_for(seeds, flights, looks))
+    print(performance.fitted_on)
+    print("probability that one look finds a mine, its 95 % interval, and looks fitted on\n")
+    print(tables(performance))
+    print(f"\nranges count in the height flown to the power {performance.altitude_exponent:g}")
+    print(f"of a further look, {performance.same_look_correlation:.2f} is known from one in the same direction")
+    print(f"and {performance.other_look_correlation:.2f} from one in another")
+    if arguments.out is not None:
+        write_new(arguments.out, to_json(performance).decode())
+    return 0
+
+
+def _show(done: int, of: int) -> None:
+    print(f"\r{done} of {of} missions flown", end="", file=sys.stderr, flush=True)
+
+
+def _seeds(text: str) -> range:
+    first, dash, last = text.partition("-")
+    if dash and first.isdecimal() and last.isdecimal() and len(text) < 24 and int(first) <= int(last) <= _LAST_SEED:
+        return range(int(first), int(last) + 1)
+    raise argparse.ArgumentTypeError(f"'{text}' is no range of seeds. Write the first and the last, as in 800-815")
 
 
 def _between(low: float, high: float) -> Callable[[str], float]:
