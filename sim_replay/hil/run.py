@@ -119,7 +119,7 @@ class _Run:
             killed_s = None
             if self._scenario.kill is not None:
                 killed_s = await self._killed(service, processes[0], self._scenario.kill, start_s)
-            exit_code = await self._served(service, start_s)
+            exit_code = await self._served(service, processes[:-1], start_s)
         finally:
             await asyncio.gather(*(process.end() for process in processes))
         lines = [Line(at_s - start_s, text) for at_s, text in service.lines]
@@ -158,18 +158,37 @@ class _Run:
             arguments = ["-m", "sim_replay.hil.stepping_service", str(path), str(step.at_s), str(step.by_s)]
         return await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
 
-    async def _served(self, service: _Process, start_s: float) -> int | None:
+    async def _served(self, service: _Process, devices: Sequence[_Process], start_s: float) -> int | None:
         """Wait until the run is over, tell the service to stop, and wait for that."""
         scenario = self._scenario
-        self._say(f"running for {scenario.run_s:g} s")
-        with contextlib.suppress(TimeoutError):
-            return await service.ended(max(0.0, start_s + scenario.run_s - time.monotonic()))
+        left_s = max(0.0, start_s + scenario.run_s - time.monotonic())
+        self._say(f"running for {scenario.run_s:g} s" + ("" if scenario.ends_after is None else " at most"))
+        over = asyncio.ensure_future(self._over(devices, left_s))
+        ended = asyncio.ensure_future(service.ended(left_s + _GRACE_S))
+        await asyncio.wait({over, ended}, return_when=asyncio.FIRST_COMPLETED)
+        over.cancel()
+        if ended.done():
+            return ended.result()
+        ended.cancel()
         self._say("stopping")
         service.signal(signal.SIGTERM)
         try:
             return await service.ended(scenario.stop_within_s)
         except TimeoutError:
             return None
+
+    async def _over(self, devices: Sequence[_Process], left_s: float) -> None:
+        """Returns when the run is over."""
+        rule = self._scenario.ends_after
+        if rule is None:
+            await asyncio.sleep(left_s)
+            return
+        said = [asyncio.ensure_future(device.said(f'"what": "{rule.what}"', left_s, rule.containing)) for device in devices]
+        done, waiting = await asyncio.wait(said, timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+        for task in waiting:
+            task.cancel()
+        if any(task.exception() is None for task in done):
+            await asyncio.sleep(rule.after_s)
 
 
 class _Process:
@@ -203,16 +222,19 @@ class _Process:
         )
         return cls(what, process, log)
 
-    async def said(self, text: str, within_s: float) -> str:
-        """The first line that contains a text. Raises HardwareError if none comes."""
+    async def said(self, text: str, within_s: float, also: str = "") -> str:
+        """The first line that contains a text, and also another. Raises HardwareError if none comes."""
+
+        def found() -> str | None:
+            return next((line for _, line in self.lines if text in line and also in line), None)
+
         try:
             async with asyncio.timeout(within_s), self._more:
-                await self._more.wait_for(lambda: self._reading.done() or any(text in line for _, line in self.lines))
+                await self._more.wait_for(lambda: self._reading.done() or found() is not None)
         except TimeoutError:
             raise HardwareError(f"{self._what} did not come up within {within_s:g} s{self._tail()}") from None
-        for _, line in self.lines:
-            if text in line:
-                return line
+        if (line := found()) is not None:
+            return line
         raise HardwareError(f"{self._what} ended before it was ready{self._tail()}")
 
     def limit_files(self, n_bytes: int) -> None:

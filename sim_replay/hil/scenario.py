@@ -160,6 +160,13 @@ class InsideFence(_Rule, frozen=True, kw_only=True, tag="inside_fence"):
     device: str
 
 
+class OwnPlanAtEnd(_Rule, frozen=True, kw_only=True, tag="own_plan_at_end"):
+    """A vehicle was not commanded in the last seconds of the run."""
+
+    device: str
+    last_s: Annotated[float, Meta(gt=0.0)] = 2.5
+
+
 class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
     """After the service was killed, a vehicle leaves the last command this soon and flies its own plan until the end."""
 
@@ -170,8 +177,8 @@ class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
 Counted: TypeAlias = (
     CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound | ReportRule | Passed | Sharper
 )
-VehicleRule: TypeAlias = ReportRule | ToldInTime | Passed | Sharper | InsideFence | Silence
-Rule: TypeAlias = Counted | ExitCode | Reopened | AsReplayed | ToldInTime | InsideFence | Silence
+VehicleRule: TypeAlias = ReportRule | ToldInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
+Rule: TypeAlias = Counted | ExitCode | Reopened | AsReplayed | ToldInTime | InsideFence | OwnPlanAtEnd | Silence
 
 
 class Expectation(_Told, frozen=True, kw_only=True):
@@ -194,15 +201,24 @@ class Kill(_Told, frozen=True, kw_only=True):
     after_grant_s: Annotated[float, Meta(ge=0.0)]
 
 
+class EndsAfter(_Told, frozen=True, kw_only=True):
+    """The run is over so long after a fake device has reported something for the first time. containing: in its details, as JSON."""
+
+    device: str
+    what: str
+    containing: str = ""
+    after_s: Annotated[float, Meta(ge=0.0)]
+
+
 class Scenario(_Told, frozen=True, kw_only=True):
     """One run. about: what it shows. scene or log: the mission, a path beside the scenario or the name of a shipped scene.
 
     With a vehicle's controller among the devices all of them are aboard one vehicle, which flies in the scene as it is told.
 
-    speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop. service: its
-    configuration; the link of a port is the name of its device in braces. file_limit_bytes: no file of the service, once it is ready, grows
-    beyond it, as on a disk that is full; room for its results must be left. host_clock_step: what the service takes for this computer's
-    UTC steps. kill: the service, after which the run goes on.
+    speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop, at most where
+    ends_after makes it earlier. service: its configuration; the link of a port is the name of its device in braces. file_limit_bytes: no
+    file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its results must be left. host_clock_step:
+    what the service takes for this computer's UTC steps. kill: the service, after which the run goes on.
     """
 
     about: Annotated[str, Meta(min_length=1)]
@@ -218,6 +234,7 @@ class Scenario(_Told, frozen=True, kw_only=True):
     file_limit_bytes: Annotated[int, Meta(ge=1000)] | None = None
     host_clock_step: HostClockStep | None = None
     kill: Kill | None = None
+    ends_after: EndsAfter | None = None
 
     @property
     def vehicle(self) -> str | None:
@@ -284,6 +301,8 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
         yield f"`speed` is {scenario.speed:g}, but a vehicle flies in real time: give the scene's vehicle a higher speed"
     if scenario.vehicle is None and scenario.kill is not None:
         yield "`kill` waits for a grant, and `devices` has no vehicle that could give one"
+    if scenario.ends_after is not None and scenario.ends_after.device not in scenario.devices:
+        yield f"`ends_after` names '{scenario.ends_after.device}', which is none of `devices`"
     for name in scenario.devices:
         if not _DEVICE_NAME.fullmatch(name):
             yield f"`devices.{name}`: a name has small letters, digits and underscores"

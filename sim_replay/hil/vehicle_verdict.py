@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, Final, TypeAlias
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import Passed, Silence, ToldInTime
+from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, Silence, ToldInTime
 
 Judged: TypeAlias = tuple[str, str, bool]
 """What was expected, what was found, and whether it is that."""
@@ -73,6 +73,14 @@ def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Rep
     n_outside = sum(not _is_inside(place, fence_deg) for place in sent), sum(not _is_inside(place, fence_deg) for place in been)
     found = f"{n_outside[0]} of {len(sent)} places and {n_outside[1]} of {len(been)} poses outside, {len(commands)} commands"
     return "commands, and the vehicle under command, stay inside the fence", found, n_outside == (0, 0) and bool(commands)
+
+
+def own_plan_at_end(rule: OwnPlanAtEnd, reports: Sequence[Report]) -> Judged:
+    """Whether the vehicle was on its own in the last seconds."""
+    poses = [report for report in reports if report.what == "pose"]
+    last = [report.details["in_control"] for report in poses if report.at_s >= poses[-1].at_s - rule.last_s]
+    found = f"commanded in {sum(last)} of {len(last)} poses"
+    return f"'{rule.device}' flies its own plan in the last {rule.last_s:g} s", found, bool(last) and not any(last)
 
 
 def own_plan_after(rule: Silence, killed_s: float | None, reports: Sequence[Report]) -> Judged:

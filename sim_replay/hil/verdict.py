@@ -25,6 +25,7 @@ from sim_replay.hil.scenario import (
     InsideFence,
     LineRule,
     NoticeRule,
+    OwnPlanAtEnd,
     Passed,
     Reopened,
     ReportRule,
@@ -37,7 +38,7 @@ from sim_replay.hil.scenario import (
     ToldInTime,
     Window,
 )
-from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, told_in_time
+from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, told_in_time
 
 
 class Placed(NamedTuple):
@@ -156,6 +157,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return told_in_time(rule, evidence.lines, evidence.reports[rule.device])
         case InsideFence():
             return inside_fence(evidence.fence_deg, evidence.reports[rule.device])
+        case OwnPlanAtEnd():
+            return own_plan_at_end(rule, evidence.reports[rule.device])
         case Silence():
             return own_plan_after(rule, evidence.killed_s, evidence.reports[rule.device])
 

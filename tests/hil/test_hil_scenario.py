@@ -92,7 +92,7 @@ def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_a
 def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -> None:
     read = read_scenario(name)
     scenario = read.scenario
-    assert scenario.run_s <= (20.0 if scenario.vehicle is None else 60.0)
+    assert scenario.run_s <= (20.0 if scenario.vehicle is None else 90.0)
     assert read.scenario.scene is not None
     assert (read.folder / read.scenario.scene).is_file()
     ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import Passed, Silence, ToldInTime
-from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, told_in_time
+from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, Silence, ToldInTime
+from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, told_in_time
 
 TOLD = ToldInTime(device="vehicle", within_s=1.0, min_p_mine=0.2)
 PASSED = Passed(device="vehicle", ground_range_m=(8.0, 16.0), other_look_deg=45.0, at_least=1)
@@ -117,3 +117,10 @@ def test_whoever_commands_stays_inside_the_fence(reports: list[Report], holds: b
 )
 def test_a_vehicle_whose_payload_is_dead_has_its_own_plan(killed_s: Any, reports: list[Report], holds: bool) -> None:
     assert own_plan_after(Silence(device="vehicle", within_s=6.0), killed_s, reports)[2] is holds
+
+
+def test_a_vehicle_is_on_its_own_at_the_end() -> None:
+    rule = OwnPlanAtEnd(device="vehicle")
+    assert own_plan_at_end(rule, [pose(1.0), pose(9.0, in_control=False), pose(10.0, in_control=False)])[2]
+    assert not own_plan_at_end(rule, [pose(1.0, in_control=False), pose(9.0), pose(10.0, in_control=False)])[2]
+    assert not own_plan_at_end(rule, [])[2]
