@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Turn: TypeAlias = Literal["left", "straight", "right"]
 Array: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
 
 _TURN: Final[dict[int, Turn]] = {-1: "left", 0: "straight", 1: "right"}
 # Sign of each part's turn: right turns add heading. Equal lengths are settled by this order.
@@ -49,24 +50,34 @@ class DubinsPath(NamedTuple):
     segments: tuple[Segment, Segment, Segment]
 
 
-def dubins_path(start: Pose, end: Pose, turn_radius_m: float) -> DubinsPath:
-    """The shortest path; of equally short ones always the same.
+def dubins_path(start: Pose, end: Pose, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None) -> DubinsPath:
+    """The shortest path; of equally short ones always the same. leave, arrive: as for `dubins_lengths`, (2,).
 
-    Raises ValueError if the radius is not positive or a pose is not finite.
+    Raises ValueError if the radius is not positive, a pose is not finite or no allowed path exists.
     """
     if not (turn_radius_m > 0.0 and all(map(math.isfinite, (*start, *end, turn_radius_m)))):
         raise ValueError(f"no path from {start} to {end} with turn radius {turn_radius_m} m: needs finite poses and a positive radius")
-    parts = _word_parts(np.array(start), np.array(end), turn_radius_m)
+    parts = _allowed(_word_parts(np.array(start), np.array(end), turn_radius_m), leave, arrive)
     word = int(np.argmin(parts.sum(axis=-1)))
+    if not np.isfinite(parts[word]).all():
+        raise ValueError(f"no path from {start} to {end} with the turns that are allowed")
     first, second, third = (
         Segment(_TURN[turn], float(length)) for turn, length in zip(_WORDS[word], parts[word] * turn_radius_m, strict=True)
     )
     return DubinsPath(start, turn_radius_m, first.length_m + second.length_m + third.length_m, (first, second, third))
 
 
-def dubins_lengths(starts: ArrayLike, ends: ArrayLike, turn_radius_m: float) -> Array:
-    """Lengths in metres of shortest paths between (..., 3) poses [east, north, heading] that broadcast against each other."""
+def dubins_lengths(
+    starts: ArrayLike, ends: ArrayLike, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None
+) -> Array:
+    """Lengths in metres of shortest paths between (..., 3) poses [east, north, heading] that broadcast against each other.
+
+    leave, arrive: (..., 2), whether the circles to the left and right of the starts and of the ends may be sailed; None for no limits.
+    With limits only two arcs with a straight between come into question, for they stay in the hull of the two circles; infinite where there
+    is none.
+    """
     parts = _word_parts(np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64), turn_radius_m)
+    parts = _allowed(parts, leave, arrive)
     return np.asarray(parts.sum(axis=-1).min(axis=0) * turn_radius_m, dtype=np.float64)
 
 
@@ -120,6 +131,15 @@ def _word_parts(start: Array, end: Array, radius: float) -> Array:
         back = _positive(last * (heading_in - arrive - dropped), _ROUNDING)
         words.append(np.where(exists[..., np.newaxis], np.stack(np.broadcast_arrays(out, along, back), axis=-1), np.inf))
     return np.stack(words)
+
+
+def _allowed(parts: Array, leave: Flags | None, arrive: Flags | None) -> Array:
+    if leave is None or arrive is None:
+        return parts
+    circle = {-1: 0, 1: 1}
+    never = np.zeros(parts.shape[1:-1], dtype=np.bool_)
+    allowed = [never if middle else leave[..., circle[first]] & arrive[..., circle[last]] | never for first, middle, last in _WORDS]
+    return np.where(np.stack(allowed)[..., np.newaxis], parts, np.inf)
 
 
 def _positive(angle: Array, tolerance: Array | float) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import PlanConfig
 from auv_mcm.errors import BadInputError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geodesy import LocalFrame, local_to_ecef_rotation
 from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
 from auv_mcm.records import Contact, Waypoint
@@ -154,8 +154,8 @@ def _waypoints(
         path = sample_path(dubins_path(pose, leg.entry, radius_m), _ARC_STEP_RAD)
         steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
         turns = path[1:][(steps > _LEAST_STEP_M) & (np.hypot(*(path[1:, :2] - leg.entry[:2]).T) > _LEAST_STEP_M)]
-        for place, course in _on_the_globe(turns, frame):
-            add(number, "turn", place, course, f"turn towards {leg.contact.id}")
+        for latitude, longitude, course in np.column_stack(on_the_globe(turns, frame)).tolist():
+            add(number, "turn", (latitude, longitude), course, f"turn towards {leg.contact.id}")
         why = _reason(leg, config)
         add(number, "leg_entry", leg.ends_deg[0], _true_course(*leg.ends_deg), why)
         add(number, "leg_exit", leg.ends_deg[1], _true_course(leg.ends_deg[1], leg.ends_deg[0]) + math.pi, why)
@@ -163,12 +163,16 @@ def _waypoints(
     return tuple(waypoints)
 
 
-def _on_the_globe(poses: NDArray[np.float64], frame: LocalFrame) -> list[tuple[tuple[float, float], float]]:
-    """((latitude, longitude), true course) of poses in the plan's plane; true north turns against the plane's, most near the poles."""
-    ahead = np.column_stack([np.sin(poses[:, 2]), np.cos(poses[:, 2])])
-    here, there = (np.column_stack([poses[:, :2] + reach * ahead, np.zeros(len(poses))]) for reach in (0.0, 1.0))
-    places, aims = (list(zip(*(part.tolist() for part in frame.to_geodetic(points)[:2]), strict=True)) for points in (here, there))
-    return [(place, _true_course(place, aim)) for place, aim in zip(places, aims, strict=True)]
+def on_the_globe(poses: NDArray[np.float64], frame: LocalFrame) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) latitudes, longitudes and true courses in [0, 2 pi) of (n, 3) poses in a plane, whose north turns against true north, most near
+    the poles."""
+    level = np.zeros(len(poses))
+    ahead = np.column_stack([np.sin(poses[:, 2]), np.cos(poses[:, 2]), level])
+    here = np.column_stack([poses[:, :2], level])
+    latitude, longitude, _ = frame.to_geodetic(here)
+    step = (ahead @ frame.rotation().T)[:, np.newaxis] @ local_to_ecef_rotation(latitude, longitude)
+    course = np.mod(np.arctan2(step[:, 0, 0], step[:, 0, 1]), 2.0 * math.pi)
+    return latitude, longitude, np.where(course >= 2.0 * math.pi, 0.0, course)
 
 
 def _true_course(here_deg: tuple[float, float], there_deg: tuple[float, float]) -> float:

@@ -7,6 +7,7 @@ cost[i + 1, j] == cost[(j ^ 1) + 1, i ^ 1], so reversing a stretch of the tour c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Final, TypeAlias
 
@@ -28,9 +29,9 @@ def tour_length(tour: list[int], cost: Costs) -> float:
     return float(sum(cost[before, after - 1] for before, after in pairwise([0, *(way + 1 for way in tour)])))
 
 
-def short_tour(cost: Costs) -> list[int]:
+def short_tour(cost: Costs, more_time: Callable[[], bool] = lambda: True) -> list[int]:
     """One way per contact in sailing order: the shortest tour for few contacts, a nearly shortest one for many."""
-    return exact_tour(cost) if cost.shape[1] <= WAYS * EXACT_CONTACTS else nearly_shortest_tour(cost)
+    return exact_tour(cost) if cost.shape[1] <= WAYS * EXACT_CONTACTS else nearly_shortest_tour(cost, more_time)
 
 
 def exact_tour(cost: Costs) -> list[int]:
@@ -38,16 +39,16 @@ def exact_tour(cost: Costs) -> list[int]:
     return _shortest_through(0, list(range(cost.shape[1] // WAYS)), None, cost)
 
 
-def nearly_shortest_tour(cost: Costs) -> list[int]:
-    """A tour never longer than sailing the contacts as numbered with the best way for each.
+def nearly_shortest_tour(cost: Costs, more_time: Callable[[], bool] = lambda: True) -> list[int]:
+    """A tour never longer than sailing the contacts as numbered with the best way for each, made better as long as there is more time.
 
     Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and the best ways for the
     order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976), then
     every stretch of a few contacts in its best order, and so on until neither helps.
     """
     as_numbered = _best_ways(list(range(cost.shape[1] // WAYS)), cost)
-    tours = [_improved(_inserted(cost), cost), _improved(as_numbered, cost)]
-    return min((_stretches_in_best_order(tour, cost) for tour in tours), key=lambda tour: tour_length(tour, cost))
+    tours = [_improved(tour, cost, more_time) for tour in (_inserted(cost), as_numbered)]
+    return min((_stretches_in_best_order(tour, cost, more_time) for tour in tours), key=lambda tour: tour_length(tour, cost))
 
 
 def _inserted(cost: Costs) -> list[int]:
@@ -69,10 +70,10 @@ def _with_contact(tour: list[int], contact: int, cost: Costs) -> tuple[list[int]
     return [*tour[:place], int(ways[way]), *tour[place:]], float(added[place, way])
 
 
-def _improved(tour: list[int], cost: Costs) -> list[int]:
+def _improved(tour: list[int], cost: Costs, more_time: Callable[[], bool]) -> list[int]:
     moves_left = _MOST_MOVES
     length = tour_length(tour, cost)
-    while moves_left > 0:
+    while moves_left > 0 and more_time():
         moves_left -= len(tour) * len(tour) * (WAYS + 1)
         shorter = min((_reversed_stretch(tour, cost), _moved_contact(tour, cost)), key=lambda other: tour_length(other, cost))
         if tour_length(shorter, cost) > length - _LEAST_GAIN_M:
@@ -110,15 +111,17 @@ def _moved_contact(tour: list[int], cost: Costs) -> list[int]:
     return best
 
 
-def _stretches_in_best_order(tour: list[int], cost: Costs) -> list[int]:
+def _stretches_in_best_order(tour: list[int], cost: Costs, more_time: Callable[[], bool]) -> list[int]:
     for _ in range(_MOST_SWEEPS):
         length = tour_length(tour, cost)
         for first in range(0, len(tour), _STRETCH // 2):
+            if not more_time():
+                return tour
             stretch, rest = tour[first : first + _STRETCH], tour[first + _STRETCH :]
             before = tour[first - 1] + 1 if first else 0
             contacts = [way // WAYS for way in stretch]
             tour = [*tour[:first], *_shortest_through(before, contacts, rest[0] if rest else None, cost), *rest]
-        tour = _improved(tour, cost)
+        tour = _improved(tour, cost, more_time)
         if tour_length(tour, cost) > length - _LEAST_GAIN_M:
             break
     return tour

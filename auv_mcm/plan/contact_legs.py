@@ -1,0 +1,124 @@
+"""Straight legs past contacts that are undecided, and what one more look at each is worth.
+
+A look calls a mine a mine with the probability p that it finds one there, and clutter a mine with FALSE_CALL. The expected drop of the
+entropy of p_mine by such a call is what it tells; since a further view of one object mostly repeats what the first has told, the part NEWS
+of it counts.
+
+Entropy is the currency that contacts and unsearched sea floor share. Mines that lie at random with density q per square metre give
+q (1 - ln q) nats of not knowing where, per square metre (the entropy of a sparse Poisson process told to the square metre). At the prior's
+mean density this makes a nat at a contact worth NAT_M2 square metres searched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.classify.fusion import NEWS
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
+from auv_mcm.plan.limits import Limits
+from auv_mcm.plan.residual import Prior
+from auv_mcm.plan.tracks import RIGHT, enterable
+from auv_mcm.records import NAN, SEABED_TYPES, Contact
+
+Array = NDArray[np.float64]
+
+FALSE_CALL: Final = 0.1
+LOOK_RUN_M: Final = 30.0  # straight, with the contact abeam of its middle, beside the settling
+_MINES_M2: Final = Prior().shape / Prior().rate_km2 * 1e-6
+NAT_M2: Final = 1.0 / (_MINES_M2 * (1.0 - math.log(_MINES_M2)))
+_RANGES: Final = 16
+_AS_GOOD: Final = 0.98
+_LEAST_M2: Final = 1e-6
+
+
+class ContactLegs(NamedTuple):
+    """Ways to look at one contact again. runs: (1 or 2, 2, 3) poses of entry and exit, one per side. look_deg: true, or its opposite."""
+
+    contact: Contact
+    runs: Array
+    gain_m2: float
+    look_deg: float
+    stand_off_m: float
+
+
+def information_nats(p_mine: float, p_look: float) -> float:
+    """Expected drop of the entropy of p_mine by one call, before NEWS."""
+    called = p_mine * p_look + (1.0 - p_mine) * FALSE_CALL
+    after = 0.0
+    for p_call, p_both in ((called, p_mine * p_look), (1.0 - called, p_mine * (1.0 - p_look))):
+        if p_call > 0.0:
+            after += p_call * _entropy(min(p_both / p_call, 1.0))
+    return max(_entropy(p_mine) - after, 0.0)
+
+
+def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits) -> list[ContactLegs]:
+    """Legs past contacts that ask for a look and where one tells something, in order of id: of each the first direction that fits the fence."""
+    frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
+    found = []
+    for contact in sorted(contacts, key=lambda contact: contact.id):
+        place = contact.latitude_deg, contact.longitude_deg
+        if not contact.next_look_deg or not all(map(math.isfinite, (*place, contact.p_mine, *contact.next_look_deg))):
+            continue
+        east, north, _ = frame.to_enu(*place, 0.0).tolist()
+        for look_deg in contact.next_look_deg:
+            look_rad = _in_plane(math.radians(look_deg), place, (east, north), frame)
+            stand_off_m, p = _stand_off(east, north, look_rad, clearance, model, limits)
+            gain_m2 = NAT_M2 * NEWS * information_nats(min(max(contact.p_mine, 0.0), 1.0), p)
+            if gain_m2 <= _LEAST_M2:
+                continue
+            runs = np.array([_run(east, north, look_rad + turned, stand_off_m, limits) for turned in (0.0, math.pi)])
+            runs = runs[enterable(runs, limits)]
+            if len(runs):
+                found.append(ContactLegs(contact, runs, gain_m2, look_deg % 360.0, stand_off_m))
+                break
+    return found
+
+
+def _entropy(p: float) -> float:
+    return -sum(q * math.log(q) for q in (p, 1.0 - p) if q > 0.0)
+
+
+def _in_plane(bearing_rad: float, place_deg: tuple[float, float], place_m: tuple[float, float], frame: LocalFrame) -> float:
+    """A true bearing as a direction in the plane, whose north turns away from true north far from its origin and near the poles."""
+    here = LocalFrame(latitude_deg=place_deg[0], longitude_deg=place_deg[1])
+    latitude, longitude, _ = here.to_geodetic([math.sin(bearing_rad), math.cos(bearing_rad), 0.0])
+    east, north, _ = (frame.to_enu(latitude, longitude, 0.0)).tolist()
+    return math.atan2(east - place_m[0], north - place_m[1])
+
+
+def _stand_off(east: float, north: float, look_rad: float, clearance: Clearance, model: LookModel, limits: Limits) -> tuple[float, float]:
+    """The middle of the ranges that are about as good as the best one, seen from the worse side, and how good it is."""
+    near_m, far_m = limits.swath
+    ground = near_m + (far_m - near_m) * (np.arange(_RANGES) + 0.5) / _RANGES
+    row, column = math.floor(north / clearance.cell_m) - clearance.first_north, math.floor(east / clearance.cell_m) - clearance.first_east
+    known = 0 <= row < clearance.seabed.shape[0] and 0 <= column < clearance.seabed.shape[1]
+    seabed = int(clearance.seabed[row, column]) if known else SEABED_TYPES.index("unknown")
+    ripple = float(clearance.ripple_rad[row, column]) if known else NAN
+    sides = [
+        model.p_look(
+            np.full(_RANGES, seabed, dtype=np.uint8),
+            ground.astype(np.float32),
+            np.full(_RANGES, limits.altitude_m, dtype=np.float32),
+            np.full(_RANGES, (look_rad + turned) % (2.0 * math.pi), dtype=np.float32),
+            np.full(_RANGES, ripple, dtype=np.float32),
+        )
+        for turned in (0.0, math.pi)
+    ]
+    p = np.clip(np.nan_to_num(np.minimum(*sides), nan=0.0), 0.0, HIGHEST_P)
+    good = np.flatnonzero(p >= _AS_GOOD * p.max())
+    best = int(good[len(good) // 2])
+    return float(ground[best]), float(p[best])
+
+
+def _run(east: float, north: float, look_rad: float, stand_off_m: float, limits: Limits) -> list[list[float]]:
+    """A run that has the contact to starboard, towards look_rad."""
+    heading = math.remainder(look_rad - RIGHT, 2.0 * math.pi)
+    half_m = 0.5 * LOOK_RUN_M + limits.settling_m
+    middle = east - stand_off_m * math.sin(look_rad), north - stand_off_m * math.cos(look_rad)
+    return [[middle[0] + way * half_m * math.sin(heading), middle[1] + way * half_m * math.cos(heading), heading] for way in (-1.0, 1.0)]

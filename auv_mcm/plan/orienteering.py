@@ -1,0 +1,389 @@
+"""Which legs to sail, in what order and which way, so that as much as possible is gained with the track that is left.
+
+Legs gain what of the wanting miss exponent they add, cell by cell and no more than is wanting, and what a look at their contact is worth.
+Such a gain never rises when more legs are sailed (it is submodular), so legs are chosen greedily by gain per metre, with gains measured
+anew only where an old one could still be the best (M. Minoux, "Accelerated greedy algorithms for maximizing submodular set functions", 1978;
+budgeted: J. Leskovec et al., "Cost-effective outbreak detection in networks", 2007), then ordered as a tour and improved.
+
+A way is 2 * leg, or 2 * leg + 1 for the leg sailed backwards. A route is a list of ways in order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.plan.clearance import LookModel
+from auv_mcm.plan.dubins import DubinsPath, Pose, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.fence import runs_inside
+from auv_mcm.plan.limits import Limits, turns_inside
+from auv_mcm.plan.tour import short_tour
+from auv_mcm.plan.tracks import Cells, Tracks
+
+Array = NDArray[np.float64]
+MoreTime = Callable[[], bool]
+
+ARC_STEP_RAD: Final = math.radians(15.0)
+_CHECK_STEP_RAD: Final = math.radians(7.5)
+_ROOM: Final = 1.01  # circles that turns need, so that points sampled from a turn are well inside
+_NO_WAY_M: Final = 1e7
+_LEAST_M2: Final = 1e-6
+_ROUNDS: Final = 4
+_SWEEPS: Final = 10
+_MADE_GOOD: Final = 0.1  # of all that is gained, what moving the others can make good for a leg that is left out
+
+
+class Problem(NamedTuple):
+    """Everything a route is measured by.
+
+    contact_m2: (n,) what a look at the leg's contact is worth. other_side: (n,) the leg on the other side of the same contact, else itself.
+    """
+
+    tracks: Tracks
+    contact_m2: Array
+    other_side: NDArray[np.int64]
+    cells: Cells
+    model: LookModel
+    pose: Pose
+    limits: Limits
+
+    @property
+    def radius_m(self) -> float:
+        """A little wider than the vehicle's, so that circles that touch the way-point polygon from inside are not tighter than it."""
+        return self.limits.turn_radius_m / math.cos(ARC_STEP_RAD / 2.0)
+
+
+class Wanting:
+    """The miss exponent that cells still want as legs are sailed one after another."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._need = problem.cells.need.copy()
+        self._towards = problem.cells.towards.copy()
+        self._seen_again = 1.0 - problem.model.other_look_correlation
+        self._seen_alike = 1.0 - problem.model.same_look_correlation
+        self._renewed = np.where(problem.cells.looked, self._seen_again, 1.0)
+
+    def copy(self) -> Wanting:
+        other = Wanting.__new__(Wanting)
+        other.__dict__ = {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()}
+        return other
+
+    def per_cell(self, leg: int) -> tuple[slice, Array]:
+        """The elements of `Tracks` that a leg sees, and what it would add to each, up to what is wanting."""
+        tracks = self._problem.tracks
+        part = slice(tracks.first[leg], tracks.last[leg])
+        cell = tracks.cell[part]
+        alike = (self._towards[cell] & tracks.alike[part]) != 0
+        renewed = np.where(alike, self._seen_alike, self._renewed[cell])
+        return part, np.minimum(self._need[cell], renewed * tracks.exponent[part])
+
+    def gain_m2(self, leg: int) -> float:
+        part, added = self.per_cell(leg)
+        return float(self._problem.contact_m2[leg] + added @ self._problem.cells.weight_m2[self._problem.tracks.cell[part]])
+
+    def take(self, leg: int) -> float:
+        """Have the leg sailed; what it gains."""
+        part, added = self.per_cell(leg)
+        cell = self._problem.tracks.cell[part]
+        self._need[cell] -= added
+        self._renewed[cell] = self._seen_again
+        self._towards[cell] |= self._problem.tracks.bit[part]
+        return float(self._problem.contact_m2[leg] + added @ self._problem.cells.weight_m2[cell])
+
+    def take_all(self, legs: Iterable[int]) -> float:
+        return sum(map(self.take, legs))
+
+
+def gains_m2(problem: Problem, legs: list[int]) -> list[float]:
+    """What each leg adds to those before it."""
+    wanting = Wanting(problem)
+    return [wanting.take(leg) for leg in legs]
+
+
+def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], more_time: MoreTime) -> list[int]:
+    """Legs in the order of their gain per metre, after those in `first`, until nothing more is gained or the track is used up.
+
+    The way to a leg counts from the nearest of those chosen before, by a straight line and the turns at its ends.
+    """
+    runs, length_m = problem.tracks.run, problem.tracks.length_m
+    wanting = Wanting(problem)
+    open_legs = among.copy()
+    ends = np.concatenate([runs[:, 0], _reversed(runs[:, 1])])  # as entered
+    way_m = _rough_way_m(np.array([problem.pose]), ends, problem.radius_m)
+    chosen: list[int] = []
+    used_m = 0.0
+
+    def choose(leg: int) -> None:
+        nonlocal way_m, used_m
+        used_m += float(length_m[leg] + way_m[leg])
+        chosen.append(leg)
+        wanting.take(leg)
+        open_legs[[leg, problem.other_side[leg]]] = False
+        way_m = np.minimum(way_m, _rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.radius_m))
+
+    for leg in first:
+        choose(leg)
+    gain = np.full(len(runs), np.inf)
+    fresh = np.zeros(len(runs), dtype=np.bool_)
+    for leg in np.flatnonzero(open_legs).tolist():
+        gain[leg] = wanting.gain_m2(leg)
+    while open_legs.any():
+        rate = np.where(open_legs & (used_m + length_m + way_m <= problem.limits.budget_m), gain / (length_m + way_m), -1.0)
+        fresh[:] = not chosen or chosen == first
+        while True:
+            leg = int(np.argmax(rate))
+            if rate[leg] <= 0.0 or fresh[leg]:
+                break
+            gain[leg] = wanting.gain_m2(leg)
+            rate[leg], fresh[leg] = gain[leg] / (length_m[leg] + way_m[leg]), True
+        if rate[leg] <= 0.0 or gain[leg] <= _LEAST_M2:
+            break
+        choose(leg)
+        if not more_time():
+            break
+    return chosen
+
+
+def shifted_legs(problem: Problem, legs: list[int], reach: int, more_time: MoreTime) -> list[int]:
+    """As many survey legs or fewer, each moved to the side as long as that gains more; legs that the others make needless go."""
+    best, best_m2 = legs, Wanting(problem).take_all(legs)
+    for _ in range(_SWEEPS):
+        tried = _moved(problem, best, reach, more_time)
+        tried_m2 = Wanting(problem).take_all(tried)
+        if tried_m2 <= best_m2 + _LEAST_M2:
+            break
+        best, best_m2 = tried, tried_m2
+    surveys = [leg for leg in best if problem.tracks.heading[leg] >= 0]
+    for leg in sorted(surveys, key=lambda leg: _without(problem, best, leg).gain_m2(leg)):
+        if not more_time():
+            break
+        fewer = [other for other in best if other != leg]
+        fewer_m2 = Wanting(problem).take_all(fewer)
+        if _LEAST_M2 < best_m2 - fewer_m2 < _MADE_GOOD * best_m2:
+            fewer = _moved(problem, fewer, reach, more_time)
+            fewer_m2 = Wanting(problem).take_all(fewer)
+        if leg in best and fewer_m2 >= best_m2 - _LEAST_M2:
+            best, best_m2 = fewer, fewer_m2
+    return best
+
+
+def _without(problem: Problem, legs: list[int], leg: int) -> Wanting:
+    """What is wanting after all legs but one."""
+    wanting = Wanting(problem)
+    wanting.take_all(other for other in legs if other != leg)
+    return wanting
+
+
+def _moved(problem: Problem, legs: list[int], reach: int, more_time: MoreTime) -> list[int]:
+    tracks = problem.tracks
+    legs = list(legs)
+    before = Wanting(problem)
+    for place, leg in enumerate(legs):
+        if tracks.heading[leg] >= 0 and more_time():
+            wanting = before.copy()
+            wanting.take_all(legs[place + 1 :])
+            beside = (tracks.heading == tracks.heading[leg]) & (np.abs(tracks.line - tracks.line[leg]) <= reach)
+            options = [other for other in np.flatnonzero(beside).tolist() if other == leg or other not in legs]
+            gains = [wanting.gain_m2(option) for option in options]
+            best = int(np.argmax(gains))
+            if gains[best] > gains[options.index(leg)] + _LEAST_M2:
+                legs[place] = options[best]
+        before.take(legs[place])
+    return legs
+
+
+def best_route(problem: Problem, legs: list[int], more_time: MoreTime) -> list[int]:
+    """The legs as a short tour, one of both sides for contacts; what the track does not suffice for, or no turn leads to, is left out."""
+    cost, ways = _connections(problem, legs)
+    worth = dict(zip(legs, gains_m2(problem, legs), strict=True))
+    runs = problem.tracks.length_m[[way // 2 for way in ways]]
+    left = list(range(len(legs)))
+    route: list[int] = []
+    for _ in range(_ROUNDS):
+        picked = _tour(cost, left, more_time)
+        picked = _within_budget(problem, picked, cost, runs, [worth[legs[way // 4]] for way in picked])
+        route = [ways[way] for way in picked]
+        blocked = _blocked(problem, route)
+        left = sorted(way // 4 for way in picked)
+        if not blocked:
+            break
+        for before, after in blocked:
+            i, j = (picked[before] + 1 if before >= 0 else 0), picked[after]
+            cost[i, j] = _NO_WAY_M
+            if before >= 0:
+                cost[(j ^ 1) + 1, picked[before] ^ 1] = _NO_WAY_M
+    return sailable(problem, route)
+
+
+def _tour(cost: Array, items: list[int], more_time: MoreTime) -> list[int]:
+    """A short tour through some of the items, as columns of the whole."""
+    if not items:
+        return []
+    columns = np.add.outer(4 * np.array(items), np.arange(4)).ravel()
+    part = cost[np.append(0, columns + 1)[:, np.newaxis], columns]
+    return [int(columns[way]) for way in short_tour(part, more_time)]
+
+
+def sailable(problem: Problem, route: list[int]) -> list[int]:
+    """The route without legs that no turn inside the fence leads to, and without the end that the track does not suffice for."""
+    kept: list[int] = []
+    used_m = 0.0
+    pose = problem.pose
+    for way in route:
+        entry, leave = ends_of(problem.tracks, way)
+        path = turn_between(problem, pose, entry)
+        if path is None:
+            continue
+        length_m = path.length_m + float(problem.tracks.length_m[way // 2])
+        if used_m + length_m > problem.limits.budget_m:
+            break
+        used_m += length_m
+        kept.append(way)
+        pose = leave
+    return kept
+
+
+def route_length_m(problem: Problem, route: list[int]) -> float:
+    """Of a route that can be sailed."""
+    poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
+    turns = (turn_between(problem, a, b) for a, b in list(pairwise(poses))[::2])
+    return sum(path.length_m for path in turns if path is not None) + float(problem.tracks.length_m[[way // 2 for way in route]].sum())
+
+
+def turn_between(problem: Problem, start: Pose, end: Pose) -> DubinsPath | None:
+    """The shortest way that stays inside the fence with arcs of which the whole circles do; None if there is none."""
+    limits, radius_m = problem.limits, problem.radius_m
+    if limits.fence is None:
+        return dubins_path(start, end, radius_m)
+    leave, arrive = turns_inside(np.array([start, end]), _ROOM * radius_m, limits)
+    if start == problem.pose:
+        leave = np.ones(2, dtype=np.bool_)  # it is where it is; the way is looked at below
+    for flags in (leave, turns_inside(np.array([start]), _ROOM * radius_m, limits)[0]):
+        if not (flags.any() and arrive.any()):
+            continue
+        path = dubins_path(start, end, radius_m, flags, arrive)
+        if path_inside(path, limits):
+            return path
+    return None
+
+
+def path_inside(path: DubinsPath, limits: Limits) -> bool:
+    """Whether a path, its arcs between the sampled points included, stays inside the fence."""
+    if limits.fence is None:
+        return True
+    places = sample_path(path, _CHECK_STEP_RAD)[:, :2]
+    bulge_m = path.turn_radius_m * (1.0 - math.cos(_CHECK_STEP_RAD / 2.0))
+    return bool(runs_inside(places[:-1], places[1:], limits.fence, limits.fence_margin_m + bulge_m).all())
+
+
+def ends_of(tracks: Tracks, way: int) -> tuple[Pose, Pose]:
+    """Entry and exit, with the heading sailed."""
+    entry, leave = tracks.run[way // 2]
+    if way % 2:
+        entry, leave = _reversed(np.stack([leave, entry]))
+    return Pose(*entry.tolist()), Pose(*leave.tolist())
+
+
+def _reversed(poses: Array) -> Array:
+    return np.asarray(poses + np.array([0.0, 0.0, math.pi]))
+
+
+def _rough_way_m(exits: Array, ends: Array, radius_m: float) -> Array:
+    """(n,) about how far it is from the nearest of (m, 3) exits to the nearer end of every leg; ends: (2 n, 3) as entered."""
+    east = ends[:, 0] - exits[:, :1]
+    north = ends[:, 1] - exits[:, 1:2]
+    bearing = np.arctan2(east, north)
+    turn = np.abs(_wrapped(bearing - exits[:, 2:])) + np.abs(_wrapped(ends[:, 2] - bearing))
+    return np.asarray((np.hypot(east, north) + radius_m * turn).min(axis=0).reshape(2, -1).min(axis=0))
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray(np.mod(angle + math.pi, 2.0 * math.pi) - math.pi)
+
+
+def _connections(problem: Problem, legs: list[int]) -> tuple[Array, list[int]]:
+    """Costs as `tour` has them, (4 n + 1, 4 n), and the way that each column stands for."""
+    ways = [2 * side + way for leg in legs for side in (leg, int(problem.other_side[leg])) for way in (0, 1)]
+    different, column = np.unique(ways, return_inverse=True)
+    ends = [ends_of(problem.tracks, way) for way in different.tolist()]
+    entries = np.array([entry for entry, _ in ends]).reshape(-1, 3)
+    exits = np.array([problem.pose, *(leave for _, leave in ends)])
+    leave = arrive = None
+    if problem.limits.fence is not None:
+        arrive = turns_inside(entries, _ROOM * problem.radius_m, problem.limits)[np.newaxis]
+        leave = turns_inside(exits, _ROOM * problem.radius_m, problem.limits)[:, np.newaxis]
+        leave[0] = True
+    cost = dubins_lengths(exits[:, np.newaxis], entries[np.newaxis], problem.radius_m, leave, arrive)
+    cost = np.where(np.isfinite(cost), cost, _NO_WAY_M)
+    return cost[np.append(0, column + 1)[:, np.newaxis], column], ways
+
+
+def _within_budget(problem: Problem, tour: list[int], cost: Array, runs: Array, worth: list[float]) -> list[int]:
+    """The tour without the legs that gain least for the track they take, until there is enough of it."""
+    tour, worth = list(tour), list(worth)
+    while tour:
+        stops = [0, *(way + 1 for way in tour)]
+        into = np.array([cost[before, way] for before, way in zip(stops, tour, strict=False)])
+        if float(into.sum() + runs[tour].sum()) <= problem.limits.budget_m:
+            break
+        past = np.array([cost[before, way] for before, way in zip(stops, tour[1:], strict=False)] + [0.0])
+        saved = into + runs[tour] + np.append(into[1:], 0.0) - past
+        at = int(np.argmin(np.array(worth) / np.maximum(saved, 1e-3)))
+        del tour[at], worth[at]
+    return tour
+
+
+def _blocked(problem: Problem, route: list[int]) -> list[tuple[int, int]]:
+    """Pairs of places in the route, -1 for the start, between which no turn stays inside the fence."""
+    if problem.limits.fence is None:
+        return []
+    pose, blocked = problem.pose, []
+    for place, way in enumerate(route):
+        entry, leave = ends_of(problem.tracks, way)
+        if turn_between(problem, pose, entry) is None:
+            blocked.append((place - 1, place))
+        pose = leave
+    return blocked
+
+
+def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
+    """No route within the budget gains more than this, whatever its order.
+
+    For any set of legs already taken, a route gains at most what that set does and the gains that single legs would add to it, of which the
+    track pays for only so many (fractional knapsack over each leg's length and its shortest connection). The least over the given sets.
+    What a leg counts for here is never less than in a route: only earlier looks than the plan's diminish it.
+    """
+    tracks, cells, limits = problem.tracks, problem.cells, problem.limits
+    if not tracks.n_legs:
+        return 0.0
+    renewed = np.where(cells.looked, 1.0 - problem.model.other_look_correlation, 1.0)
+    most = renewed[tracks.cell] * tracks.exponent
+    cost_m = tracks.length_m
+    best = math.inf
+    for taken in prefixes:
+        need = cells.need.copy()
+        base = float(problem.contact_m2[taken].sum())
+        for leg in taken:
+            part = slice(int(tracks.first[leg]), int(tracks.last[leg]))
+            added = np.minimum(need[tracks.cell[part]], most[part])
+            need[tracks.cell[part]] -= added
+            base += float(added @ cells.weight_m2[tracks.cell[part]])
+        value = np.minimum(need[tracks.cell], most) * cells.weight_m2[tracks.cell]
+        total = np.append(0.0, np.cumsum(value))
+        gain = total[tracks.last] - total[tracks.first] + problem.contact_m2
+        gain[taken] = 0.0
+        gain[problem.other_side[taken]] = 0.0
+        one_side = problem.other_side >= np.arange(tracks.n_legs)  # one leg per contact
+        gain = np.where(one_side, gain, 0.0)
+        order = np.argsort(-gain / np.maximum(cost_m, 1e-9), kind="stable")
+        spent = np.cumsum(cost_m[order])
+        share = np.clip((limits.budget_m - (spent - cost_m[order])) / np.maximum(cost_m[order], 1e-9), 0.0, 1.0)
+        wanted = float((need * cells.weight_m2).sum()) + float(problem.contact_m2[one_side].sum())
+        best = min(best, base + min(float(share @ gain[order]), wanted))
+    return best

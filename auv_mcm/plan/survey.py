@@ -1,0 +1,363 @@
+"""The mission planned anew from what is known now: legs that clear what is not clear yet, and second looks at contacts, in one route.
+
+A cell that must be cleared wants the miss exponent -ln(1 - required). What a leg adds to it, and no more than it wants, is its gain, measured
+in square metres of unsearched floor made clear; a look at a contact gains what `contact_legs` says in the same measure. The best set of
+straight legs and their order under the budget is searched for by `orienteering`; every turn and leg keeps to the fence.
+The plan is a proposal: the vehicle decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import Clearance, LookModel
+from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
+from auv_mcm.plan.dubins import Pose, sample_path
+from auv_mcm.plan.limits import Limits, obstacle
+from auv_mcm.plan.orienteering import (
+    ARC_STEP_RAD,
+    Problem,
+    Wanting,
+    best_route,
+    ends_of,
+    gain_bound_m2,
+    gains_m2,
+    greedy_legs,
+    route_length_m,
+    sailable,
+    shifted_legs,
+    turn_between,
+)
+from auv_mcm.plan.reinspect import on_the_globe
+from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
+from auv_mcm.plan.words import area_words, contact_words, survey_words
+from auv_mcm.records import NAN, SEABED_TYPES, Contact, Waypoint
+
+HIGHEST_REQUIRED: Final = 0.999
+BETTER: Final = 1.1  # a new plan has to be to replace one that is being sailed
+_MOST_CELLS: Final = 2000  # planned with; of more, every so manieth stands for its neighbours
+_WITHIN: Final = 0.99  # exponents this near to what is required are there
+_SHIFTS: Final = 3
+_ON_TRACK_RAD: Final = math.radians(15.0)
+_LEAST_STEP_M: Final = 1e-3
+_TRACK_M2: Final = 1e-3  # what a metre of track costs against gains, so that of plans that gain the same the shorter is taken
+_KNOWN_LEGS: Final = 40
+_USED_UP: Final = 0.8  # of the budget, from where on it is what keeps a plan from gaining more
+
+
+class World(NamedTuple):
+    """What is known. area: bool, of the shape of the clearance's arrays (see `clearance_over`), cells that must be cleared; required: the
+    probability, below 1, with which a mine in each has to be found; performance: what looks are worth; contacts: with `next_look_deg` where
+    a look may decide.
+    """
+
+    clearance: Clearance
+    area: NDArray[np.bool_]
+    required: float
+    performance: LookModel
+    contacts: tuple[Contact, ...]
+
+
+class PlannedLeg(NamedTuple):
+    """A straight run in the mission's plane, settling included; contact_id: "" for survey legs."""
+
+    entry: Pose
+    exit: Pose
+    gain_m2: float
+    contact_id: str
+    why: str
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True):
+    """Legs in the order to sail them, way-points on the globe.
+
+    length_m: track from the vehicle to the end of the last leg. gain_m2: what they gain, square metres of unsearched floor made clear;
+    bound_m2: no plan of the candidate legs gains more. verdict: "" for a plan that leads to the required clearance as far as it can be
+    foreseen; else "done: ...", or "cannot, because ...", the latter also beside a plan that gets only part of the way.
+    """
+
+    waypoints: tuple[Waypoint, ...] = ()
+    legs: tuple[PlannedLeg, ...] = ()
+    length_m: float = 0.0
+    gain_m2: float = 0.0
+    bound_m2: float = 0.0
+    verdict: str = ""
+
+
+def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: float) -> Clearance:
+    """The clearance before anything was seen: no cells yet."""
+    return Clearance(
+        origin_latitude_deg=origin_latitude_deg,
+        origin_longitude_deg=origin_longitude_deg,
+        cell_m=cell_m,
+        first_east=0,
+        first_north=0,
+        exponent=np.zeros((0, 0)),
+        looks=np.zeros((0, 0), dtype=np.uint8),
+        seabed=np.zeros((0, 0), dtype=np.uint8),
+        ripple_rad=np.zeros((0, 0), dtype=np.float32),
+        wavelength_m=np.zeros((0, 0), dtype=np.float32),
+        altitude_m=np.zeros((0, 0), dtype=np.float32),
+    )
+
+
+def clearance_over(clearance: Clearance, first_east: int, first_north: int, shape: tuple[int, int]) -> Clearance:
+    """The same over a box of (n_north, n_east) cells, of which the clearance may know some or none; what lies outside is left out."""
+    row, column = clearance.first_north - first_north, clearance.first_east - first_east
+    n_north, n_east = clearance.looks.shape
+    rows = slice(max(row, 0), max(min(row + n_north, shape[0]), 0))
+    columns = slice(max(column, 0), max(min(column + n_east, shape[1]), 0))
+
+    def laid(layer: NDArray[np.generic], outside: float) -> NDArray[np.generic]:
+        box = np.full(shape, outside, dtype=layer.dtype)
+        box[rows, columns] = layer[rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)]
+        return box
+
+    outside = {"exponent": 0.0, "looks": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
+    outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
+    layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
+    return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)
+
+
+def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
+    """The plan from here. It gets better as long as `more_time` says so; equal input and equal answers give equal plans.
+
+    What is left of `previous` is kept unless the new plan gains a tenth more, or as much with a tenth less track.
+    Raises ValueError for an area whose shape is not the clearance's, or a required probability outside (0, HIGHEST_REQUIRED].
+    """
+    if world.area.shape != world.clearance.looks.shape:
+        raise ValueError(f"area {world.area.shape} and clearance {world.clearance.looks.shape} are not laid out alike: use clearance_over")
+    if not 0.0 < world.required <= HIGHEST_REQUIRED:
+        raise ValueError(f"required probability {world.required} is outside (0, {HIGHEST_REQUIRED}]")
+    wanted = -math.log1p(-world.required)
+    is_open = world.area & (world.clearance.exponent < _WITHIN * wanted)
+    asking = [contact for contact in world.contacts if contact.next_look_deg]
+    if not is_open.any() and not asking:
+        return Plan(verdict=_done(world))
+    if reason := obstacle(pose, limits):
+        return Plan(verdict=f"cannot, because {reason}")
+    cells = _open_cells(world, is_open, wanted)
+    known = _left_of(previous, pose)
+    looks = contact_legs(asking, world.clearance, world.performance, limits)
+    tracks = survey_tracks(cells, world.performance, limits, [(leg.entry, leg.exit) for leg in known if not leg.contact_id])
+    problem = _problem(tracks, looks, cells, world.performance, pose, limits)
+    if not problem.tracks.n_legs:
+        if not is_open.any():
+            verdict = _done(world) + f"; {len(asking)} contacts ask for a look that no leg can give"
+        else:
+            verdict = f"cannot, because {_why_nothing(world, cells, limits)}"
+        return Plan(verdict=verdict)
+    route, taken = _searched(problem, more_time)
+    kept = _kept_route(problem, known, looks)
+    if kept and not _is_better(problem, route, kept):
+        route = kept
+    prefixes = [taken[:n] for n in sorted({0, len(taken) // 2, len(taken)})]
+    plan = _told(problem, route, looks, world)
+    bound = max(gain_bound_m2(problem, prefixes), plan.gain_m2)
+    return msgspec.structs.replace(plan, bound_m2=bound, verdict=_verdict(problem, route, world, is_open))
+
+
+def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cells:
+    clearance = world.clearance
+    row, column = np.nonzero(is_open)
+    thin = -(-len(row) // _MOST_CELLS) if len(row) else 1
+    if thin > 1:  # of a regular pattern whose cells lie in no common row
+        at = np.flatnonzero((column + row * (1 + int(math.sqrt(thin)))) % thin == 0)
+        row, column = row[at], column[at]
+    share = np.count_nonzero(is_open) / max(len(row), 1)
+    at_cell = row, column
+    return Cells(
+        east_m=np.asarray((column + clearance.first_east + 0.5) * clearance.cell_m, dtype=np.float64),
+        north_m=np.asarray((row + clearance.first_north + 0.5) * clearance.cell_m, dtype=np.float64),
+        need=wanted - clearance.exponent[at_cell],
+        weight_m2=np.full(len(row), share * clearance.cell_m**2 / wanted),
+        looked=clearance.looks[at_cell] > 0,
+        towards=np.zeros(len(row), dtype=np.uint64),
+        seabed=clearance.seabed[at_cell],
+        ripple_rad=clearance.ripple_rad[at_cell],
+        cell_m=clearance.cell_m,
+    )
+
+
+def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: Pose, limits: Limits) -> Problem:
+    """Survey legs, then those past contacts."""
+    n_survey = tracks.n_legs
+    n_sides = [len(look.runs) for look in looks]
+    n = n_survey + sum(n_sides)
+    nothing = np.zeros(n - n_survey, dtype=np.int64)
+    other_side = np.arange(n)
+    leg = n_survey
+    for sides in n_sides:
+        if sides == 2:
+            other_side[[leg, leg + 1]] = leg + 1, leg
+        leg += sides
+    everything = tracks._replace(
+        run=np.concatenate([tracks.run, *(look.runs for look in looks)]),
+        first=np.append(tracks.first, nothing),
+        last=np.append(tracks.last, nothing),
+        line=np.append(tracks.line, nothing - 1),
+        heading=np.append(tracks.heading, nothing - 1),
+    )
+    gain = np.append(np.zeros(n_survey), np.repeat([look.gain_m2 for look in looks], n_sides))
+    return Problem(everything, gain, other_side, cells, model, pose, limits)
+
+
+def _searched(problem: Problem, more_time: Callable[[], bool]) -> tuple[list[int], list[int]]:
+    """The best route found, and the legs that greed chose first."""
+    every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
+    first = greedy_legs(problem, every, [], more_time)
+    legs = shifted_legs(problem, first, _SHIFTS, more_time)
+    return best_route(problem, legs, more_time), first
+
+
+def _worth(problem: Problem, route: list[int]) -> float:
+    near_m, far_m = problem.limits.swath
+    gain = sum(gains_m2(problem, [way // 2 for way in route]))
+    return gain - _TRACK_M2 * 2.0 * (far_m - near_m) * route_length_m(problem, route)
+
+
+def _left_of(previous: Plan | None, pose: Pose) -> list[PlannedLeg]:
+    """Legs of the plan before, of one that is being sailed what lies ahead."""
+    if previous is None:
+        return []
+    legs = list(previous.legs[:_KNOWN_LEGS])
+    for place, leg in enumerate(legs):
+        sine, cosine = math.sin(leg.entry.heading_rad), math.cos(leg.entry.heading_rad)
+        east, north = pose.east_m - leg.entry.east_m, pose.north_m - leg.entry.north_m
+        along, beside = east * sine + north * cosine, east * cosine - north * sine
+        turned = abs(math.remainder(pose.heading_rad - leg.entry.heading_rad, 2.0 * math.pi))
+        length = math.hypot(leg.exit.east_m - leg.entry.east_m, leg.exit.north_m - leg.entry.north_m)
+        if 0.0 < along < length and abs(beside) < 2.0 and turned < _ON_TRACK_RAD:
+            ahead = Pose(leg.entry.east_m + along * sine, leg.entry.north_m + along * cosine, leg.entry.heading_rad)
+            return [leg._replace(entry=ahead), *legs[place + 1 :]]
+    return legs
+
+
+def _kept_route(problem: Problem, known: list[PlannedLeg], looks: list[ContactLegs]) -> list[int]:
+    """The legs of the plan before, as far as they can be sailed and still gain something."""
+    runs = problem.tracks.run
+    route: list[int] = []
+    wanting = Wanting(problem)
+    for leg in known:
+        ends = np.array([leg.entry[:2], leg.exit[:2]])
+        for way in (0, 1):
+            there = runs[:, :: 1 - 2 * way, :2]
+            match = np.flatnonzero(np.abs(there - ends).max(axis=(1, 2), initial=0.0) < 0.01) if len(runs) else np.empty(0, dtype=int)
+            if len(match):
+                number = int(match[-1])
+                if wanting.gain_m2(number) > 1e-6:
+                    wanting.take(number)
+                    route.append(2 * number + way)
+                break
+    return sailable(problem, route)
+
+
+def _is_better(problem: Problem, route: list[int], kept: list[int]) -> bool:
+    gain, kept_gain = (sum(gains_m2(problem, [way // 2 for way in ways])) for ways in (route, kept))
+    if gain >= BETTER * kept_gain:
+        return True
+    return gain >= 0.999 * kept_gain and BETTER * route_length_m(problem, route) <= route_length_m(problem, kept)
+
+
+def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: World) -> Plan:
+    """The route as a plan, with words."""
+    frame = LocalFrame(latitude_deg=world.clearance.origin_latitude_deg, longitude_deg=world.clearance.origin_longitude_deg)
+    of_leg = [look for look in looks for _ in look.runs]
+    n_survey = problem.tracks.n_legs - len(of_leg)
+    cells, tracks = problem.cells, problem.tracks
+    wanting = Wanting(problem)
+    legs: list[PlannedLeg] = []
+    points: list[tuple[Pose, int, str]] = []  # pose, number of the leg, kind
+    pose, length_m = problem.pose, 0.0
+    for number, way in enumerate(route, start=1):
+        entry, leave = ends_of(tracks, way)
+        leg = way // 2
+        gain = wanting.gain_m2(leg)
+        if leg >= n_survey:
+            contact_id, why = of_leg[leg - n_survey].contact.id, contact_words(of_leg[leg - n_survey])
+        else:
+            part, added = wanting.per_cell(leg)
+            cell = tracks.cell[part][added > 0.0]
+            gained = added[added > 0.0] * cells.weight_m2[cell]
+            contact_id, why = "", survey_words(entry.heading_rad, gained, cells.seabed[cell], cells.ripple_rad[cell], cells.looked[cell])
+        wanting.take(leg)
+        legs.append(PlannedLeg(entry, leave, gain, contact_id, why))
+        path = turn_between(problem, pose, entry)
+        assert path is not None
+        if not points:
+            points.append((pose, number, "start"))
+        turn = sample_path(path, ARC_STEP_RAD)
+        steps = np.hypot(*np.diff(turn[:, :2], axis=0).T)
+        away = np.hypot(*(turn[1:, :2] - entry[:2]).T)
+        points += [(Pose(*place), number, "turn") for place in turn[1:][(steps > _LEAST_STEP_M) & (away > _LEAST_STEP_M)].tolist()]
+        points += [(entry, number, "leg_entry"), (leave, number, "leg_exit")]
+        length_m += path.length_m + float(tracks.length_m[leg])
+        pose = leave
+    latitude, longitude, course = on_the_globe(np.array([place for place, _, _ in points]).reshape(-1, 3), frame)
+    waypoints = tuple(
+        Waypoint(
+            leg=number,
+            kind=kind,
+            latitude_deg=float(latitude[at]),
+            longitude_deg=float(longitude[at]),
+            heading_rad=float(course[at]),
+            contact_id=legs[number - 1].contact_id,
+            why={"start": "where the plan starts", "turn": f"turn towards leg {number}"}.get(kind, legs[number - 1].why),
+        )
+        for at, (_, number, kind) in enumerate(points)
+    )
+    return Plan(waypoints=waypoints, legs=tuple(legs), length_m=length_m, gain_m2=sum(leg.gain_m2 for leg in legs))
+
+
+def _done(world: World) -> str:
+    if not world.area.any():
+        return "done: there is no area to clear and no contact that asks for a look"
+    return f"done: required clearance of {world.required:.2f} reached in all of {area_words(world.area.sum() * world.clearance.cell_m**2)}"
+
+
+def _why_nothing(world: World, cells: Cells, limits: Limits) -> str:
+    reached = area_words(len(cells.need) * float(cells.weight_m2[0]) * -math.log1p(-world.required))
+    best = float(world.clearance.p_detected[world.area].mean())
+    without = survey_tracks(cells, world.performance, limits._replace(fence=None), [])
+    if not without.n_legs:
+        reason = "the sonar finds nothing on such a sea floor"
+    else:
+        reason = "no straight leg over it with room for a turn at both ends fits into the fence"
+    return f"{reached} are not clear and no leg adds to that: {reason}. The best that can be reached is {best:.2f} on average"
+
+
+def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[np.bool_]) -> str:
+    """Empty if all that is wanting is got by the route or by legs that a later plan may sail."""
+    cells, tracks, budget_m = problem.cells, problem.tracks, problem.limits.budget_m
+    if not route:
+        shortest_m = float(tracks.length_m.min())
+        return (
+            f"cannot, because no leg can be reached and sailed inside the fence with {budget_m:.0f} m of track; "
+            f"the shortest alone takes {shortest_m:.0f} m"
+        )
+    renewed = np.where(cells.looked, 1.0 - problem.model.other_look_correlation, 1.0)
+    most = np.bincount(tracks.cell, tracks.exponent * renewed[tracks.cell], len(cells.need))
+    never = most < _WITHIN * cells.need
+    if never.any():
+        wanted = -math.log1p(-world.required)
+        n_clear, share = np.count_nonzero(world.area & ~is_open), np.count_nonzero(is_open) / len(cells.need)
+        reach = -np.expm1(-(wanted - cells.need + np.minimum(most, cells.need)))
+        mean = (n_clear * world.required + share * float(reach.sum())) / (n_clear + share * len(reach))
+        short_m2, area_m2 = (n * cells.cell_m**2 for n in (share * np.count_nonzero(never), world.area.sum()))
+        return (
+            f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to {world.required:.2f} by any leg; "
+            f"the best that can be reached is {mean:.2f} on average and {float(reach.min()):.2f} in the worst cell"
+        )
+    one_side = problem.other_side >= np.arange(tracks.n_legs)
+    wanting_m2 = float(cells.need @ cells.weight_m2) + float(problem.contact_m2[one_side].sum())
+    gain_m2 = sum(gains_m2(problem, [way // 2 for way in route]))
+    if gain_m2 < _WITHIN * wanting_m2 and route_length_m(problem, route) > _USED_UP * budget_m:
+        return f"cannot, because {budget_m:.0f} m of track suffice for {gain_m2 / wanting_m2:.0%} of what is wanting"
+    return ""

@@ -1,0 +1,296 @@
+"""Straight legs that may be sailed, and what each would add to the clearance of every cell that it sees.
+
+A leg looks to both sides of its credited run; a cell counts as seen where all of it lies abeam of that run, with the part of its width
+that the swath reaches. Right below the vehicle nothing is seen. Before and after the credited run lies the settling distance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.plan.clearance import HIGHEST_P, LookModel
+from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.fence import circles_inside, runs_inside
+from auv_mcm.plan.limits import Limits, turns_inside
+
+Array = NDArray[np.float64]
+
+SAME_LOOK_RAD: Final = math.radians(15.0)  # as in `clearance`
+RIGHT: Final = math.pi / 2.0
+_N_HEADINGS: Final = 8
+_OWN_HEADING_RAD: Final = math.radians(5.0)  # ripples nearer than this to a heading need none of their own
+_TURNED_RAD: Final = math.radians(3.0)
+_LINES_PER_SWATH: Final = 8
+_MOST_LINES: Final = 64  # side by side
+_MOST_SAMPLES: Final = 48  # of a line, to find where it is inside the fence
+_LEAST_EXPONENT: Final = 1e-4
+_ROUNDING_RAD: Final = 1e-6
+_N_LOOKS: Final = 64  # directions told apart
+
+
+def _bits_alike() -> NDArray[np.uint64]:
+    look_rad = 2.0 * math.pi / _N_LOOKS * np.arange(_N_LOOKS)
+    apart = np.abs(np.mod(look_rad[:, np.newaxis] - look_rad + math.pi, 2.0 * math.pi) - math.pi) <= SAME_LOOK_RAD + _ROUNDING_RAD
+    return np.asarray((apart * _LOOK_BIT).sum(axis=1, dtype=np.uint64))
+
+
+_LOOK_BIT: Final = np.uint64(1) << np.arange(_N_LOOKS, dtype=np.uint64)
+_ALIKE: Final = _bits_alike()
+"""(64,) uint64: per look direction the bits of those from nearly the same side."""
+
+
+class Cells(NamedTuple):
+    """Cells that are not cleared yet, (n,) each. need: miss exponent that is wanting. weight_m2: what a unit of it is worth, as area.
+
+    looked: whether it was looked at before, and thus a further look tells less; towards: uint64, the bits of the directions known of that.
+    """
+
+    east_m: Array
+    north_m: Array
+    need: Array
+    weight_m2: Array
+    looked: NDArray[np.bool_]
+    towards: NDArray[np.uint64]
+    seabed: NDArray[np.uint8]
+    ripple_rad: NDArray[np.float32]
+    cell_m: float
+
+
+class Tracks(NamedTuple):
+    """Legs, n in all; what leg i sees are elements [first[i], last[i]) of the arrays below, in order along its way.
+
+    run: (n, 2, 3) poses of entry and exit, settling included. cell: index into `Cells`; exponent: what a first look adds to it; bit: of its
+    direction, alike: of those that are nearly the same, uint64. line: number of the straight line that a leg is part of, lines in order from
+    side to side; heading: number of their heading, both -1 for legs past contacts, which count for nothing else.
+    """
+
+    run: Array
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    cell: NDArray[np.int32]
+    exponent: Array
+    bit: NDArray[np.uint64]
+    alike: NDArray[np.uint64]
+    line: NDArray[np.int64]
+    heading: NDArray[np.int64]
+
+    @property
+    def n_legs(self) -> int:
+        return len(self.run)
+
+    @property
+    def length_m(self) -> Array:
+        return np.asarray(np.hypot(*(self.run[:, 1, :2] - self.run[:, 0, :2]).T))
+
+
+class _Lines(NamedTuple):
+    """Parallel lines; per seen cell its place along the line, in order of line and place."""
+
+    heading_rad: float
+    offset_m: Array
+    start: NDArray[np.int64]
+    along_m: Array
+    cell: NDArray[np.int64]
+    exponent: Array
+    to_right: NDArray[np.bool_]
+
+
+def look_number(look_rad: float) -> int:
+    """Which of the directions told apart is nearest."""
+    return round(look_rad / (2.0 * math.pi) * _N_LOOKS) % _N_LOOKS
+
+
+def headings_rad(cells: Cells) -> list[float]:
+    """Directions to sail in, the opposite of each meant as well: eight evenly spread from the direction in which the cells reach farthest,
+    and along the crests where ripples lie between these."""
+    turned = np.arange(0.0, math.pi / 2.0 - 1e-9, _TURNED_RAD)[:, np.newaxis]
+    sine, cosine = np.sin(turned), np.cos(turned)
+    along = np.ptp(cells.east_m * sine + cells.north_m * cosine, axis=1)
+    across = np.ptp(cells.east_m * cosine - cells.north_m * sine, axis=1)
+    best = int(np.argmin(np.round((along + cells.cell_m) * (across + cells.cell_m), 6)))
+    base = float(turned[best, 0]) + (math.pi / 2.0 if across[best] > along[best] else 0.0)
+    headings = [math.fmod(base + k * math.pi / _N_HEADINGS, math.pi) for k in range(_N_HEADINGS)]
+    ripple = cells.ripple_rad[np.isfinite(cells.ripple_rad)].astype(np.float64)
+    if len(ripple):
+        crests = 0.5 * math.atan2(float(np.sin(2.0 * ripple).sum()), float(np.cos(2.0 * ripple).sum())) + math.pi / 2.0
+        if all(abs(math.remainder(crests - heading, math.pi)) > _OWN_HEADING_RAD for heading in headings):
+            headings.append(crests % math.pi)
+    return headings
+
+
+def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[Pose, Pose]]) -> Tracks:
+    """Legs over open cells, all of which can be entered and left inside the fence. known: runs to be among them."""
+    legs = _Legs(cells, limits)
+    for heading in headings_rad(cells):
+        legs.add(_lines(cells, heading, _offsets(cells, heading, limits), model, limits))
+    for entry, leave in known:
+        legs.add_run(_lines(cells, entry.heading_rad, np.array([_across(entry)]), model, limits), entry, leave)
+    return legs.tracks()
+
+
+def _offsets(cells: Cells, heading: float, limits: Limits) -> Array:
+    """Where lines run from side to side, in metres to the right of the plane's origin."""
+    near_m, far_m = limits.swath
+    across = cells.east_m * math.cos(heading) - cells.north_m * math.sin(heading)
+    middle, reach = 0.5 * (across.min() + across.max()), 0.5 * (np.ptp(across) + near_m + far_m)
+    step = max(cells.cell_m / 2.0, (far_m - near_m) / _LINES_PER_SWATH, 2.0 * reach / _MOST_LINES)
+    n_beside = int(reach / step)
+    return np.asarray(middle + step * np.arange(-n_beside, n_beside + 1))
+
+
+def _lines(cells: Cells, heading: float, offset_m: Array, model: LookModel, limits: Limits) -> _Lines:
+    near_m, far_m = limits.swath
+    sine, cosine = math.sin(heading), math.cos(heading)
+    along = cells.east_m * sine + cells.north_m * cosine
+    order = np.argsort(along, kind="stable")
+    beside = (cells.east_m * cosine - cells.north_m * sine)[order] - offset_m[:, np.newaxis]
+    ground = np.abs(beside)
+    fraction = np.clip(np.minimum(ground - near_m, far_m - ground) / cells.cell_m + 0.5, 0.0, 1.0)
+    line, place = np.nonzero(fraction)
+    cell = order[place]
+    to_right = beside[line, place] > 0.0
+    look = np.where(to_right, heading + RIGHT, heading - RIGHT) % (2.0 * math.pi)
+    p = model.p_look(
+        cells.seabed[cell],
+        ground[line, place].astype(np.float32),
+        np.full(len(cell), limits.altitude_m, dtype=np.float32),
+        look.astype(np.float32),
+        cells.ripple_rad[cell],
+    )
+    p = fraction[line, place] * np.clip(np.nan_to_num(p, nan=0.0), 0.0, HIGHEST_P)
+    exponent = -np.log1p(-p)
+    kept = exponent > _LEAST_EXPONENT
+    line, cell = line[kept], cell[kept]
+    start = np.searchsorted(line, np.arange(len(offset_m) + 1))
+    return _Lines(heading, offset_m, start, along[cell], cell, exponent[kept], to_right[kept])
+
+
+class _Legs:
+    """Legs as they are found."""
+
+    def __init__(self, cells: Cells, limits: Limits) -> None:
+        self._cells, self._limits = cells, limits
+        self._lines: list[_Lines] = []
+        self._looks: list[float] = []
+        self._n_seen = 0
+        self._runs: list[tuple[Pose, Pose]] = []
+        self._numbers: list[tuple[int, int, int, int]] = []  # first, last, line, heading
+
+    def add(self, lines: _Lines) -> None:
+        margin_m = self._limits.settling_m + self._half_m(lines)
+        inside = None if self._limits.fence is None or not len(lines.along_m) else _Inside(lines, margin_m, self._limits)
+        # Between pieces farther apart than this, another leg may run meanwhile.
+        apart_m = 2.0 * margin_m + math.pi * self._limits.turn_radius_m
+        for number in range(len(lines.offset_m)):
+            low, high = int(lines.start[number]), int(lines.start[number + 1])
+            if low == high:
+                continue
+            along = lines.along_m[low:high]
+            cuts = [0, *(np.flatnonzero(np.diff(along) > apart_m) + 1).tolist(), high - low]
+            pieces = list(pairwise(cuts))
+            if len(pieces) > 1:
+                pieces.append((0, high - low))
+            if self._limits.budget_m < 4.0 * (along[-1] - along[0]):  # a part may be all there is track for
+                pieces += [(0, (high - low) // 2), ((high - low) // 2, high - low)]
+            for begin, end in pieces:
+                if end > begin:
+                    self._add_piece(lines, number, low, along, float(along[begin]) - margin_m, float(along[end - 1]) + margin_m, inside)
+        self._keep(lines)
+
+    def add_run(self, lines: _Lines, entry: Pose, leave: Pose) -> None:
+        ahead = math.sin(entry.heading_rad), math.cos(entry.heading_rad)
+        begin, end = (pose.east_m * ahead[0] + pose.north_m * ahead[1] for pose in (entry, leave))
+        self._add_piece(lines, 0, 0, lines.along_m, begin, end, None)
+        self._keep(lines)
+
+    def _half_m(self, lines: _Lines) -> float:
+        """Half the extent of a cell along the lines."""
+        return 0.5 * self._cells.cell_m * (abs(math.sin(lines.heading_rad)) + abs(math.cos(lines.heading_rad)))
+
+    def _keep(self, lines: _Lines) -> None:
+        self._lines.append(lines)
+        self._n_seen += len(lines.cell)
+
+    def _add_piece(self, lines: _Lines, number: int, low: int, along: Array, begin: float, end: float, inside: _Inside | None) -> None:
+        for run_begin, run_end in [(begin, end)] if inside is None else inside.parts(number, begin, end):
+            # A cell counts if all of it lies abeam of the credited run.
+            margin_m = self._limits.settling_m + self._half_m(lines) - 1e-6
+            first, last = np.searchsorted(along, [run_begin + margin_m, run_end - margin_m])
+            if last > first:
+                self._runs.append(
+                    (_on_line(lines, number, run_begin), _on_line(lines, number, run_end)),
+                )
+                offset = self._n_seen + low
+                self._numbers.append((offset + int(first), offset + int(last), number, len(self._lines)))
+
+    def tracks(self) -> Tracks:
+        first, last, line, heading = np.array(self._numbers, dtype=np.int64).reshape(-1, 4).T
+        sides = [(look_number(lines.heading_rad - RIGHT), look_number(lines.heading_rad + RIGHT)) for lines in self._lines]
+        looks = [np.where(lines.to_right, right, left) for lines, (left, right) in zip(self._lines, sides, strict=True)]
+        look = np.concatenate([np.empty(0, dtype=np.int64), *looks])
+        tracks = Tracks(
+            run=np.array(self._runs, dtype=np.float64).reshape(-1, 2, 3),
+            first=first,
+            last=last,
+            cell=np.concatenate([np.empty(0, dtype=np.int32), *(lines.cell.astype(np.int32) for lines in self._lines)]),
+            exponent=np.concatenate([np.empty(0), *(lines.exponent for lines in self._lines)]),
+            bit=_LOOK_BIT[look],
+            alike=_ALIKE[look],
+            line=line,
+            heading=heading,
+        )
+        return _only(tracks, enterable(tracks.run, self._limits))
+
+
+class _Inside:
+    """Where parallel lines are inside the fence and can be entered or left, at samples along them."""
+
+    def __init__(self, lines: _Lines, margin_m: float, limits: Limits) -> None:
+        assert limits.fence is not None
+        low, high = float(lines.along_m.min()) - margin_m, float(lines.along_m.max()) + margin_m
+        n = max(2, min(_MOST_SAMPLES, math.ceil((high - low) / 2.0)))
+        self._at = np.linspace(low, high, n)
+        heading = np.array([math.sin(lines.heading_rad), math.cos(lines.heading_rad)])
+        right = np.array([heading[1], -heading[0]])
+        points = self._at[:, np.newaxis] * heading + lines.offset_m[:, np.newaxis, np.newaxis] * right
+        self._inside = circles_inside(points, 0.0, limits.fence, limits.fence_margin_m)
+        poses = np.concatenate([points, np.full((*points.shape[:2], 1), lines.heading_rad)], axis=-1)
+        self._turns = self._inside & turns_inside(poses, limits.turn_radius_m, limits).any(axis=-1)
+
+    def parts(self, line: int, begin: float, end: float) -> Iterator[tuple[float, float]]:
+        """Stretches of a line between begin and end that are inside, from and to places where a turn fits, as long as can be."""
+        low = max(int(np.searchsorted(self._at, begin + 1e-9, side="right")) - 1, 0)
+        high = min(int(np.searchsorted(self._at, end - 1e-9)), len(self._at) - 1)
+        outside = np.flatnonzero(~self._inside[line, low : high + 1]) + low
+        edges = [low - 1, *outside.tolist(), high + 1]
+        for before, after in pairwise(edges):
+            turns = np.flatnonzero(self._turns[line, before + 1 : after]) + before + 1
+            if len(turns) > 1:
+                yield float(self._at[turns[0]]), float(self._at[turns[-1]])
+
+
+def enterable(run: Array, limits: Limits) -> NDArray[np.bool_]:
+    """(n,) whether (n, 2, 3) runs lie inside the fence and have room for a turn at both ends."""
+    if limits.fence is None or not len(run):
+        return np.ones(len(run), dtype=np.bool_)
+    inside = runs_inside(run[:, 0, :2], run[:, 1, :2], limits.fence, limits.fence_margin_m)
+    return np.asarray(inside & turns_inside(run, limits.turn_radius_m, limits).any(axis=-1).all(axis=-1))
+
+
+def _only(tracks: Tracks, kept: NDArray[np.bool_]) -> Tracks:
+    return tracks._replace(**{name: getattr(tracks, name)[kept] for name in ("run", "first", "last", "line", "heading")})
+
+
+def _across(pose: Pose) -> float:
+    return pose.east_m * math.cos(pose.heading_rad) - pose.north_m * math.sin(pose.heading_rad)
+
+
+def _on_line(lines: _Lines, number: int, along_m: float) -> Pose:
+    sine, cosine, offset = math.sin(lines.heading_rad), math.cos(lines.heading_rad), float(lines.offset_m[number])
+    return Pose(along_m * sine + offset * cosine, along_m * cosine - offset * sine, lines.heading_rad)

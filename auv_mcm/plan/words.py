@@ -1,0 +1,59 @@
+"""Why each leg of a plan is sailed, in words for the person who watches."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.plan.contact_legs import ContactLegs
+from auv_mcm.records import SEABED_TYPES
+
+_ACROSS_RAD = math.radians(30.0)
+_ALONG_RAD = math.radians(60.0)
+_NAMES = {"flat": "flat floor", "ripple": "ripple", "rough": "rough floor", "vegetation": "vegetation", "unknown": "floor of unknown kind"}
+
+
+def area_words(m2: float) -> str:
+    """Square metres with thin spaces between thousands."""
+    return f"{m2:,.0f} m²".replace(",", "\u2009")
+
+
+def course_words(heading_rad: float) -> str:
+    return f"{round(math.degrees(heading_rad)) % 360:03d}°"
+
+
+def survey_words(
+    heading_rad: float, gain_m2: NDArray[np.float64], seabed: NDArray[np.uint8], ripple_rad: NDArray[np.float32], looked: NDArray[np.bool_]
+) -> str:
+    """For a survey leg; (n,) of the cells that it adds to: the area each gains in full clearance, and what is known of it."""
+    total = float(gain_m2.sum())
+    by_kind = np.bincount(seabed, gain_m2, len(SEABED_TYPES))
+    most = int(np.argmax(by_kind))
+    share = f"{area_words(by_kind[most])} of {_NAMES[SEABED_TYPES[most]]}"
+    if by_kind[most] < 0.95 * total:
+        share += f" and {area_words(total - by_kind[most])} of other kinds"
+    words = [f"clears {share} at {course_words(heading_rad)}"]
+    crests = np.isfinite(ripple_rad) & (seabed == most)
+    if crests.any():
+        apart = np.abs(np.mod(ripple_rad[crests] - heading_rad, math.pi) - math.pi / 2.0)  # of the look from the crests' succession
+        typical = float(np.average(apart, weights=np.maximum(gain_m2[crests], 1e-9)))
+        words[0] += (
+            " across the crests" if typical < _ACROSS_RAD else " along the crests" if typical > _ALONG_RAD else " oblique to the crests"
+        )
+    again = float(gain_m2[looked].sum())
+    if again > 0.05 * total:
+        words.append(f"{area_words(again)} of it were searched before and not well enough")
+    return "; ".join(words)
+
+
+def contact_words(legs: ContactLegs) -> str:
+    """For a leg past a contact."""
+    contact = legs.contact
+    looks = "one look" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} looks"
+    towards = round(legs.look_deg) % 360
+    return (
+        f"second look at {contact.id} towards {towards:03d}° or {(towards + 180) % 360:03d}°, {legs.stand_off_m:.0f} m to the side: "
+        f"p_mine {contact.p_mine:.2f} is undecided after {looks}"
+    )
