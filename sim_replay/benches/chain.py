@@ -13,6 +13,7 @@ auv-mcm bench inversion, augment   relief recovered from images, and targets put
 auv-mcm bench framers           framing of device messages: speed, garbage, damage
 auv-mcm bench ports             the service at a full serial line: start, processor time, how late pings are
 auv-mcm bench soak              the service for long: memory, counters, tasks; what a kill costs
+auv-mcm bench seabed            kinds of sea floor told apart, and what it costs
 auv-mcm bench pfa               false alarms per km² and per decision
 auv-mcm bench figure9           the source paper's examples of classical detection
 
@@ -56,6 +57,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "snakes": ("sim_replay.benches.snakes", "contours: error beside time"),
     "shapes": ("sim_replay.benches.shapes", "classification by shape: error beside time"),
     "beliefs": ("sim_replay.benches.beliefs", "beliefs in the classes of single objects, beside the source paper's"),
+    "seabed": ("sim_replay.benches.seabed", "kinds of sea floor told apart, and what it costs"),
     "images": ("sim_replay.benches.real_images", "outlines and false confirmations on real pictures"),
     "cascade": ("sim_replay.benches.cascade", "the trained cascade: windows per second beside OpenCV's, budgets, equality of kernels"),
     "froc": ("sim_replay.benches.froc", "what each detector and each step finds on missions held out, at given rates of false alarms"),

@@ -40,7 +40,7 @@ def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
             raise BadInputError(str(error)) from error
     names = tuple(dict.fromkeys(KIND_OF.values()))
     kind = np.array([names.index(KIND_OF[cover]) for cover in COVERS])[samples.cover]
-    weights = _regression(terms(x), kind, _alike(samples.cover, kind))
+    weights = regression(terms(x), kind, alike(samples.cover, kind))
     model = SeabedModel(
         fitted_on=fitted_on,
         inputs=INPUTS,
@@ -54,7 +54,7 @@ def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
     return msgspec.structs.replace(model, novelty=float(f"{np.quantile(nearest, _KEPT):.4g}"))
 
 
-def _alike(cover: NDArray[np.uint8], kind: NDArray[np.intp]) -> Array:
+def alike(cover: NDArray[np.uint8], kind: NDArray[np.intp]) -> Array:
     """Weights under which every kind counts the same, and within it every cover; 1 on average."""
     weight = np.empty(len(cover))
     for index in np.unique(cover):
@@ -64,7 +64,7 @@ def _alike(cover: NDArray[np.uint8], kind: NDArray[np.intp]) -> Array:
     return np.asarray(weight / weight.mean())
 
 
-def _regression(inputs: Array, kind: NDArray[np.intp], weight: Array) -> Array:
+def regression(inputs: Array, kind: NDArray[np.intp], weight: Array) -> Array:
     """(n_terms, n_kinds) weights of the multinomial logistic regression with a small ridge on all but the constant."""
     n_kinds = int(kind.max()) + 1
     truth = np.eye(n_kinds)[kind] * weight[:, np.newaxis]
