@@ -17,7 +17,10 @@ from auv_mcm.config import PlanConfig
 from auv_mcm.contacts.export import contacts_csv, contacts_geojson, contacts_kml, coverage_geojson, is_mine_like, waypoints_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame, geodetic_to_ecef
-from auv_mcm.records import NAN, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
+from auv_mcm.plan.clearance import Clearance
+from auv_mcm.plan.clearance_export import BANDS, clearance_geojson
+from auv_mcm.plan.residual import remaining_mines
+from auv_mcm.records import NAN, SEABED_TYPES, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
 
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
 MAX_STEP_M: Final = 100.0
@@ -126,6 +129,36 @@ def write_results(
     write_file(folder / "contacts.kml", contacts_kml(contacts, mission).encode())
     write_file(folder / "coverage.geojson", coverage_geojson(coverage))
     write_file(folder / "waypoints.geojson", waypoints_geojson(waypoints))
+
+
+def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -> None:
+    """`clearance.geojson`, and `clearance.png` where anything was searched; a picture of an earlier replay goes."""
+    write_file(folder / "clearance.geojson", clearance_geojson(clearance))
+    if picture:
+        write_file(folder / "clearance.png", picture)
+    else:
+        (folder / "clearance.png").unlink(missing_ok=True)
+
+
+def search_totals(clearance: Clearance | None, contacts: Sequence[Contact]) -> dict[str, Any]:
+    """What the search comes to over all that was seen; empty if nothing was. Contacts count as found mines with their p_mine."""
+    if clearance is None:
+        return {}
+    seen = clearance.seen
+    p = clearance.p_detected[seen]
+    cell_m2 = clearance.cell_m**2
+    found = math.fsum(contact.p_mine for contact in contacts if is_mine_like(contact))
+    left = remaining_mines(found, p, cell_m2)
+    kinds = {kind: int(np.count_nonzero(clearance.seabed[seen] == index)) for index, kind in enumerate(SEABED_TYPES)}
+    return {
+        "searched": {
+            "km2": round(p.size * cell_m2 * 1e-6, 6),
+            "p_detected_mean": round(float(p.mean()), 4),
+            "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
+            "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
+            "mines_left": {"expected": round(left.expected, 4), "at_most_95": left.high, "p_none": round(left.p_none, 4)},
+        }
+    }
 
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:

@@ -28,7 +28,19 @@ from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson, iso_time
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.liaison import Liaison, VehicleEnd
-from auv_mcm.outputs import Journal, Tally, contact_totals, make_directory, plan_waypoints, write_json, write_results, write_snippets
+from auv_mcm.outputs import (
+    Journal,
+    Tally,
+    contact_totals,
+    make_directory,
+    plan_waypoints,
+    search_totals,
+    write_clearance,
+    write_json,
+    write_results,
+    write_snippets,
+)
+from auv_mcm.plan.clearance import Clearance
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent
 from auv_mcm.worker import Finished, MakePipeline, Perception, Planned, standard_pipeline
 
@@ -236,6 +248,8 @@ class Service:
         self._lag_s = 0.0
         self._pipeline_counters: Counter[str] = Counter()
         self._snippets: dict[str, bytes] = {}
+        self._clearance: Clearance | None = None
+        self._clearance_png = b""
         self._recorder: Recorder | None = None
         self._liaison: Liaison | None = None
         self._n_dropped_told = 0
@@ -395,6 +409,7 @@ class Service:
         self._contacts = {contact.id: contact for contact in answer.contacts}
         self._pipeline_counters = answer.counters
         self._snippets = answer.snippets
+        self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
 
     async def _make_durable(self, contacts: list[Contact], journal: Journal) -> None:
         now = iso_time(self._clock.utc_s())
@@ -466,12 +481,14 @@ class Service:
         waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
         write_results(self._folder, contacts, self._coverage, waypoints, self._config.mission)
         write_snippets(self._folder, self._snippets)
+        write_clearance(self._folder, self._clearance, self._clearance_png)
         summary: dict[str, Any] = {
             "version": __version__,
             "kernels": kernels.backend(),
             "source": self._config.service.source,
             **self._tally.totals(),
             **contact_totals(contacts, self._coverage),
+            **search_totals(self._clearance, contacts),
             "waypoints": len(waypoints),
             **({} if self._liaison is None else {"vehicle": self._liaison.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),

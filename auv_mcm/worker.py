@@ -27,8 +27,10 @@ import numpy as np
 from auv_mcm import errors
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import best_view
+from auv_mcm.plan.clearance import Clearance, ClearanceMap
 from auv_mcm.plan.look_again import PlanRequest, Proposal
-from auv_mcm.records import Contact, EchoTrace, Ping, PipelineEvent, SourceEvent, Tile
+from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, PipelineEvent, SourceEvent, Tile
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
@@ -79,6 +81,8 @@ class Finished(NamedTuple):
     contacts: tuple[Contact, ...]
     counters: Counter[str]
     snippets: dict[str, bytes]  # a PNG picture per contact id
+    clearance: Clearance | None
+    clearance_png: bytes  # its picture, empty without one
 
 
 class PerceptionError(errors.HardwareError):
@@ -304,6 +308,7 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
     place = "at its start"
     try:
         pipeline = make_pipeline(config)
+        searched = ClearanceMap(shipped_performance())
         gc.collect()
         gc.freeze()
         connection.send(Fed(()))
@@ -313,11 +318,12 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
                 continue
             event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
             place = getattr(event, "place", "") or place
-            connection.send(Fed(_slim(pipeline.feed(event))))
+            connection.send(Fed(_slim(pipeline.feed(event), searched)))
         # The last contacts are made durable while their pictures are drawn.
-        connection.send(Fed(_slim(pipeline.finish())))
-        contacts = pipeline.contacts
-        connection.send(Finished(tuple(map(_without_pictures, contacts)), pipeline.counters, _snippets(contacts)))
+        connection.send(Fed(_slim(pipeline.finish(), searched)))
+        contacts, clearance = pipeline.contacts, searched.snapshot()
+        pictures = _snippets(contacts), b"" if clearance is None else _clearance_png(clearance)
+        connection.send(Finished(tuple(map(_without_pictures, contacts)), pipeline.counters, pictures[0], clearance, pictures[1]))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:
@@ -345,13 +351,32 @@ def _proposal(pipeline: Perceiving, request: PlanRequest, config: Config) -> Pro
         return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
 
 
-def _slim(events: list[PipelineEvent]) -> tuple[PipelineEvent, ...]:
-    return tuple(_without_pictures(event) if isinstance(event, Contact) else event for event in events if not isinstance(event, Tile))
+def _slim(events: list[PipelineEvent], searched: ClearanceMap) -> tuple[PipelineEvent, ...]:
+    """What the parent needs of events; cells of patches stay here, in the map of what was searched."""
+    slim: list[PipelineEvent] = []
+    for event in events:
+        match event:
+            case Tile():
+                continue
+            case CoveragePatch():
+                searched.add(event)
+                slim.append(msgspec.structs.replace(event, cells=None))
+            case Contact():
+                slim.append(_without_pictures(event))
+            case _:
+                slim.append(event)
+    return tuple(slim)
 
 
 def _without_pictures(contact: Contact) -> Contact:
     """What a picture is made of stays with the worker, who makes it: it is half of a contact, and the parent keeps all of a mission."""
     return msgspec.structs.replace(contact, views=tuple(msgspec.structs.replace(view, snippet=_NO_PICTURE) for view in contact.views))
+
+
+def _clearance_png(clearance: Clearance) -> bytes:
+    from auv_mcm.plan.clearance_picture import clearance_png  # OpenCV: only in this process
+
+    return clearance_png(clearance)
 
 
 def _snippets(contacts: tuple[Contact, ...]) -> dict[str, bytes]:

@@ -18,8 +18,22 @@ from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config, config_yaml
 from auv_mcm.contacts.export import best_view
 from auv_mcm.contacts.picture import snippet_png
-from auv_mcm.outputs import Tally, contact_totals, make_directory, plan_waypoints, write_file, write_json, write_results, write_snippets
+from auv_mcm.outputs import (
+    Tally,
+    contact_totals,
+    make_directory,
+    plan_waypoints,
+    search_totals,
+    write_clearance,
+    write_file,
+    write_json,
+    write_results,
+    write_snippets,
+)
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.plan.clearance import ClearanceMap
+from auv_mcm.plan.clearance_picture import clearance_png
+from auv_mcm.plan.performance import shipped_performance
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, render_report
@@ -78,7 +92,11 @@ def replay(
     waypoints = plan_waypoints(contacts, tally, config.plan, counters)
     write_results(folder, contacts, gathered.coverage, waypoints, config.mission)
     write_snippets(folder, {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None})
-    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage)}
+    clearance = gathered.searched.snapshot()
+    clearance_map = b"" if clearance is None else clearance_png(clearance)
+    write_clearance(folder, clearance, clearance_map)
+    searched = search_totals(clearance, contacts)
+    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched}
     record = MissionRecord(
         name=config.mission or ", ".join(path.stem for path in mission.sizes_bytes),
         logs=tuple(str(path) for path in mission.sizes_bytes),
@@ -91,6 +109,8 @@ def replay(
         wall_s=processing_s,
         config_yaml=config_yaml(config),
         costs=costs_s,
+        searched=searched.get("searched", {}),
+        clearance_png=clearance_map,
     )
     page = render_report(record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
     write_file(folder / "report.html", page.encode("utf-8", "replace"))
@@ -157,6 +177,7 @@ class _Gathered:
 
     def __init__(self) -> None:
         self.coverage: list[CoveragePatch] = []
+        self.searched = ClearanceMap(shipped_performance())
         self.notices: list[Notice] = []
         self.pictures = PictureCollector()
         self.track = _Track()
@@ -169,5 +190,6 @@ class _Gathered:
                     self.track.add(event)
                 case CoveragePatch():
                     self.coverage.append(event)
+                    self.searched.add(event)
                 case Notice():
                     self.notices.append(event)

@@ -29,7 +29,8 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """What the page says about the mission as a whole.
 
     start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg, track_longitude_deg: (n,) float64,
-    a few thousand positions at most, NaN where the track breaks. costs: seconds per stage, in the order to show them.
+    a few thousand positions at most, NaN where the track breaks. costs: seconds per stage, in the order to show them. searched: what
+    `search_totals` says, clearance_png: the picture of it; both empty if nothing was.
     """
 
     name: str
@@ -43,6 +44,8 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     wall_s: float
     config_yaml: str
     costs: dict[str, float]
+    searched: dict[str, Any] = {}
+    clearance_png: bytes = b""
 
 
 def write_report(
@@ -90,6 +93,8 @@ def render_report(
         legend=_legend(),
         chart=draw_chart(track_deg, ranked, patches, waypoints),
         chart_width=WIDTH,
+        searched=_searched(mission.searched),
+        clearance_map=base64.b64encode(mission.clearance_png).decode(),
         band=band,
         likely=[card for card in told if card.mine_like],
         clutter=[card for card in told if not card.mine_like],
@@ -117,6 +122,18 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
         speed = span_s / mission.wall_s
         facts.append((f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×", "real time", f"processed in {words.duration(mission.wall_s)}"))
     return facts
+
+
+def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Figures of the search: value, name, detail."""
+    if not searched:
+        return []
+    left, at_p = searched["mines_left"], searched["km2_at_p"]
+    return [
+        (f"{searched['p_detected_mean']:.0%}", "of mines found", "expected, on average over what was seen"),
+        (words.area(1e6 * at_p["0.9"]), "at 90 % or more", f"of {words.area(1e6 * searched['km2'])} seen"),
+        (f"{left['expected']:.1f}", "mines left, expected", f"no more than {left['at_most_95']} with 95 %"),
+    ]
 
 
 def _period(mission: MissionRecord) -> str:

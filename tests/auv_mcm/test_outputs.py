@@ -8,10 +8,22 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from auv_mcm.config import PlanConfig
-from auv_mcm.outputs import Journal, Tally, make_directory, plan_waypoints, write_file, write_json, write_snippets
+from auv_mcm.outputs import (
+    Journal,
+    Tally,
+    make_directory,
+    plan_waypoints,
+    search_totals,
+    write_clearance,
+    write_file,
+    write_json,
+    write_snippets,
+)
+from auv_mcm.plan.clearance import Clearance
 from auv_mcm.records import NAN, NavSample, Ping
 
 METRE_DEG = 1.0 / 111_194.9  # of latitude, on the way north
@@ -93,6 +105,42 @@ def test_snippets_of_an_earlier_replay_go_and_other_files_stay(tmp_path: Path) -
     (tmp_path / "snippets" / "notes.txt").write_bytes(b"mine")
     write_snippets(tmp_path, {"C2": b"3"})
     assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {"C2.png": b"3", "notes.txt": b"mine"}
+
+
+def test_a_map_of_clearance_comes_with_its_picture_and_goes_where_nothing_was_searched(tmp_path: Path) -> None:
+    write_clearance(tmp_path, None, b"picture")
+    assert json.loads((tmp_path / "clearance.geojson").read_text())["features"] == []
+    assert (tmp_path / "clearance.png").read_bytes() == b"picture"
+    write_clearance(tmp_path, None, b"")
+    assert not (tmp_path / "clearance.png").exists()
+
+
+def test_the_search_is_summed_up_over_what_was_seen() -> None:
+    assert search_totals(None, []) == {}
+    searched = search_totals(searched_half(), [])["searched"]
+    assert searched["km2"] == pytest.approx(3 * 16e-6, abs=1e-6)
+    assert searched["p_detected_mean"] == pytest.approx((0.5 + 0.9 + 0.96) / 3.0, abs=1e-4)
+    assert searched["km2_at_p"]["0.9"] == pytest.approx(2 * 16e-6, abs=1e-6)
+    assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
+    assert 0.0 < searched["mines_left"]["expected"] < 0.01
+
+
+def searched_half() -> Clearance:
+    """Four cells, of which one was not seen."""
+    nothing = np.full((2, 2), np.nan, dtype=np.float32)
+    return Clearance(
+        origin_latitude_deg=43.0,
+        origin_longitude_deg=5.0,
+        cell_m=4.0,
+        first_east=0,
+        first_north=0,
+        exponent=-np.log1p(-np.array([[0.5, 0.9001], [0.96, 0.0]])),
+        looks=np.array([[1, 1], [2, 0]], dtype=np.uint8),
+        seabed=np.array([[0, 1], [2, 4]], dtype=np.uint8),
+        ripple_rad=nothing,
+        wavelength_m=nothing,
+        altitude_m=nothing,
+    )
 
 
 def test_a_directory_is_made_with_its_parents_and_probed(tmp_path: Path) -> None:

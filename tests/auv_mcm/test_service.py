@@ -131,7 +131,7 @@ def test_a_mission_leaves_every_result(tmp_path: Path) -> None:
     assert journal(results) == expected
     assert {path.name for path in results.iterdir()} == {
         *("contacts.geojson", "contacts.csv", "contacts.kml", "contacts.jsonl"),
-        *("coverage.geojson", "waypoints.geojson", "summary.json", "snippets"),
+        *("coverage.geojson", "clearance.geojson", "waypoints.geojson", "summary.json", "snippets"),
     }
     content = summary(results)
     assert (content["pings"], content["contacts"], content["covered_km2"]) == (30, 11, 0.001)

@@ -27,9 +27,12 @@ from sim_replay.xtf_writer import write_xtf
 ROOT = Path(__file__).parents[2]
 FILES = {
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
-    *("summary.json", "report.html", "snippets"),
+    *("clearance.geojson", "clearance.png", "summary.json", "report.html", "snippets"),
 }
-SAME = ("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson")
+SAME = (
+    *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
+    *("clearance.geojson", "clearance.png"),
+)
 
 
 def scene(start_s: float, north_m: float) -> Scene:
