@@ -29,19 +29,22 @@ def add(commands: Commands) -> None:
         "calibrate",
         "measure this computer, or the payload's own performance",
         "budget:       the detector's budget that this computer can afford; so does calibrate without a word\n"
-        "performance:  how likely a look finds a mine, by sea floor, range and direction, from simulated missions",
+        "performance:  how likely a look finds a mine, by sea floor, range and direction, from simulated missions\n"
+        "seabed:       what kinds of sea floor look like, from simulated missions",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
             "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
             "auv-mcm calibrate performance --out performance.json",
+            "auv-mcm calibrate seabed --out model.json",
         ],
     )
     # As it was before there was a choice, and as scripts have it.
     _add_budget_options(parser, required=False)
     parser.set_defaults(command=partial(_run_without_a_word, parser))
-    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|performance")
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|performance|seabed")
     _add_budget(kinds)
     _add_performance(kinds)
+    _add_seabed(kinds)
 
 
 def _add_budget(kinds: Commands) -> None:
@@ -76,17 +79,34 @@ def _add_performance(kinds: Commands) -> None:
             "auv-mcm calibrate performance --out performance.json --scheduler tcp://10.0.0.1:8786",
         ],
     )
-    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the tables, JSON; they are printed in any case")
-    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help="seeds of the missions (default 800-815)")
+    _add_mission_options(parser, "800-815")
     parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 3)")
+    parser.set_defaults(command=_run_performance)
+
+
+def _add_seabed(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "seabed",
+        "learn what kinds of sea floor look like",
+        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. The same\n"
+        "seeds make the same model, here or on a dask cluster.",
+        ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 800-803 --workers 4"],
+    )
+    _add_mission_options(parser, "800-819")
+    parser.set_defaults(command=_run_seabed)
+
+
+def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
+    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for what was learnt, JSON")
+    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
     parser.add_argument("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
-    parser.set_defaults(command=_run_performance)
 
 
 def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
-        parser.error("give what to calibrate, budget or performance; or --speed for the budget")
+        parser.error("give what to calibrate, budget, performance or seabed; or --speed for the budget")
     return _run_budget(arguments)
 
 
@@ -119,11 +139,7 @@ def _run_performance(arguments: argparse.Namespace) -> int:
     from sim_replay.performance.fit import fit
     from sim_replay.training.farm import Farm
 
-    if arguments.out is not None:
-        if arguments.out.exists():
-            raise UsageError(f"--out {arguments.out} exists and is left alone: name a new file, or remove that one")
-        if not arguments.out.parent.is_dir():
-            raise UsageError(f"--out {arguments.out}: there is no folder {arguments.out.parent}. Make it first")
+    _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
     missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), _show)
     print(file=sys.stderr)
@@ -138,6 +154,35 @@ def _run_performance(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         write_new(arguments.out, to_json(performance).decode())
     return 0
+
+
+def _run_seabed(arguments: argparse.Namespace) -> int:
+    import msgspec
+
+    from sim_replay.seabed.fit import FIT_SEEDS, fit_model, told_of
+    from sim_replay.seabed.samples import pooled, samples_of
+    from sim_replay.training.farm import Farm, run_tasks
+
+    _check_new(arguments.out)
+    seeds = arguments.seeds or FIT_SEEDS
+    farm = Farm(arguments.workers, arguments.scheduler)
+    samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: _show(done, len(seeds)))))
+    print(file=sys.stderr)
+    model = fit_model(samples, told_of(seeds, samples))
+    print(model.fitted_on)
+    if arguments.out is not None:
+        write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")
+    return 0
+
+
+def _check_new(out: Path | None) -> None:
+    """Raises UsageError for a file that cannot be made, before much is done for it."""
+    if out is None:
+        return
+    if out.exists():
+        raise UsageError(f"--out {out} exists and is left alone: name a new file, or remove that one")
+    if not out.parent.is_dir():
+        raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
 
 
 def _show(done: int, of: int) -> None:
