@@ -14,6 +14,7 @@ auv-mcm bench framers           framing of device messages: speed, garbage, dama
 auv-mcm bench ports             the service at a full serial line: start, processor time, how late pings are
 auv-mcm bench soak              the service for long: memory, counters, tasks; what a kill costs
 auv-mcm bench seabed            kinds of sea floor told apart, and what it costs
+auv-mcm bench performance       predicted against realised detection, by sea floor and range
 auv-mcm bench pfa               false alarms per km² and per decision
 auv-mcm bench figure9           the source paper's examples of classical detection
 
@@ -66,6 +67,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "framers": ("sim_replay.benches.framers", "framing of device messages: speed beside brping's, garbage, damage"),
     "ports": ("sim_replay.benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
     "soak": ("sim_replay.benches.soak", "the service between fake devices for long: memory, counters, tasks; what a kill costs"),
+    "performance": ("sim_replay.benches.performance", "predicted against realised detection, by sea floor and range, on missions held out"),
     "pfa": ("sim_replay.benches.pfa", "false alarms per km² and per decision"),
     "figure9": ("sim_replay.benches.figure9", "the source paper's examples of classical detection, flown many times"),
 }

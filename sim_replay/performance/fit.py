@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -103,10 +104,9 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performanc
     band = bands_of(seen, exponent)
     n_looks, n_found = (counts(seen.floor, band, weight) for weight in (None, seen.found))
     effect = design_effect(seen, band)
-    middle = 0.5 * (np.array(EDGES_M[1:]) + np.array(EDGES_M[:-1]))
     floors: dict[Floor, tuple[Band, ...]] = {}
     for index, name in enumerate(FLOORS):
-        prior = closed_form_prior(middle, n_looks[index], n_found[index])
+        prior = closed_form_prior(n_looks[index], n_found[index])
         smooth = smoothed(n_found[index], n_looks[index], prior, effect)
         floors[name] = tuple(
             Band(
@@ -161,14 +161,19 @@ def design_effect(seen: Outcomes, band: Ints) -> float:
     return max(1.0, float(((k - n * p)[used] ** 2 / (n * p * (1.0 - p))[used]).sum() / freedom))
 
 
-def closed_form_prior(middle_m: Array, n_looks: Array, n_found: Array) -> Array:
+def closed_form_prior(n_looks: Array, n_found: Array) -> Array:
     """(n_bands,) probabilities by the closed form with the texture under which what was found is likeliest."""
+    candidates = _closed_forms()
+    p = np.clip(candidates, 1e-3, 1.0 - 1e-3)
+    log_likelihood = (n_found * np.log(p) + (n_looks - n_found) * np.log1p(-p)).sum(axis=1)
+    return np.asarray(candidates[int(np.argmax(log_likelihood))])
 
-    def log_likelihood(texture: float) -> float:
-        p = np.clip(p_found(middle_m, _ALTITUDE_M, texture), 1e-3, 1.0 - 1e-3)
-        return float((n_found * np.log(p) + (n_looks - n_found) * np.log1p(-p)).sum())
 
-    return p_found(middle_m, _ALTITUDE_M, max(_TEXTURES, key=log_likelihood))
+@cache
+def _closed_forms() -> Array:
+    """(n_textures, n_bands)"""
+    middle_m = 0.5 * (np.array(EDGES_M[1:]) + np.array(EDGES_M[:-1]))
+    return np.stack([p_found(middle_m, _ALTITUDE_M, texture) for texture in _TEXTURES])
 
 
 def smoothed(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> Smoothed:

@@ -1,0 +1,140 @@
+"""How well the tables of performance predict what looks find, on missions held out from fitting them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.plan.performance import Performance, parse_performance, shipped_performance
+from sim_replay.benches.arguments import count
+from sim_replay.benches.layout import NOTHING, columns, markdown
+from sim_replay.performance.calibrate import fly_all, tables
+from sim_replay.performance.fit import outcomes
+from sim_replay.performance.judge import LEAST_LOOKS, Judged, Share, judge, mean_error
+from sim_replay.scoring.intervals import wilson_interval
+from sim_replay.training.farm import Farm
+
+FIRST_SEED: Final = 9300  # nothing was fitted or tried on seeds from here on
+_COLOURS: Final = {"flat": "#1f4e79", "ripple": "#c98a00", "rough": "#8c2d19", "vegetation": "#3a7d44"}
+_DPI: Final = 110
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=count, default=12, help="missions (default 12)")
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first mission (default {FIRST_SEED})")
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
+    parser.add_argument("--tables", type=Path, metavar="FILE", help="tables to judge (default: those that ship)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw predicted against realised, PNG")
+    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, judge and print; returns the exit code. Raises UsageError for a plot that cannot be written, BadInputError for bad tables."""
+    performance = _read(arguments.tables)
+    if arguments.plot is not None:
+        if arguments.plot.suffix.lower() != ".png":
+            raise UsageError(f"--plot {arguments.plot}: '{arguments.plot.suffix}' is not drawn. Use a name that ends in .png")
+        if not arguments.plot.parent.is_dir():
+            raise UsageError(f"--plot {arguments.plot}: there is no folder {arguments.plot.parent}. Make it first")
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    missions = fly_all(seeds, 1, Farm(arguments.workers, arguments.scheduler), _show)
+    print(file=sys.stderr)
+    looks = [look for mission in missions for look in mission]
+    if not looks:
+        raise UsageError(f"--seeds {arguments.seeds}: no target was seen. Fly more missions")
+    found = judge(performance, outcomes(looks))
+    print(f"judged on seeds {seeds[0]} to {seeds[-1]}; fitted on {performance.fitted_on}\n")
+    laid_out = markdown if arguments.markdown else columns
+    print(tables(performance, laid_out))
+    print()
+    print(report(found, arguments.markdown))
+    if arguments.plot is not None:
+        plot(found, arguments.plot)
+    return 0
+
+
+def report(found: Judged, in_markdown: bool = False) -> str:
+    """The judgement in words and tables."""
+    laid_out = markdown if in_markdown else columns
+    lines = [
+        f"{found.n_looks} looks in {found.n_missions} missions",
+        f"Brier score {found.brier:.4f}, of one probability for all {found.brier_constant:.4f}",
+        f"calibration error {found.calibration_error:.3f}",
+    ]
+    if found.told:
+        error, by_chance, by_mission = mean_error(found.told)
+        lines.append(
+            f"mean absolute error over {len(found.told)} kinds and bands with {LEAST_LOOKS} looks or more: {error:.3f}; "
+            f"right tables would have {by_chance:.3f} by chance, {by_mission:.3f} with missions as different as these"
+        )
+    header = ("sea floor", "ground range", "looks", "predicted", "realised", "error", "by chance", "by missions")
+    rows = [[place.seabed, f"{place.near_m:g}-{place.far_m:g} m", *_cells(place.share)] for place in found.places]
+    two = [
+        [words, NOTHING, *(_cells(pair) if pair is not None else [NOTHING] * (len(header) - 2))]
+        for words, pair in (("two looks, same direction", found.same), ("two looks, others", found.other))
+    ]
+    return "\n".join(lines) + "\n\n" + laid_out(header, [*rows, *two])
+
+
+def plot(found: Judged, path: Path) -> None:
+    """Realised against predicted: groups of looks with 95 % intervals, and kinds and bands. Raises UsageError if it cannot be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0, 5.6), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
+    for name, colour in _COLOURS.items():
+        chosen = [place.share for place in found.told if place.seabed == name]
+        axes.scatter(
+            [share.predicted for share in chosen],
+            [share.realised for share in chosen],
+            s=[0.4 * share.n for share in chosen],
+            color=colour,
+            alpha=0.6,
+            linewidth=0.0,
+            label=name,
+        )
+    predicted, realised = (np.array([getattr(share, part) for share in found.bins]) for part in ("predicted", "realised"))
+    n = np.array([share.n for share in found.bins])
+    low, high = wilson_interval(np.rint(realised * n), n)
+    axes.errorbar(predicted, realised, [realised - low, high - realised], fmt="o-", color="black", markersize=4.0, capsize=3.0, label="all")
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_xlabel("predicted probability that a look finds its target")
+    axes.set_ylabel("share found")
+    axes.set_title(f"{found.n_looks} looks in {found.n_missions} missions held out, Brier score {found.brier:.3f}", fontsize=10)
+    axes.grid(color="0.9")
+    axes.set_axisbelow(True)
+    axes.legend(loc="upper left", framealpha=1.0, edgecolor="none")
+    try:
+        figure.savefig(path, format="png")
+    except OSError as error:
+        raise UsageError(f"--plot {path} cannot be written: {error.strerror}") from error
+
+
+def _read(path: Path | None) -> Performance:
+    if path is None:
+        return shipped_performance()
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BadInputError(f"--tables {path} cannot be read: {error.strerror}. Check the path") from error
+    return parse_performance(data, str(path))
+
+
+def _show(done: int, of: int) -> None:
+    print(f"\r{done} of {of} missions flown", end="", file=sys.stderr, flush=True)
+
+
+def _cells(share: Share) -> Sequence[str]:
+    numbers = (share.predicted, share.realised, share.error, share.by_chance, share.by_mission)
+    return [str(share.n), *(f"{number:.3f}" for number in numbers)]
