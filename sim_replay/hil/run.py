@@ -137,7 +137,7 @@ class _Run:
         return await _Process.begin(f"fake device '{name}'", arguments, self._folder / f"{name}.log")
 
     async def _killed(self, service: _Process, vehicle: _Process, kill: Kill, start_s: float) -> float | None:
-        """Kill the service as told and wait until the run is over. Returns when it was, after the run's start; None: never granted."""
+        """Kill the service as told and wait until the run is over. Returns when it was, after the start; None: control never granted."""
         try:
             await vehicle.said('"what": "granted"', start_s + self._scenario.run_s - time.monotonic())
         except HardwareError:
@@ -146,7 +146,7 @@ class _Run:
         self._say("killing the service")
         service.signal(signal.SIGKILL)
         killed_s = time.monotonic() - start_s
-        await asyncio.sleep(max(0.0, self._scenario.run_s - killed_s))
+        await asyncio.sleep(kill.rest_s)
         return killed_s
 
     async def _service(self, uris: dict[str, str]) -> _Process:

@@ -196,9 +196,10 @@ class HostClockStep(_Told, frozen=True, kw_only=True):
 
 
 class Kill(_Told, frozen=True, kw_only=True):
-    """The service is killed (SIGKILL) so long after a vehicle has granted control for the first time."""
+    """The service is killed (SIGKILL) so long after a vehicle has granted control for the first time, and the run is over rest_s later."""
 
     after_grant_s: Annotated[float, Meta(ge=0.0)]
+    rest_s: Annotated[float, Meta(gt=0.0)]
 
 
 class EndsAfter(_Told, frozen=True, kw_only=True):
@@ -218,7 +219,7 @@ class Scenario(_Told, frozen=True, kw_only=True):
     speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop, at most where
     ends_after makes it earlier. service: its configuration; the link of a port is the name of its device in braces. file_limit_bytes: no
     file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its results must be left. host_clock_step:
-    what the service takes for this computer's UTC steps. kill: the service, after which the run goes on.
+    what the service takes for this computer's UTC steps. kill: the service, while the devices go on.
     """
 
     about: Annotated[str, Meta(min_length=1)]

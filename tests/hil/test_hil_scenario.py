@@ -160,4 +160,4 @@ def test_a_vehicle_that_cannot_fly_is_refused(old: str, new: str, named: str) ->
 
 def test_a_kill_that_waits_for_a_grant_needs_a_vehicle() -> None:
     with pytest.raises(UsageError, match="no vehicle"):
-        parse_scenario(SOUND.replace("run_s: 5", "run_s: 5\nkill: {after_grant_s: 1}"), "my.yaml")
+        parse_scenario(SOUND.replace("run_s: 5", "run_s: 5\nkill: {after_grant_s: 1, rest_s: 1}"), "my.yaml")
