@@ -48,7 +48,7 @@ class Look(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     p_mine: float
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """What one tile saw of a target's cell."""
 
     side: Side
@@ -101,9 +101,9 @@ def looks_of(scene: Scene) -> list[Look]:
     return looks
 
 
-def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], frame: LocalFrame) -> list[list[_Part]]:
+def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], frame: LocalFrame) -> list[list[Part]]:
     """Per place (n, 2) east and north in `frame`, what each patch saw of the cell it lies in, in order of time."""
-    found: list[list[_Part]] = [[] for _ in at_m]
+    found: list[list[Part]] = [[] for _ in at_m]
     latitude, longitude, height = frame.to_geodetic(np.column_stack([at_m, np.zeros(len(at_m))]))
     for patch in sorted(patches, key=lambda patch: patch.start_s):
         cells = patch.cells
@@ -118,13 +118,13 @@ def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], fram
                 fraction, ground_m, altitude_m, look_rad = (
                     float(part[k]) for part in (cells.fraction, cells.ground_range_m, cells.altitude_m, cells.look_rad)
                 )
-                found[target].append(_Part(patch.side, patch.start_s, patch.stop_s, fraction, ground_m, altitude_m, look_rad))
+                found[target].append(Part(patch.side, patch.start_s, patch.stop_s, fraction, ground_m, altitude_m, look_rad))
     return found
 
 
-def passes(parts: Sequence[_Part]) -> list[list[_Part]]:
+def passes(parts: Sequence[Part]) -> list[list[Part]]:
     """Parts of one side, in order of time, by pass: what follows within a minute and looks the same way."""
-    groups: list[list[_Part]] = []
+    groups: list[list[Part]] = []
     for part in parts:
         last = groups[-1][-1] if groups else None
         if (
