@@ -14,7 +14,8 @@ from auv_mcm.detect.cascade.codes import Plane
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
 from auv_mcm.detect.cascade.peaks import apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
-from auv_mcm.detect.prescreen import NO_ECHO, Floor, Peak, ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.contrasts import Contrasts, contrasts
+from auv_mcm.detect.prescreen import NO_ECHO, Floor, Peak
 from auv_mcm.records import CONTRAST_SHARE, NAN, Tile
 
 STEP_M: Final = 0.4
@@ -48,10 +49,10 @@ class Found(NamedTuple):
 
 def by_contrast(tile: Tile, config: DetectConfig) -> Found:
     """Peaks of the contrast of highlight and shadow against the sea floor around."""
-    maps = score_tile(tile)
-    peaks = find_peaks(tile, maps, config.p_false_alarm, STEP_M)
+    contrast = contrasts(tile, config.p_false_alarm)
+    peaks = contrast.peaks(STEP_M)
     taken = peaks[: config.max_candidates_per_tile]
-    candidates = [Candidate(peak, maps.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
+    candidates = [Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
     return Found(candidates, len(peaks) - len(taken))
 
 
@@ -61,18 +62,18 @@ def by_both(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluatio
     A cascade knows what it was trained on. What stands out clearly and is nothing like it is no less worth a look, with odds that say so.
     max_evaluations: the cascade's budget, None for none; the peaks' scores come out of it first.
     """
-    maps = score_tile(tile)
-    peaks = find_peaks(tile, maps, config.p_false_alarm, STEP_M)
+    contrast = contrasts(tile, config.p_false_alarm)
+    peaks = contrast.peaks(STEP_M)
     plane = core_plane(tile)
     peak_scores, n_spent = _scores_of(plane, model, peaks, config.max_candidates_per_tile, max_evaluations)
     passed = run_plane(plane, model, None if max_evaluations is None else max_evaluations - n_spent)
     most = config.max_candidates_per_tile
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
     # Where nothing around echoes no comparison holds, and a cascade passes all windows or none.
-    heard = np.flatnonzero(maps.background[passed.rows, passed.columns] > NO_ECHO)
+    heard = np.flatnonzero(contrast.background[passed.rows, passed.columns] > NO_ECHO)
     n_kept = _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST
     best = heard[apart(passed.rows[heard], passed.columns[heard], passed.scores[heard], half_rows, half_columns, n_kept)]
-    windows = [_clearest(maps, int(passed.rows[k]), int(passed.columns[k]), half_rows, half_columns) for k in best]
+    windows = _clearest(contrast, passed.rows[best].tolist(), passed.columns[best].tolist(), int(half_rows), int(half_columns))
     cascade_scores = np.concatenate((passed.scores[best], peak_scores)) / SCORE_UNIT
     places = [*windows, *peaks]
     rows, columns = (np.array([place[k] for place in places], dtype=np.int64) for k in (1, 2))
@@ -82,7 +83,7 @@ def by_both(tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluatio
     taken = kept[:most]
     odds = model.calibration.log_odds_of(np.rint(cascade_scores[taken] * SCORE_UNIT).astype(np.int64)).tolist()
     candidates = [
-        Candidate(places[k], maps.floor(places[k].row, places[k].column), odd, float(cascade_scores[k]))
+        Candidate(places[k], contrast.floor(places[k].row, places[k].column), odd, float(cascade_scores[k]))
         for k, odd in zip(taken, odds, strict=True)
     ]
     return Found(candidates, len(kept) - len(taken), passed.n_windows, passed.n_evaluations + n_spent, passed.n_cut)
@@ -108,10 +109,10 @@ def _scores_of(
     return scores, n_scored * each
 
 
-def _clearest(maps: ScoreMaps, row: int, column: int, half_rows: float, half_columns: float) -> Peak:
-    """The pixel around (row, column) where contrast is clearest: a window that a cascade likes need not stand on the highlight's middle."""
-    top, left = max(row - int(half_rows), 0), max(column - int(half_columns), 0)
-    near = maps.score[top : row + int(half_rows) + 1, left : column + int(half_columns) + 1]
-    down, right = np.unravel_index(int(near.argmax()), near.shape)
-    score = float(near[down, right])
-    return Peak(score, top + int(down), left + int(right)) if score > _FAINTEST else Peak(_FAINTEST, row, column)
+def _clearest(contrast: Contrasts, rows: list[int], columns: list[int], half_rows: int, half_columns: int) -> list[Peak]:
+    """The pixel around each (row, column) where contrast is clearest: a window that a cascade likes need not stand on the highlight's
+    middle."""
+    clearest = contrast.clearest(rows, columns, half_rows, half_columns)
+    return [
+        peak if peak.score > _FAINTEST else Peak(_FAINTEST, row, column) for peak, row, column in zip(clearest, rows, columns, strict=True)
+    ]

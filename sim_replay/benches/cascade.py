@@ -6,6 +6,9 @@ One thread, CPU time, medians of interleaved repetitions; tiles of 1024 by 1024 
 drawn one serves: random comparisons of what lies in an object's place with what lies around, and thresholds that let 4 of 10 windows
 of plain sea floor pass each time. Beside every time stands whether numpy finds the same windows with the same scores.
 
+Contrasts, which run beside a cascade, have a table of their own: scored at all pixels and weighed only where they can reach the default
+threshold, and whether both find the same. Below it stands what cascade and contrasts together cost on the quiet tile over the busy one.
+
 OpenCV runs the same stumps on the same pixels, for the one band of shadow lengths that a file of its own can hold. It visits every other
 row, every other column, and every fourth where its first stage rejects: windows per second are those it really visits.
 """
@@ -13,6 +16,7 @@ row, every other column, and every fourth where its first stage rejects: windows
 from __future__ import annotations
 
 import argparse
+import functools
 import statistics
 import tempfile
 import time
@@ -26,11 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
+from auv_mcm.config import DetectConfig
+from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, Box, band_edges, margins_px
 from auv_mcm.detect.cascade.codes import Plane, codes_of, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, Calibration, CascadeModel, Stump, check_model, parse_model
 from auv_mcm.detect.cascade.run import CascadeResult, opening_groups, run_plane, tables_of
 from auv_mcm.detect.cascade.speed import budget_for, measure_speed
+from auv_mcm.detect.contrasts import Contrasts, contrasts
+from auv_mcm.detect.prescreen import Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.errors import BadInputError
 from auv_mcm.kernels.cascade import (
     CODE_OF_MEAN,
@@ -43,6 +51,7 @@ from auv_mcm.kernels.cascade import (
     open_windows,
     open_windows_numpy,
 )
+from auv_mcm.records import VALID, PoseTrack, Tile
 from sim_replay.benches.arguments import count
 from sim_replay.training.opencv_xml import opencv_cascade
 
@@ -73,6 +82,16 @@ class TileRow(NamedTuple):
     same: bool
 
 
+class ContrastRow(NamedTuple):
+    """Contrasts on one kind of tile. everywhere_ms: all pixels scored; ms: only where it matters. same: scores, floor and peaks alike."""
+
+    name: str
+    n_peaks: int
+    everywhere_ms: float
+    ms: float
+    same: bool
+
+
 class AgainstOpenCv(NamedTuple):
     """Million windows per second, and how many windows one finds and the other does not, of those that both visit."""
 
@@ -95,7 +114,9 @@ def run(arguments: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     print(f"CPU time of one thread, kernels: {kernels.loaded().reason}, median of {arguments.repeat} interleaved repetitions\n")
     print("\n".join(_step_lines(arguments.repeat)) + "\n")
-    print("\n".join(_tile_lines(tile_rows(model, SHAPE, arguments.repeat))) + "\n")
+    tiles = tile_rows(model, SHAPE, arguments.repeat)
+    print("\n".join(_tile_lines(tiles)) + "\n")
+    print("\n".join(_contrast_lines(contrast_rows(SHAPE, arguments.repeat), tiles)) + "\n")
     stages = drawn_model("stages")
     against = {name: against_opencv(stages, image, arguments.repeat) for name, image in drawn_tiles(SHAPE).items()}
     print("\n".join(_opencv_lines(against)) + "\n")
@@ -176,6 +197,64 @@ def tile_rows(model: CascadeModel, shape: tuple[int, int], n_repeats: int) -> li
             TileRow(job.name, result, job.budget, times_ms[2 * k], times_ms[2 * k + 1], same_in_numpy(job.plane, job.model, result))
         )
     return rows
+
+
+def contrast_rows(shape: tuple[int, int], n_repeats: int) -> list[ContrastRow]:
+    """Contrasts on every drawn tile at the default threshold."""
+    p_false_alarm = DetectConfig().p_false_alarm
+
+    def everywhere(tile: Tile) -> tuple[ScoreMaps, list[Peak]]:
+        maps = score_tile(tile)
+        return maps, find_peaks(tile, maps, p_false_alarm, STEP_M)
+
+    def where_it_matters(tile: Tile) -> tuple[Contrasts, list[Peak]]:
+        found = contrasts(tile, p_false_alarm)
+        return found, found.peaks(STEP_M)
+
+    tiles = {name: tile_of(image) for name, image in drawn_tiles(shape).items()}
+    steps = [functools.partial(step, tile) for tile in tiles.values() for step in (everywhere, where_it_matters)]
+    times_ms = cpu_ms(steps, n_repeats)
+    threshold = np.float32(-statistics.NormalDist().inv_cdf(p_false_alarm))
+    rows = []
+    for k, (name, tile) in enumerate(tiles.items()):
+        (maps, all_peaks), (found, peaks) = everywhere(tile), where_it_matters(tile)
+        high = np.where(maps.score >= threshold, maps.score, np.float32(-np.inf))
+        alike = ((high, found.score), (maps.background, found.background), (maps.small_box_variance, found.small))
+        same = peaks == all_peaks and all(np.array_equal(one, other) for one, other in alike)
+        rows.append(ContrastRow(name, len(peaks), times_ms[2 * k], times_ms[2 * k + 1], same))
+    return rows
+
+
+def tile_of(image: Image) -> Tile:
+    """All of it valid and of the core, from nowhere in particular."""
+    unknown = np.full(len(image), np.nan)
+    pose = PoseTrack(
+        time_s=unknown,
+        latitude_deg=unknown,
+        longitude_deg=unknown,
+        depth_m=unknown,
+        heading_rad=unknown,
+        pitch_rad=unknown,
+        roll_rad=unknown,
+        speed_mps=unknown,
+        altitude_m=unknown,
+        stale=np.zeros(len(image), dtype=np.bool_),
+    )
+    return Tile(
+        side="starboard",
+        index=0,
+        first_row=0,
+        core_start=0,
+        core_stop=len(image),
+        row_spacing_m=ROW_M,
+        column_spacing_m=COLUMN_M,
+        intensity=image,
+        mask=np.full(image.shape, VALID, dtype=np.uint8),
+        pose=pose,
+        first_return_m=np.full(len(image), _FIRST_RETURN_M),
+        first_return_sigma_m=np.zeros(len(image)),
+        ping_number=np.arange(len(image)),
+    )
 
 
 def same_in_numpy(plane: Plane, model: CascadeModel, result: CascadeResult) -> bool:
@@ -368,6 +447,19 @@ def _tile_lines(rows: list[TileRow]) -> list[str]:
     of_time = (quiet.plane_ms + quiet.run_ms) / (busy.plane_ms + busy.run_ms)
     of_evaluations = quiet.result.n_evaluations / busy.result.n_evaluations
     return [*lines, f"each: evaluations per window. Quiet over busy: {of_evaluations:.2f} of the evaluations, {of_time:.2f} of the time"]
+
+
+def _contrast_lines(rows: list[ContrastRow], tiles: list[TileRow]) -> list[str]:
+    heads = ("peaks", "all ms", "ms", "ratio", "equal")
+    lines = [f"{'contrasts':<12}" + "".join(f"{head:>12}" for head in heads)]
+    for row in rows:
+        cells = (f"{row.n_peaks}", f"{row.everywhere_ms:.1f}", f"{row.ms:.1f}", f"{row.everywhere_ms / row.ms:.1f}", _yes(row.same))
+        lines.append(f"{row.name:<12}" + "".join(f"{cell:>12}" for cell in cells))
+    cascade_ms = {tile.name: tile.plane_ms + tile.run_ms for tile in tiles}
+    before = {row.name: cascade_ms[row.name] + row.everywhere_ms for row in rows}
+    now = {row.name: cascade_ms[row.name] + row.ms for row in rows}
+    shares = [f"{both['quiet']:.0f} of {both['busy']:.0f} ms ({both['quiet'] / both['busy']:.2f})" for both in (before, now)]
+    return [*lines, f"quiet over busy, cascade and contrasts: {shares[0]} with all pixels scored, {shares[1]} as it runs"]
 
 
 def _opencv_lines(against: dict[str, AgainstOpenCv]) -> list[str]:

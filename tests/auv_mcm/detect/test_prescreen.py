@@ -57,8 +57,8 @@ def slow_scores(tile: Tile) -> Slow:
     n_rows, n_columns = tile.mask.shape
     valid = (tile.mask & VALID) != 0
     seabed = valid & ((tile.mask & SATURATED) == 0)
-    intensity = np.minimum(tile.intensity.astype(np.float64), prescreen._MAX_RATIO)
-    bounded = np.minimum(intensity, prescreen._BACKGROUND_CLIP)
+    intensity = np.minimum(tile.intensity.astype(np.float64), prescreen.MAX_RATIO)
+    bounded = np.minimum(intensity, prescreen.BACKGROUND_CLIP)
 
     def rows(length_m: float) -> int:
         return pixels(length_m, tile.row_spacing_m)
@@ -73,7 +73,7 @@ def slow_scores(tile: Tile) -> Slow:
     def total(plane: Values, where: NDArray[np.bool_], box: tuple[slice, slice]) -> tuple[float, int]:
         return float(plane[box][where[box]].sum()), int(where[box].sum())
 
-    frame_rows, hollow_rows = rows(prescreen._FRAME_ROWS_M), rows(prescreen._HOLLOW_ROWS_M)
+    frame_rows, hollow_rows = rows(prescreen.FRAME_ROWS_M), rows(prescreen._HOLLOW_ROWS_M)
     frame_near, hollow_near = columns(prescreen._FRAME_NEAR_M), columns(prescreen._HOLLOW_NEAR_M)
     frame_far, hollow_far = columns(prescreen._FRAME_FAR_M) - 1, columns(prescreen._HOLLOW_FAR_M) - 1
     frame_rows = max(frame_rows, hollow_rows + 1)
@@ -88,7 +88,7 @@ def slow_scores(tile: Tile) -> Slow:
         ring &= seabed
         count = int(ring.sum())
         background[i, j] = max(float(bounded[ring].sum()) / max(count, 1), 1e-6)
-        known[i, j] = valid[i, j] and count >= prescreen._MIN_BACKGROUND * frame_area and background[i, j] > 1e-6
+        known[i, j] = valid[i, j] and count >= prescreen.MIN_BACKGROUND * frame_area and background[i, j] > 1e-6
 
     def halves(size_m: tuple[float, float]) -> tuple[int, int]:
         return rows(size_m[0]) // 2, columns(size_m[1]) // 2
@@ -104,41 +104,41 @@ def slow_scores(tile: Tile) -> Slow:
 
     def log_variance(size_m: tuple[float, float]) -> Values:
         logs = np.array([[math.log(max(ratio(i, j, size_m), 1e-3)) for j in range(n_columns)] for i in range(n_rows)])
-        logs = np.clip(logs, -prescreen._LOG_CLIP, prescreen._LOG_CLIP)
-        reach = rows(prescreen._LOOKS_ROWS_M), columns(prescreen._LOOKS_COLUMNS_M)
+        logs = np.clip(logs, -prescreen.LOG_CLIP, prescreen.LOG_CLIP)
+        reach = rows(prescreen.LOOKS_ROWS_M), columns(prescreen.LOOKS_COLUMNS_M)
         result = np.empty((n_rows, n_columns))
         for i, j in np.ndindex(n_rows, n_columns):
             box = window(i, j, reach[0], reach[0], reach[1], reach[1])
             inside = logs[box][known[box]]
-            result[i, j] = max(float(inside.var()) if inside.size else 0.0, prescreen._MIN_LOG_VARIANCE)
+            result[i, j] = max(float(inside.var()) if inside.size else 0.0, prescreen.MIN_LOG_VARIANCE)
         return result
 
-    small, large = log_variance(prescreen._SMALL_BOX_M), log_variance(prescreen._LARGE_BOX_M)
-    thin = log_variance(prescreen._THIN_BOX_M)
-    growth = max(area(prescreen._LARGE_BOX_M) / area(prescreen._SMALL_BOX_M), 2.0)
+    small, large = log_variance(prescreen.SMALL_BOX_M), log_variance(prescreen.LARGE_BOX_M)
+    thin = log_variance(prescreen.THIN_BOX_M)
+    growth = max(area(prescreen.LARGE_BOX_M) / area(prescreen.SMALL_BOX_M), 2.0)
     score, highlight, darkest = np.full((3, n_rows, n_columns), np.nan)
     for i, j in np.ndindex(n_rows, n_columns):
-        decay = min(max(math.log(small[i, j] / large[i, j]) / math.log(growth), prescreen._MIN_DECAY), 1.0)
+        decay = min(max(math.log(small[i, j] / large[i, j]) / math.log(growth), prescreen.MIN_DECAY), 1.0)
 
         def looks(rows_of_box: int, box_area: float, i: int = i, j: int = j, decay: float = decay) -> float:
             one_row = rows_of_box == 1
-            times = box_area / area(prescreen._THIN_BOX_M if one_row else prescreen._SMALL_BOX_M)
+            times = box_area / area(prescreen.THIN_BOX_M if one_row else prescreen.SMALL_BOX_M)
             return looks_of((thin if one_row else small)[i, j] * times ** -(1.0 if times < 1.0 else decay))
 
         background_looks = looks(2, frame_area)
         highlight[i, j] = max(
-            deviate(ratio(i, j, size), looks(2 * halves(size)[0] + 1, area(size)), background_looks) for size in prescreen._HIGHLIGHTS_M
+            deviate(ratio(i, j, size), looks(2 * halves(size)[0] + 1, area(size)), background_looks) for size in prescreen.HIGHLIGHTS_M
         )
         found = []
-        for along_m, height_m in prescreen._SHADOWS_M:
-            altitude_m = max(float(tile.first_return_m[i]), prescreen._LEAST_ALTITUDE_M)
+        for along_m, height_m in prescreen.SHADOWS_M:
+            altitude_m = max(float(tile.first_return_m[i]), prescreen.LEAST_ALTITUDE_M)
             length_m = height_m * (j + 0.5) * tile.column_spacing_m / max(altitude_m - height_m, 0.3 * altitude_m)
-            length_m = min(max(length_m, prescreen._SHADOW_LENGTH_M[0]), prescreen._SHADOW_LENGTH_M[1])
+            length_m = min(max(length_m, prescreen.SHADOW_LENGTH_M[0]), prescreen.SHADOW_LENGTH_M[1])
             n = max(round(length_m / tile.column_spacing_m), 1)
             half_rows = rows(along_m) // 2
             value, count = total(intensity, valid, window(i, j, half_rows, half_rows, 0, n - 1))
             box_area = (2 * half_rows + 1) * n
-            enough = count > prescreen._MIN_SHADOW * box_area
+            enough = count > prescreen.MIN_SHADOW * box_area
             found.append(
                 deviate(value / max(count, 1) / float(background[i, j]), looks(2 * half_rows + 1, box_area), background_looks)
                 if enough
@@ -146,7 +146,7 @@ def slow_scores(tile: Tile) -> Slow:
             )
         darkest[i, j] = min(found)
 
-    lag = columns(prescreen._SHADOW_LAG_M)
+    lag = columns(prescreen.SHADOW_LAG_M)
     shadow = np.empty((n_rows, n_columns))
     for i, j in np.ndindex(n_rows, n_columns):
         starts = [(i + di, j + k) for di in (-1, 0, 1) for k in range(1, lag + 1)]
@@ -156,7 +156,7 @@ def slow_scores(tile: Tile) -> Slow:
         bright = bent(float(highlight[i, j]), prescreen._HIGHLIGHT_KNEE)
         usual = min(bright, prescreen.CLEAR_HIGHLIGHT)
         both = weight * usual + (bright - usual) + bent(float(shadow[i, j]), prescreen._SHADOW_KNEE)
-        glint = bent(float(highlight[i, j]) - prescreen._GLINT_DISCOUNT, prescreen._GLINT_KNEE)
+        glint = bent(float(highlight[i, j]) - prescreen.GLINT_DISCOUNT, prescreen._GLINT_KNEE)
         score[i, j] = max(both / math.hypot(weight, 1.0), glint) if known[i, j] else -math.inf
     return Slow(score, highlight, shadow, background, small)
 
@@ -245,9 +245,9 @@ def test_one_highlight_and_shadow_test_keeps_its_false_alarm_rate_in_speckle(
     monkeypatch: pytest.MonkeyPatch, highlight_m: tuple[float, float], shadow_m: tuple[float, float], spread_pixels: float
 ) -> None:
     """One box each at one fixed distance, in white and in correlated speckle: never more alarms than 1.5 times the nominal rate."""
-    monkeypatch.setattr(prescreen, "_HIGHLIGHTS_M", (highlight_m,))
-    monkeypatch.setattr(prescreen, "_SHADOWS_M", (shadow_m,))
-    monkeypatch.setattr(prescreen, "_darkest_behind", lambda deviate, lag_columns: np.roll(deviate, -8, axis=1))
+    monkeypatch.setattr(prescreen, "HIGHLIGHTS_M", (highlight_m,))
+    monkeypatch.setattr(prescreen, "SHADOWS_M", (shadow_m,))
+    monkeypatch.setattr(prescreen, "darkest_behind", lambda deviate, lag_columns: np.roll(deviate, -8, axis=1))
     scores = inner_scores(empty_floor(2, spread_pixels=spread_pixels))
     for p_false_alarm in (0.05, 1e-2, 2e-3):
         assert alarm_share(scores, p_false_alarm) < 1.5 * p_false_alarm
@@ -397,7 +397,7 @@ def test_inside_a_stretch_of_dropped_samples_nothing_is_claimed() -> None:
     intensity = speckle(2, (140, 130))
     intensity[40:100] = 0.0
     score = score_tile(make_tile(intensity)).score
-    frame_rows = pixels(prescreen._FRAME_ROWS_M, ROW_M)
+    frame_rows = pixels(prescreen.FRAME_ROWS_M, ROW_M)
     assert (score[40 + frame_rows : 100 - frame_rows] == -np.inf).all()
     assert np.isfinite(score[:40]).any()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_replay.benches.cascade import against_opencv, drawn_model, drawn_tiles, tile_rows, visited_by_opencv
+from sim_replay.benches.cascade import against_opencv, contrast_rows, drawn_model, drawn_tiles, tile_rows, visited_by_opencv
 
 SHAPE = (96, 400)
 
@@ -16,6 +16,12 @@ def test_tiles_go_from_little_to_see_to_nothing_rejected() -> None:
     assert all(row.same for row in (quiet, rippled, busy, adversarial))
     assert adversarial.budget is not None
     assert 0.9 * adversarial.budget < adversarial.result.n_evaluations <= adversarial.budget
+
+
+def test_contrasts_are_the_same_where_they_matter() -> None:
+    rows = contrast_rows(SHAPE, 1)
+    assert [row.name for row in rows] == list(drawn_tiles(SHAPE))
+    assert all(row.same and row.n_peaks > 0 for row in rows)
 
 
 @pytest.mark.parametrize("name", ["quiet", "busy"])

@@ -1,0 +1,337 @@
+"""The scores of prescreen where they matter, the same to the bit: peaks over a threshold, and the clearest pixel around given ones.
+
+Hardly any pixel's score reaches the threshold, so bounds that cost little come first. In blocks of pixels the variances have extremes,
+and a box there reaches a given deviate only if its mean passes a bound in closed form; one comparison of box sums tells which do. First
+the boxes that may be bright: elsewhere a highlight is worth no more than FAINT_HIGHLIGHT. What the best highlight of those that look at
+a shadow leaves to reach is how dark that shadow must be. Only boxes beyond the bounds are weighed, by the functions of prescreen.
+
+Bounds are taken SLACK of a deviate wide. Rounding moves no deviate by more than 3e-3 up to 1e7 looks, far more than variances of
+MIN_LOG_VARIANCE can stand for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import NormalDist
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.detect import prescreen
+from auv_mcm.detect.ftest import f_deviate
+from auv_mcm.detect.prescreen import Floor, Grid, Peak, Spread, combined, decay_of, glint, saturate_shadow, worth
+from auv_mcm.kernels.contrast import (
+    Blocks,
+    Frame,
+    Places,
+    Shadows,
+    Sums,
+    background,
+    box_means,
+    bright_places,
+    dark_places,
+    extremes,
+    image_sums,
+    local_variance,
+    ratios,
+    shadow_columns,
+)
+from auv_mcm.kernels.contrast import peaks as peaks_of
+from auv_mcm.records import LOW_RESOLUTION, Tile
+
+FAINT_HIGHLIGHT: Final = 2.2
+SLACK: Final = 0.01
+LEAST_THRESHOLD: Final = 2.5
+"""Of a score, below which all pixels are weighed: bounds would hold back too few."""
+_LEAST_SHADOW: Final = 0.7  # fainter ones are weighed where a highlight makes up for them
+_BLOCK: Final = (8, 32)
+
+Values = NDArray[np.float32]
+Bounds = NDArray[np.float64]
+
+
+class Contrasts(NamedTuple):
+    """A tile's floor and its scores that reach the threshold.
+
+    background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, and the score where it
+    is at least the threshold, -inf elsewhere. rows: [start, stop) of those scored. clearance_m: by height of the object, (n_rows,) each.
+    """
+
+    tile: Tile
+    grid: Grid
+    rows: tuple[int, int]
+    sums: Sums
+    background: Values
+    known: NDArray[np.bool_]
+    thin: Values
+    small: Values
+    large: Values
+    score: Values
+
+    def floor(self, row: int, column: int) -> Floor:
+        return Floor(float(self.background[row, column]), float(self.small[row, column]))
+
+    def peaks(self, radius_m: float) -> list[Peak]:
+        """Local maxima over the threshold in the tile's core, best first; as prescreen.find_peaks finds them in all scores."""
+        tile = self.tile
+        half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
+        score = np.where((tile.mask & LOW_RESOLUTION) != 0, np.float32(-np.inf), self.score)
+        places = peaks_of(score, (tile.core_start, tile.core_stop), half_row, half_column)
+        rows, columns = np.divmod(places, score.shape[1])
+        found = [Peak(float(score[row, column]), int(row), int(column)) for row, column in zip(rows, columns, strict=True)]
+        return sorted(found, key=lambda p: (-p.score, p.row, p.column))
+
+    def clearest(self, rows: Sequence[int], columns: Sequence[int], half_rows: int, half_columns: int) -> list[Peak]:
+        """The highest score within half_rows and half_columns of each pixel, of equal ones the first; -inf where nothing can be said."""
+        parts = [
+            (slice(max(row - half_rows, 0), row + half_rows + 1), slice(max(column - half_columns, 0), column + half_columns + 1))
+            for row, column in zip(rows, columns, strict=True)
+        ]
+        missing = np.zeros(self.score.shape, dtype=np.bool_)
+        for part in parts:
+            if self.score[part].max() == -np.inf:
+                missing[part] = True
+        score = self.score
+        places = _scored(self, np.flatnonzero(missing & self.known))
+        if places.size:
+            score = score.copy()
+            score.ravel()[places] = scores_at(self, places)
+        found = []
+        for part in parts:
+            near = score[part]
+            down, right = np.unravel_index(int(near.argmax()), near.shape)
+            found.append(Peak(float(near[down, right]), part[0].start + int(down), part[1].start + int(right)))
+        return found
+
+
+def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
+    """All that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle."""
+    grid = Grid(tile.row_spacing_m, tile.column_spacing_m)
+    margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
+    rows = max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])
+    sums = image_sums(tile.intensity, tile.mask, prescreen.MAX_RATIO, prescreen.BACKGROUND_CLIP)
+    outer, hollow, area = grid.frame()
+    frame = Frame(_box(outer), _box(hollow), prescreen.MIN_BACKGROUND * area)
+    level, known = background(sums, tile.mask, frame, prescreen.NO_ECHO)
+    boxes = [grid.centred(size_m)[0] for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)]
+    logarithms = ratios(sums, level, np.array(boxes, dtype=np.int32), 1e-3)
+    np.log(logarithms, out=logarithms)
+    half = grid.rows(prescreen.LOOKS_ROWS_M), grid.columns(prescreen.LOOKS_COLUMNS_M)
+    thin, small, large = (local_variance(plane, known, half, prescreen.LOG_CLIP, prescreen.MIN_LOG_VARIANCE) for plane in logarithms)
+    score = np.full(tile.mask.shape, -np.inf, dtype=np.float32)
+    found = Contrasts(tile, grid, rows, sums, level, known, thin, small, large, score)
+    threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
+    places, values = _all_scores(found) if threshold < LEAST_THRESHOLD else _high_scores(found, float(threshold))
+    high = values >= threshold
+    score.ravel()[places[high]] = values[high]
+    return found
+
+
+def scores_at(tile: Contrasts, places: Places) -> Values:
+    """Scores of some pixels of the rows scored, where the background is known."""
+    return combined(_highlights_at(tile, places), _shadows_at(tile, places))
+
+
+def _all_scores(tile: Contrasts) -> tuple[Places, Values]:
+    places = _scored(tile, np.flatnonzero(tile.known))
+    return places, scores_at(tile, places)
+
+
+def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
+    """Places, among them all whose scores reach the threshold, and their scores; those of others may be too high, below the threshold."""
+    blocks = Blocks(_BLOCK[0], max(_BLOCK[1], tile.grid.columns(prescreen.SHADOW_LAG_M)))
+    ranges = _ranges(tile, blocks)
+    highlight = _bright(tile, blocks, ranges)
+    flat = highlight.ravel()
+    lit = np.flatnonzero(flat >= np.float32(FAINT_HIGHLIGHT)).astype(np.int32)
+    needed = threshold * prescreen.PAIR_NORM - SLACK
+    gain = worth(flat[lit])
+    left = np.maximum(needed - _best_in_view(tile, blocks, lit, gain), _LEAST_SHADOW)
+    shadow = -prescreen.darkest_behind(_dark(tile, blocks, ranges, left), tile.grid.columns(prescreen.SHADOW_LAG_M)).ravel()
+
+    # Bright enough to need hardly any shadow, and none has been seen: then how little there is counts.
+    unseen = lit[(gain > needed - _LEAST_SHADOW) & (shadow[lit] < np.float32(_LEAST_SHADOW))]
+    shadow[unseen] = _shadows_at(tile, unseen)
+    likely = (gain + saturate_shadow(shadow[lit]) >= needed) | (glint(flat[lit]) >= threshold - SLACK)
+    bright = _scored(tile, lit[likely])
+    faint = np.flatnonzero((shadow >= needed - _FAINT_WORTH) & (flat < np.float32(FAINT_HIGHLIGHT)) & tile.known.ravel())
+    dim = _scored(tile, faint)
+    places = np.concatenate((bright, dim))
+    return places, combined(np.concatenate((flat[bright], _highlights_at(tile, dim))), shadow[places])
+
+
+class _Ranges(NamedTuple):
+    """Lowest and highest in each block: variances over the thin and the small box, and the power of area."""
+
+    thin: tuple[Bounds, Bounds]
+    small: tuple[Bounds, Bounds]
+    decay: tuple[Bounds, Bounds]
+
+
+def _ranges(tile: Contrasts, blocks: Blocks) -> _Ranges:
+    thin, small, large = (extremes(plane, blocks) for plane in (tile.thin, tile.small, tile.large))
+    area_ratio = tile.grid.centred(prescreen.LARGE_BOX_M)[1] / tile.grid.centred(prescreen.SMALL_BOX_M)[1]
+    decay = decay_of(small[0], large[1], area_ratio), decay_of(small[1], large[0], area_ratio)
+    return _Ranges(*((low * (1.0 - 1e-5), high * (1.0 + 1e-5)) for low, high in _double(thin, small, decay)))
+
+
+def _double(*pairs: tuple[Values, Values]) -> list[tuple[Bounds, Bounds]]:
+    return [(low.astype(np.float64), high.astype(np.float64)) for low, high in pairs]
+
+
+def _inverse_looks(tile: Contrasts, ranges: _Ranges, n_rows: int, area: float | Bounds) -> tuple[Bounds, Bounds]:
+    """Bounds in each block of 1 / (9 looks), the variance of a box mean's cube root."""
+    one_row = n_rows == 1
+    low, high = ranges.thin if one_row else ranges.small
+    growth = np.log(area / tile.grid.centred(prescreen.THIN_BOX_M if one_row else prescreen.SMALL_BOX_M)[1])
+    slow, fast = (np.where(growth < 0.0, 1.0, decay) * growth for decay in ranges.decay)
+    least, most = (2.0 / 9.0 * variance for variance in (low * np.exp(-fast), high * np.exp(-slow)))
+    return least / (1.0 + np.sqrt(1.0 + 9.0 * least)), most / (1.0 + np.sqrt(1.0 + 9.0 * most))
+
+
+def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges) -> Values:
+    """Deviates of the brightest box where it may be FAINT_HIGHLIGHT or more, less or -inf elsewhere."""
+    highlight = np.full(tile.background.shape, -np.inf, dtype=np.float32)
+    flat = highlight.ravel()
+    around, _ = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
+    for k, size_m in enumerate(prescreen.HIGHLIGHTS_M):
+        box, area = tile.grid.centred(size_m)
+        least, most = _inverse_looks(tile, ranges, box[1] - box[0], float(area))
+        root = (1.0 - most + (FAINT_HIGHLIGHT - SLACK) * np.sqrt(least)) / (1.0 - around)
+        limits = np.maximum(root - SLACK, 0.0) ** 3
+        places = bright_places(tile.sums, tile.background, tile.known, tile.rows, _box(box), limits, blocks)
+        flat[places] = np.maximum(flat[places], _highlight_deviates(tile, _Spots.at(tile, places), k))
+    return highlight
+
+
+def _best_in_view(tile: Contrasts, blocks: Blocks, lit: Places, gain: Values) -> Bounds:
+    """The most that a highlight is worth, in each block, among the pixels whose shadows may start there."""
+    best = np.full(blocks.shape(tile.sums.shape), _FAINT_WORTH)
+    row, column = np.divmod(lit, tile.sums.shape[1])
+    lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
+    strength = gain.astype(np.float64)
+    # Shadows start 1 to `lag` columns behind, in the row or one beside it: at most two blocks either way, so that corners will do.
+    for row_off in (-1, 1):
+        down = np.clip(row + row_off, 0, tile.sums.shape[0] - 1) // blocks.n_rows
+        for column_off in (1, lag):
+            across = np.minimum(column + column_off, tile.sums.shape[1] - 1) // blocks.n_columns
+            np.maximum.at(best.ravel(), down * best.shape[1] + across, strength)
+    return best
+
+
+def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Values:
+    """Deviates of the darkest shadow at each pixel where it may be -left or less, higher ones or 0 elsewhere."""
+    darkest = np.zeros(tile.background.shape, dtype=np.float32)
+    flat = darkest.ravel()
+    _, around = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
+    n_rows, n_columns = tile.sums.shape
+    last = np.minimum(np.arange(blocks.n_columns - 1, n_columns + blocks.n_columns - 1, blocks.n_columns), n_columns - 1)
+    for k, _ in enumerate(prescreen.SHADOWS_M):
+        shadows = _shadows(tile, k)
+        lowest_m = np.minimum.reduceat(shadows.clearance_m, np.arange(0, n_rows, blocks.n_rows))
+        longest = shadow_columns(shadows._replace(clearance_m=lowest_m), np.arange(len(lowest_m))[:, None], last[None, :])
+        width = 2 * shadows.half_rows + 1
+        least, _ = _inverse_looks(tile, ranges, width, (width * longest).astype(np.float64))
+        root = (1.0 - least - (left - SLACK) * np.sqrt(least)) / (1.0 - around)
+        limits = (np.maximum(root, 0.0) + SLACK) ** 3
+        places = dark_places(tile.sums, tile.background, tile.rows, shadows, limits, blocks)
+        flat[places] = np.minimum(flat[places], _shadow_deviates(tile, _Spots.at(tile, places), k))
+    return darkest
+
+
+class _Spots(NamedTuple):
+    """The sea floor at n places, (n,) each."""
+
+    places: Places
+    per_background: Values
+    spread: Spread
+    background_looks: Values
+
+    @staticmethod
+    def at(tile: Contrasts, places: Places) -> _Spots:
+        """Those of a tile."""
+        wanted = places.astype(np.intp)
+        level, thin, small, large = (plane.ravel().take(wanted) for plane in (tile.background, tile.thin, tile.small, tile.large))
+        areas = [tile.grid.centred(size_m)[1] for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)]
+        spread = Spread(thin, small, decay_of(small, large, areas[2] / areas[1]), areas[0], areas[1])
+        return _Spots(places, np.float32(1.0) / level, spread, spread.looks(2, float(tile.grid.frame()[2])))
+
+
+def _highlight_deviates(tile: Contrasts, spots: _Spots, k: int) -> Values:
+    box, area = tile.grid.centred(prescreen.HIGHLIGHTS_M[k])
+    mean, _ = box_means(tile.sums, spots.places, np.broadcast_to(_box(box), (len(spots.places), 4)))
+    looks = spots.spread.looks(box[1] - box[0], float(area))
+    return f_deviate(mean * spots.per_background, looks, spots.background_looks)
+
+
+def _shadow_deviates(tile: Contrasts, spots: _Spots, k: int) -> Values:
+    shadows = _shadows(tile, k)
+    lengths = shadow_columns(shadows, *np.divmod(spots.places, tile.sums.shape[1]))
+    boxes = np.empty((len(lengths), 4), dtype=np.int32)
+    boxes[:] = -shadows.half_rows, shadows.half_rows + 1, 0, 0
+    boxes[:, 3] = lengths
+    mean, count = box_means(tile.sums, spots.places, boxes)
+    n_rows = 2 * shadows.half_rows + 1
+    area_px = (n_rows * lengths).astype(np.float32)
+    deviate = f_deviate(mean * spots.per_background, spots.spread.looks(n_rows, area_px), spots.background_looks)
+    return np.where(count > prescreen.MIN_SHADOW * area_px, deviate, np.float32(0.0))
+
+
+def _highlights_at(tile: Contrasts, places: Places) -> Values:
+    """Deviate of the brightest box at each place."""
+    spots = _Spots.at(tile, places)
+    highlight = np.full(len(places), -np.inf, dtype=np.float32)
+    for k, _ in enumerate(prescreen.HIGHLIGHTS_M):
+        np.maximum(highlight, _highlight_deviates(tile, spots, k), out=highlight)
+    return highlight
+
+
+def _shadows_at(tile: Contrasts, places: Places) -> Values:
+    """What the darkest shadow behind each place deviates by, dark positive."""
+    n_rows, n_columns = tile.sums.shape
+    lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
+    # A row and lag columns more on each side, where no shadow is weighed.
+    wanted, stride = np.zeros((n_rows + 2, n_columns + lag + 1), dtype=np.bool_), n_columns + lag + 1
+    row, column = np.divmod(places, n_columns)
+    own = (row + 1) * stride + column
+    views = [own + down * stride + across for down in (-1, 0, 1) for across in range(1, lag + 1)]
+    for view in views:
+        wanted.ravel()[view] = True
+    wanted[: tile.rows[0] + 1] = wanted[tile.rows[1] + 1 :] = False
+    weighed = np.flatnonzero(wanted[1:-1, :n_columns]).astype(np.int32)
+    spots = _Spots.at(tile, weighed)
+    values = np.full(len(weighed), np.inf, dtype=np.float32)
+    for k, _ in enumerate(prescreen.SHADOWS_M):
+        np.minimum(values, _shadow_deviates(tile, spots, k), out=values)
+    darkest = np.zeros(wanted.shape, dtype=np.float32)
+    darkest.ravel()[(weighed // n_columns + 1) * stride + weighed % n_columns] = values
+    lowest = np.full(len(places), np.inf, dtype=np.float32)
+    for view in views:
+        np.minimum(lowest, darkest.ravel()[view], out=lowest)
+    return -lowest
+
+
+def _shadows(tile: Contrasts, k: int) -> Shadows:
+    along_m, height_m = prescreen.SHADOWS_M[k]
+    return Shadows(
+        half_rows=tile.grid.rows(along_m) // 2,
+        height_m=height_m,
+        clearance_m=prescreen.clearance_m(tile.tile, height_m),
+        column_m=tile.grid.column_m,
+        length_m=prescreen.SHADOW_LENGTH_M,
+        least_share=prescreen.MIN_SHADOW,
+    )
+
+
+def _scored(tile: Contrasts, places: NDArray[np.integer]) -> Places:
+    """Those in the rows scored."""
+    n_columns = tile.sums.shape[1]
+    return places[(places >= tile.rows[0] * n_columns) & (places < tile.rows[1] * n_columns)].astype(np.int32)
+
+
+def _box(box: tuple[int, int, int, int]) -> NDArray[np.int32]:
+    return np.array(box, dtype=np.int32)
+
+
+_FAINT_WORTH: Final = float(worth(np.array([FAINT_HIGHLIGHT], dtype=np.float32))[0])

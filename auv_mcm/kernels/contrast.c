@@ -1,0 +1,399 @@
+/* Box sums, background and variances that contrasts are made of, and where a box may stand out, see contrast.py for their definition.
+ *
+ * Sums run along rows and then down, in the order of a running integral image, so that numpy's cumulative sums give the same bits. Boxes
+ * are half-open offsets from a pixel, first and last row, first and last column, and are clipped at the tile's edge.
+ */
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+enum { TOP, BOTTOM, LEFT, RIGHT, SIDES };
+enum { CHUNK = 8 };
+
+/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if __has_attribute(target_clones)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+#ifndef WIDE
+#define WIDE
+#endif
+
+static inline int64_t within(int64_t value, int64_t last) { return value < 0 ? 0 : value > last ? last : value; }
+
+/* Differences of two rows of an integral image, with what stands at its edges repeated `pad` times on either side. */
+#define BAND(NAME, TYPE)                                                                                                                 \
+    static inline void NAME(int64_t n_rows, int64_t n_columns, const TYPE *restrict sums, int64_t top, int64_t bottom, int64_t pad,       \
+                            TYPE *restrict band)                                                                                         \
+    {                                                                                                                                    \
+        const TYPE *restrict upper = sums + within(top, n_rows) * (n_columns + 1);                                                       \
+        const TYPE *restrict lower = sums + within(bottom, n_rows) * (n_columns + 1);                                                    \
+        for (int64_t column = 0; column <= n_columns; column++)                                                                          \
+            band[pad + column] = lower[column] - upper[column];                                                                          \
+        for (int64_t column = 0; column < pad; column++) {                                                                               \
+            band[column] = band[pad];                                                                                                    \
+            band[pad + n_columns + 1 + column] = band[pad + n_columns];                                                                  \
+        }                                                                                                                                \
+    }
+
+BAND(band_of_sums, double)
+BAND(band_of_counts, int32_t)
+
+/* intensity, mask (n_rows, n_columns). sums, floor_sums, counts, floor_counts (n_rows + 1, n_columns + 1): out, integral images of
+ * intensity bounded by `most` and the number of valid pixels, and of the same bounded by `floor_most` and without saturated pixels.
+ */
+void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restrict intensity, const uint8_t *restrict mask, int32_t valid,
+                           int32_t saturated, float most, float floor_most, double *restrict sums, double *restrict floor_sums,
+                           int32_t *restrict counts, int32_t *restrict floor_counts)
+{
+    const int64_t stride = n_columns + 1;
+    memset(sums, 0, (size_t)stride * sizeof *sums);
+    memset(floor_sums, 0, (size_t)stride * sizeof *floor_sums);
+    memset(counts, 0, (size_t)stride * sizeof *counts);
+    memset(floor_counts, 0, (size_t)stride * sizeof *floor_counts);
+    for (int64_t row = 0; row < n_rows; row++) {
+        const int64_t above = row * stride, here = above + stride;
+        double total = 0.0, floor_total = 0.0;
+        int32_t count = 0, floor_count = 0;
+        sums[here] = floor_sums[here] = 0.0;
+        counts[here] = floor_counts[here] = 0;
+        for (int64_t column = 0; column < n_columns; column++) {
+            const int32_t bits = mask[row * n_columns + column];
+            const int32_t echo = (bits & valid) != 0, seabed = echo & ((bits & saturated) == 0);
+            const float value = intensity[row * n_columns + column];
+            const float bounded = echo ? (value > most ? most : value) : 0.0f;
+            total += bounded;
+            floor_total += seabed ? (bounded > floor_most ? floor_most : bounded) : 0.0f;
+            count += echo;
+            floor_count += seabed;
+            sums[here + column + 1] = sums[above + column + 1] + total;
+            floor_sums[here + column + 1] = floor_sums[above + column + 1] + floor_total;
+            counts[here + column + 1] = counts[above + column + 1] + count;
+            floor_counts[here + column + 1] = floor_counts[above + column + 1] + floor_count;
+        }
+    }
+}
+
+/* band (2, n_columns + 1 + 2 pad), count_band: overwritten. background, known (n_rows, n_columns): out. */
+WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
+                                      const uint8_t *restrict mask, int32_t valid, const int32_t *restrict frame,
+                                      const int32_t *restrict hollow, double least_count, double least_mean, int64_t pad,
+                                      double *restrict band, int32_t *restrict count_band, float *restrict background,
+                                      uint8_t *restrict known)
+{
+    const int64_t width = n_columns + 1 + 2 * pad;
+    const float silent = (float)least_mean;
+    for (int64_t row = 0; row < n_rows; row++) {
+        band_of_sums(n_rows, n_columns, sums, row + frame[TOP], row + frame[BOTTOM], pad, band);
+        band_of_sums(n_rows, n_columns, sums, row + hollow[TOP], row + hollow[BOTTOM], pad, band + width);
+        band_of_counts(n_rows, n_columns, counts, row + frame[TOP], row + frame[BOTTOM], pad, count_band);
+        band_of_counts(n_rows, n_columns, counts, row + hollow[TOP], row + hollow[BOTTOM], pad, count_band + width);
+        const double *restrict far = band + pad + frame[RIGHT], *restrict near = band + pad + frame[LEFT];
+        const double *restrict inner_far = band + width + pad + hollow[RIGHT], *restrict inner_near = band + width + pad + hollow[LEFT];
+        const int32_t *restrict n_far = count_band + pad + frame[RIGHT], *restrict n_near = count_band + pad + frame[LEFT];
+        const int32_t *restrict n_inner_far = count_band + width + pad + hollow[RIGHT];
+        const int32_t *restrict n_inner_near = count_band + width + pad + hollow[LEFT];
+        float *restrict mean_out = background + row * n_columns;
+        uint8_t *restrict known_out = known + row * n_columns;
+        const uint8_t *restrict bits = mask + row * n_columns;
+        for (int64_t column = 0; column < n_columns; column++) {
+            double total = (far[column] - near[column]) - (inner_far[column] - inner_near[column]);
+            const double count = (double)((n_far[column] - n_near[column]) - (n_inner_far[column] - n_inner_near[column]));
+            total = total > 0.0 ? total : 0.0;
+            double mean = total / (count > 1.0 ? count : 1.0);
+            mean = mean > least_mean ? mean : least_mean;
+            mean_out[column] = (float)mean;
+            known_out[column] = (uint8_t)((count >= least_count) & ((float)mean > silent) & ((bits[column] & valid) != 0));
+        }
+    }
+}
+
+/* boxes (n_boxes, SIDES). ratios (n_boxes, n_rows, n_columns): out. band, count_band (n_columns + 1 + 2 pad): overwritten. */
+WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
+                                  const float *restrict background, int64_t n_boxes, const int32_t *restrict boxes, float least,
+                                  int64_t pad, double *restrict band, int32_t *restrict count_band, float *restrict ratios)
+{
+    for (int64_t row = 0; row < n_rows; row++)
+        for (int64_t k = 0; k < n_boxes; k++) {
+            const int32_t *box = boxes + k * SIDES;
+            band_of_sums(n_rows, n_columns, sums, row + box[TOP], row + box[BOTTOM], pad, band);
+            band_of_counts(n_rows, n_columns, counts, row + box[TOP], row + box[BOTTOM], pad, count_band);
+            const double *restrict far = band + pad + box[RIGHT], *restrict near = band + pad + box[LEFT];
+            const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad + box[LEFT];
+            const float *restrict level = background + row * n_columns;
+            float *restrict out = ratios + (k * n_rows + row) * n_columns;
+            for (int64_t column = 0; column < n_columns; column++) {
+                const double count = (double)(n_far[column] - n_near[column]);
+                const float mean = (float)((far[column] - near[column]) / (count > 1.0 ? count : 1.0));
+                const float ratio = mean / level[column];
+                out[column] = ratio > least ? ratio : least;
+            }
+        }
+}
+
+/* A row's values clipped and, where not known, 0. */
+static inline float clipped(float value, uint8_t known, float clip)
+{
+    value = value < -clip ? -clip : value;
+    value = value > clip ? clip : value;
+    return value * (float)known;
+}
+
+/* Adds one row's sums from its start on, as far as each column, to what the rows above it came to. */
+static inline void add_row(int64_t n_columns, const float *restrict values, const uint8_t *restrict known, float clip,
+                           double *restrict total, double *restrict square, int32_t *restrict count)
+{
+    double sum = 0.0, square_sum = 0.0;
+    int32_t n = 0;
+    for (int64_t column = 0; column < n_columns; column++) {
+        const float value = clipped(values[column], known[column], clip);
+        sum += value;
+        square_sum += value * value;
+        n += known[column];
+        total[column + 1] += sum;
+        square[column + 1] += square_sum;
+        count[column + 1] += n;
+    }
+}
+
+/* add_row for two rows at once, which do not wait for each other, and the differences between what they come to. */
+static inline void add_rows(int64_t n_columns, const float *restrict values, const uint8_t *restrict known, double *restrict total,
+                            double *restrict square, const float *restrict other_values, const uint8_t *restrict other_known,
+                            double *restrict other_total, double *restrict other_square, int32_t *restrict count, float clip)
+{
+    double sum = 0.0, square_sum = 0.0, other_sum = 0.0, other_square_sum = 0.0;
+    int32_t n = 0;
+    for (int64_t column = 0; column < n_columns; column++) {
+        const float value = clipped(values[column], known[column], clip);
+        const float other = clipped(other_values[column], other_known[column], clip);
+        sum += value;
+        square_sum += value * value;
+        other_sum += other;
+        other_square_sum += other * other;
+        n += known[column] - other_known[column];
+        total[column + 1] += sum;
+        square[column + 1] += square_sum;
+        other_total[column + 1] += other_sum;
+        other_square[column + 1] += other_square_sum;
+        count[column + 1] += n;
+    }
+}
+
+/* values, known (n_rows, n_columns). nothing (n_columns), nowhere (n_columns): zeros. totals (6, n_columns + 1), n_band (n_columns + 1):
+ * zeros, overwritten. variance: out. */
+WIDE void auv_mcm_contrast_variance(int64_t n_rows, int64_t n_columns, const float *restrict values, const uint8_t *restrict known,
+                                    int64_t half_rows, int64_t half_columns, float clip, double least, const float *restrict nothing,
+                                    const uint8_t *restrict nowhere, double *restrict totals, int32_t *restrict n_band,
+                                    float *restrict variance)
+{
+    const int64_t width = n_columns + 1;
+    double *restrict upper = totals, *restrict upper_square = totals + width, *restrict lower = totals + 2 * width;
+    double *restrict lower_square = totals + 3 * width, *restrict band = totals + 4 * width, *restrict band_square = totals + 5 * width;
+    for (int64_t row = 0; row < half_rows && row < n_rows; row++)
+        add_row(n_columns, values + row * n_columns, known + row * n_columns, clip, lower, lower_square, n_band);
+    for (int64_t row = 0; row < n_rows; row++) {
+        const int64_t joins = row + half_rows, leaves = row - half_rows - 1;
+        add_rows(n_columns, joins < n_rows ? values + joins * n_columns : nothing, joins < n_rows ? known + joins * n_columns : nowhere,
+                 lower, lower_square, leaves >= 0 ? values + leaves * n_columns : nothing,
+                 leaves >= 0 ? known + leaves * n_columns : nowhere, upper, upper_square, n_band, clip);
+        for (int64_t column = 0; column < width; column++) {
+            band[column] = lower[column] - upper[column];
+            band_square[column] = lower_square[column] - upper_square[column];
+        }
+        float *restrict out = variance + row * n_columns;
+        const int64_t begin = half_columns < n_columns ? half_columns : n_columns;
+        const int64_t end = n_columns - half_columns > begin ? n_columns - half_columns : begin;
+#define VARIANCE(FAR, NEAR)                                                                                                              \
+    {                                                                                                                                    \
+        const int32_t n = n_band[FAR] - n_band[NEAR];                                                                                    \
+        const double count = (double)(n > 1 ? n : 1);                                                                                    \
+        const double mean = (band[FAR] - band[NEAR]) / count;                                                                            \
+        const double value = (band_square[FAR] - band_square[NEAR]) / count - mean * mean;                                               \
+        out[column] = (float)(value > least ? value : least);                                                                            \
+    }
+        for (int64_t column = 0; column < begin; column++)
+            VARIANCE(within(column + half_columns + 1, n_columns), 0)
+        for (int64_t column = begin; column < end; column++)
+            VARIANCE(column + half_columns + 1, column - half_columns)
+        for (int64_t column = end; column < n_columns; column++)
+            VARIANCE(n_columns, within(column - half_columns, n_columns))
+#undef VARIANCE
+    }
+}
+
+/* lowest, highest (blocks of rows, blocks of columns): out. */
+WIDE void auv_mcm_contrast_extremes(int64_t n_rows, int64_t n_columns, const float *restrict plane, int64_t block_rows,
+                                    int64_t block_columns, float *restrict lowest, float *restrict highest)
+{
+    const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
+    for (int64_t row = 0; row < n_rows; row++)
+        for (int64_t block = 0; block < n_blocks; block++) {
+            const float *restrict from = plane + row * n_columns + block * block_columns;
+            const int64_t left = n_columns - block * block_columns, n = left < block_columns ? left : block_columns;
+            float *const low = lowest + row / block_rows * n_blocks + block, *const high = highest + row / block_rows * n_blocks + block;
+            float least = row % block_rows ? *low : from[0], most = row % block_rows ? *high : from[0];
+            for (int64_t i = 0; i < n; i++) {
+                least = from[i] < least ? from[i] : least;
+                most = from[i] > most ? from[i] : most;
+            }
+            *low = least;
+            *high = most;
+        }
+}
+
+/* Appends the places whose flag is set and clears the flags. flags: a multiple of CHUNK long, zeros beyond n. */
+static int64_t collect(int64_t n, uint8_t *restrict flags, int32_t place, int32_t *restrict places)
+{
+    int64_t found = 0;
+    for (int64_t chunk = 0; chunk < n; chunk += CHUNK) {
+        uint64_t any;
+        memcpy(&any, flags + chunk, CHUNK);
+        if (!any)
+            continue;
+        for (int64_t i = chunk; i < chunk + CHUNK; i++) {
+            places[found] = place + (int32_t)i;
+            found += flags[i];
+        }
+        memset(flags + chunk, 0, CHUNK);
+    }
+    return found;
+}
+
+/* Pixels of rows [first, last) around which the sum over `box` reaches its block's limit times background and valid pixels.
+ *
+ * limits (blocks of rows, blocks of columns). flags (n_columns, and CHUNK more): zeros. places: out, n_places (1): how many.
+ */
+WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
+                                  const int32_t *restrict counts, const float *restrict background, const uint8_t *restrict known,
+                                  const int32_t *restrict box, const double *restrict limits, int64_t block_rows, int64_t block_columns,
+                                  int64_t pad, double *restrict band, int32_t *restrict count_band, uint8_t *restrict flags,
+                                  int32_t *restrict places, int64_t *restrict n_places)
+{
+    const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
+    int64_t n = 0;
+    for (int64_t row = first; row < last; row++) {
+        band_of_sums(n_rows, n_columns, sums, row + box[TOP], row + box[BOTTOM], pad, band);
+        band_of_counts(n_rows, n_columns, counts, row + box[TOP], row + box[BOTTOM], pad, count_band);
+        const double *restrict far = band + pad + box[RIGHT], *restrict near = band + pad + box[LEFT];
+        const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad + box[LEFT];
+        const float *restrict level = background + row * n_columns;
+        const uint8_t *restrict sure = known + row * n_columns;
+        for (int64_t block = 0; block < n_blocks; block++) {
+            const double limit = limits[row / block_rows * n_blocks + block];
+            const int64_t begin = block * block_columns, end = within(begin + block_columns, n_columns);
+            for (int64_t column = begin; column < end; column++) {
+                const double least = limit * (double)level[column] * (double)(n_far[column] - n_near[column]);
+                flags[column] = (uint8_t)((far[column] - near[column] >= least) & sure[column]);
+            }
+        }
+        n += collect(n_columns, flags, (int32_t)(row * n_columns), places + n);
+    }
+    *n_places = n;
+}
+
+/* The length in columns of the shadow at a column; see shadow_columns of contrast.py. */
+static inline int64_t shadow_columns(int64_t column, double height_m, double clearance_m, double column_m, double least_m, double most_m)
+{
+    double length_m = height_m * (((double)column + 0.5) * column_m) / clearance_m;
+    length_m = length_m < least_m ? least_m : length_m;
+    length_m = length_m > most_m ? most_m : length_m;
+    /* In numbers of 2^52 and more nothing is left of fractions: nearest, halves to even. */
+    const double whole = (length_m / column_m + 6755399441055744.0) - 6755399441055744.0;
+    return whole > 1.0 ? (int64_t)whole : 1;
+}
+
+/* Pixels of rows [first, last) from which on the sum over a shadow is at most its block's limit times background and valid pixels, which
+ * are more than least_share of it.
+ *
+ * clearance_m (n_rows): what the height's grazing ray has below it. The rest as in auv_mcm_contrast_bright. Lengths never fall with the
+ * column, so that a row is a few runs of equal length.
+ */
+WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
+                                const int32_t *restrict counts, const float *restrict background, int64_t half_rows, float least_share, double height_m, const double *restrict clearance_m,
+                                double column_m, double least_m, double most_m, const double *restrict limits, int64_t block_rows,
+                                int64_t block_columns, int64_t pad, double *restrict band, int32_t *restrict count_band,
+                                uint8_t *restrict flags, int32_t *restrict places, int64_t *restrict n_places)
+{
+    const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
+    int64_t n = 0;
+    for (int64_t row = first; row < last; row++) {
+        const double clear_m = clearance_m[row], columns_per_length = clear_m / height_m;
+        const float *restrict level = background + row * n_columns;
+        const double *restrict limit = limits + row / block_rows * n_blocks;
+        const double *restrict near = band + pad;
+        const int32_t *restrict n_near = count_band + pad;
+        const int64_t longest = shadow_columns(n_columns - 1, height_m, clear_m, column_m, least_m, most_m);
+        int64_t length = shadow_columns(0, height_m, clear_m, column_m, least_m, most_m);
+        band_of_sums(n_rows, n_columns, sums, row - half_rows, row + half_rows + 1, pad, band);
+        band_of_counts(n_rows, n_columns, counts, row - half_rows, row + half_rows + 1, pad, count_band);
+        for (int64_t begin = 0; begin < n_columns; length++) {
+            int64_t end = n_columns;
+            if (length < longest) {
+                const double guess = ((double)length + 0.5) * columns_per_length - 0.5;
+                end = guess < (double)n_columns ? (int64_t)guess + 1 : n_columns;
+                end = end < begin ? begin : end;
+                while (end > begin && shadow_columns(end - 1, height_m, clear_m, column_m, least_m, most_m) > length)
+                    end--;
+                while (end < n_columns && shadow_columns(end, height_m, clear_m, column_m, least_m, most_m) <= length)
+                    end++;
+            }
+            const int32_t least_count = (int32_t)(least_share * (float)((2 * half_rows + 1) * length));
+            const double *restrict far = near + length;
+            const int32_t *restrict n_far = n_near + length;
+            while (begin < end) {
+                const int64_t block = begin / block_columns, next = (block + 1) * block_columns, stop = next < end ? next : end;
+                const double bound = limit[block];
+                for (int64_t column = begin; column < stop; column++) {
+                    const int32_t count = n_far[column] - n_near[column];
+                    flags[column] = (uint8_t)((far[column] - near[column] <= bound * (double)level[column] * (double)count) &
+                                              (count > least_count));
+                }
+                begin = stop;
+            }
+        }
+        n += collect(n_columns, flags, (int32_t)(row * n_columns), places + n);
+    }
+    *n_places = n;
+}
+
+/* places (n), boxes (n, SIDES): means and numbers of valid pixels (n) of the boxes around these pixels. */
+void auv_mcm_contrast_means(int64_t n_rows, int64_t n_columns, const double *restrict sums, const int32_t *restrict counts, int64_t n,
+                            const int32_t *restrict places, const int32_t *restrict boxes, float *restrict mean, int32_t *restrict count)
+{
+    const int64_t stride = n_columns + 1;
+    for (int64_t i = 0; i < n; i++) {
+        const int32_t row = places[i] / (int32_t)n_columns, column = places[i] % (int32_t)n_columns;
+        const int32_t *box = boxes + i * SIDES;
+        const int64_t top = within(row + box[TOP], n_rows) * stride, bottom = within(row + box[BOTTOM], n_rows) * stride;
+        const int64_t left = within(column + box[LEFT], n_columns), right = within(column + box[RIGHT], n_columns);
+        const double total = (sums[bottom + right] - sums[top + right]) - (sums[bottom + left] - sums[top + left]);
+        const int32_t number = (counts[bottom + right] - counts[top + right]) - (counts[bottom + left] - counts[top + left]);
+        mean[i] = (float)(total / (double)(number > 1 ? number : 1));
+        count[i] = number;
+    }
+}
+
+/* Pixels of rows [first, last) above -infinity than which none within half_rows and half_columns is higher. places: out. */
+void auv_mcm_contrast_peaks(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const float *restrict plane, int64_t half_rows,
+                            int64_t half_columns, int32_t *restrict places, int64_t *restrict n_places)
+{
+    int64_t n = 0;
+    for (int64_t row = first; row < last; row++) {
+        const int64_t top = within(row - half_rows, n_rows - 1), bottom = within(row + half_rows, n_rows - 1);
+        for (int64_t column = 0; column < n_columns; column++) {
+            const float value = plane[row * n_columns + column];
+            if (!(value > -INFINITY))
+                continue;
+            const int64_t left = within(column - half_columns, n_columns - 1), right = within(column + half_columns, n_columns - 1);
+            int32_t higher = 0;
+            for (int64_t i = top; i <= bottom && !higher; i++)
+                for (int64_t j = left; j <= right; j++)
+                    higher |= plane[i * n_columns + j] > value;
+            if (!higher)
+                places[n++] = (int32_t)(row * n_columns + column);
+        }
+    }
+    *n_places = n;
+}

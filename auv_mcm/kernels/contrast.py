@@ -1,0 +1,355 @@
+"""What contrasts are made of: box sums on integral images, the background and variances around each pixel, and where a box may stand out.
+
+Integral images are (n_rows + 1, n_columns + 1), element (i, j) the sum over the rows before i and columns before j, float64 added up along
+rows and then down, or int32. Boxes are half-open offsets from a pixel, (..., 4) int32: first and last row, first and last column; what
+reaches out of the tile is clipped at its edge. A box's mean is over its valid pixels, 0 where there are none. Places are indices of
+pixels, row times n_columns plus column, int32.
+
+C and numpy agree to the bit.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.records import SATURATED, VALID
+
+Plane = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Places = NDArray[np.int32]
+Boxes = NDArray[np.int32]
+
+_P, _I, _W, _F, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_int32, ctypes.c_float, ctypes.c_double
+
+
+class Sums(NamedTuple):
+    """Integral images of a tile, (n_rows + 1, n_columns + 1): intensity where valid and number of valid pixels; the same of the sea
+    floor, without saturated pixels and with bright ones bounded. total, floor_total: float64; n_valid, n_floor: int32."""
+
+    total: NDArray[np.float64]
+    floor_total: NDArray[np.float64]
+    n_valid: NDArray[np.int32]
+    n_floor: NDArray[np.int32]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_rows, n_columns) of the tile."""
+        return self.total.shape[0] - 1, self.total.shape[1] - 1
+
+
+class Frame(NamedTuple):
+    """The background of a pixel: a box (4,) int32 without its hollow (4,) int32. least_count: valid pixels for it to be known."""
+
+    outer: Boxes
+    hollow: Boxes
+    least_count: float
+
+
+class Blocks(NamedTuple):
+    """A plane in blocks of n_rows x n_columns pixels, the last ones cut at the plane's edge."""
+
+    n_rows: int
+    n_columns: int
+
+    def shape(self, plane: tuple[int, int]) -> tuple[int, int]:
+        """Number of blocks of a plane down and across."""
+        return -(-plane[0] // self.n_rows), -(-plane[1] // self.n_columns)
+
+
+class Shadows(NamedTuple):
+    """Shadows that an object of one height casts: half_rows, rows to either side of a pixel. clearance_m: (n_rows,) float64, altitude
+    over the object's top. length_m: least and most. least_share: of its pixels, more than which must be valid."""
+
+    half_rows: int
+    height_m: float
+    clearance_m: NDArray[np.float64]
+    column_m: float
+    length_m: tuple[float, float]
+    least_share: float
+
+
+def image_sums(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> Sums:
+    """Integral images of a tile. intensity (n_rows, n_columns) is bounded by `most`, on the sea floor by floor_most."""
+    shape = (intensity.shape[0] + 1, intensity.shape[1] + 1)
+    function = _c("contrast_sums", _I, _I, _P, _P, _W, _W, _F, _F, *[_P] * 4)
+    if function is None:
+        return image_sums_numpy(intensity, mask, most, floor_most)
+    sums = Sums(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.int32))
+    intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
+    function(*intensity.shape, *_pointers(intensity, mask), VALID, SATURATED, most, floor_most, *_pointers(*sums))
+    return sums
+
+
+def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> Sums:
+    """image_sums in numpy alone."""
+    valid = (mask & VALID) != 0
+    seabed = valid & ((mask & SATURATED) == 0)
+    bounded = np.where(valid, np.minimum(intensity, np.float32(most)), np.float32(0.0))
+    floor = np.where(seabed, np.minimum(bounded, np.float32(floor_most)), np.float32(0.0))
+    return Sums(_integral(bounded, np.float64), _integral(floor, np.float64), _integral(valid, np.int32), _integral(seabed, np.int32))
+
+
+def background(sums: Sums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
+    """Mean of the sea floor in the frame around each pixel, at least least_mean; and where pixel and frame are valid and echo more."""
+    function = _c("contrast_background", _I, _I, _P, _P, _P, _W, _P, _P, _D, _D, _I, *[_P] * 4)
+    if function is None:
+        return background_numpy(sums, mask, frame, least_mean)
+    mean, known = np.empty(sums.shape, dtype=np.float32), np.empty(sums.shape, dtype=np.bool_)
+    pad, bands = _bands(sums, 2, frame.outer, frame.hollow)
+    function(
+        *sums.shape,
+        *_pointers(sums.floor_total, sums.n_floor, np.ascontiguousarray(mask)),
+        VALID,
+        *_pointers(frame.outer, frame.hollow),
+        frame.least_count,
+        float(least_mean),
+        pad,
+        *_pointers(*bands, mean, known),
+    )
+    return mean, known
+
+
+def background_numpy(sums: Sums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
+    """background in numpy alone."""
+    total = _box(sums.floor_total, frame.outer) - _box(sums.floor_total, frame.hollow)
+    count = _box(sums.n_floor, frame.outer) - _box(sums.n_floor, frame.hollow)
+    mean = np.maximum(np.maximum(total, 0.0) / np.maximum(count, 1), least_mean).astype(np.float32)
+    return mean, (count >= frame.least_count) & (mean > least_mean) & ((mask & VALID) != 0)
+
+
+def ratios(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
+    """Means of boxes (n_boxes, 4) over the level (n_rows, n_columns) of each pixel, at least `least`; (n_boxes, n_rows, n_columns)."""
+    function = _c("contrast_ratios", _I, _I, _P, _P, _P, _I, _P, _F, _I, *[_P] * 3)
+    if function is None:
+        return ratios_numpy(sums, level, boxes, least)
+    found = np.empty((len(boxes), *sums.shape), dtype=np.float32)
+    pad, bands = _bands(sums, 1, boxes)
+    function(*sums.shape, *_pointers(sums.total, sums.n_valid, level), len(boxes), *_pointers(boxes), least, pad, *_pointers(*bands, found))
+    return found
+
+
+def ratios_numpy(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
+    """ratios in numpy alone."""
+    means = [(_box(sums.total, box) / np.maximum(_box(sums.n_valid, box), 1)).astype(np.float32) for box in boxes]
+    return np.stack([np.maximum(mean / level, np.float32(least)) for mean in means])
+
+
+def local_variance(values: Plane, known: Flags, half: tuple[int, int], clip: float, least: float) -> Plane:
+    """Variance of values, clipped to +-clip, over the known pixels within `half` rows and columns of each pixel; at least `least`."""
+    function = _c("contrast_variance", _I, _I, _P, _P, _I, _I, _F, _D, *[_P] * 5)
+    if function is None:
+        return local_variance_numpy(values, known, half, clip, least)
+    values, known = np.ascontiguousarray(values), np.ascontiguousarray(known)
+    n_columns = values.shape[1]
+    nothing, nowhere = np.zeros(n_columns, dtype=np.float32), np.zeros(n_columns, dtype=np.bool_)
+    totals, n_band = np.zeros((6, n_columns + 1)), np.zeros(n_columns + 1, dtype=np.int32)
+    variance = np.empty(values.shape, dtype=np.float32)
+    function(*values.shape, *_pointers(values, known), *half, clip, least, *_pointers(nothing, nowhere, totals, n_band, variance))
+    return variance
+
+
+def local_variance_numpy(values: Plane, known: Flags, half: tuple[int, int], clip: float, least: float) -> Plane:
+    """local_variance in numpy alone."""
+    clipped = np.clip(values, np.float32(-clip), np.float32(clip)) * known
+    box = np.array((-half[0], half[0] + 1, -half[1], half[1] + 1), dtype=np.int32)
+    count = np.maximum(_box(_integral(known, np.int32), box), 1)
+    mean = _box(_integral(clipped, np.float64), box) / count
+    mean_square = _box(_integral(clipped * clipped, np.float64), box) / count
+    return np.asarray(np.maximum(mean_square - mean * mean, least), dtype=np.float32)
+
+
+def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
+    """Lowest and highest value in each block of a plane without NaN, (blocks down, blocks across) each."""
+    function = _c("contrast_extremes", _I, _I, _P, _I, _I, _P, _P)
+    if function is None:
+        return extremes_numpy(plane, blocks)
+    plane = np.ascontiguousarray(plane)
+    lowest, highest = (np.empty(blocks.shape((plane.shape[0], plane.shape[1])), dtype=np.float32) for _ in range(2))
+    function(*plane.shape, *_pointers(plane), *blocks, *_pointers(lowest, highest))
+    return lowest, highest
+
+
+def extremes_numpy(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
+    """extremes in numpy alone."""
+    rows, columns = np.arange(0, plane.shape[0], blocks.n_rows), np.arange(0, plane.shape[1], blocks.n_columns)
+    lowest, highest = (np.asarray(of.reduceat(of.reduceat(plane, rows, 0), columns, 1)) for of in (np.minimum, np.maximum))
+    return lowest, highest
+
+
+def bright_places(
+    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], box: Boxes, limits: NDArray[np.float64], blocks: Blocks
+) -> Places:
+    """Known pixels of rows [start, stop) around which the sum over a box is at least limit times level times number of valid pixels.
+
+    limits: one for each block, float64. Places rise.
+    """
+    function = _c("contrast_bright", *[_I] * 4, *[_P] * 6, *[_I] * 3, *[_P] * 5)
+    if function is None:
+        return bright_places_numpy(sums, level, known, rows, box, limits, blocks)
+    pad, bands = _bands(sums, 1, box)
+    flags, places, n_places = _room(sums.shape, rows)
+    function(
+        *sums.shape,
+        *rows,
+        *_pointers(sums.total, sums.n_valid, level, known, box, limits),
+        *blocks,
+        pad,
+        *_pointers(*bands, flags, places, n_places),
+    )
+    return places[: n_places[0]].copy()
+
+
+def bright_places_numpy(
+    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], box: Boxes, limits: NDArray[np.float64], blocks: Blocks
+) -> Places:
+    """bright_places in numpy alone."""
+    least = _spread(limits, blocks, sums.shape) * level * _box(sums.n_valid, box)
+    return _places_of((_box(sums.total, box) >= least) & known, rows)
+
+
+def dark_places(sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks) -> Places:
+    """Pixels of rows [start, stop) where shadows begin whose sum is at most limit times level times number of valid pixels. Places rise."""
+    function = _c("contrast_dark", *[_I] * 4, _P, _P, _P, _I, _F, _D, _P, *[_D] * 3, _P, *[_I] * 3, *[_P] * 5)
+    if function is None:
+        return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
+    pad, bands = _bands(sums, 1, np.array((round(shadows.length_m[1] / shadows.column_m) + 1,)))
+    flags, places, n_places = _room(sums.shape, rows)
+    function(
+        *sums.shape,
+        *rows,
+        *_pointers(sums.total, sums.n_valid, level),
+        shadows.half_rows,
+        shadows.least_share,
+        shadows.height_m,
+        *_pointers(shadows.clearance_m),
+        shadows.column_m,
+        *shadows.length_m,
+        *_pointers(limits),
+        *blocks,
+        pad,
+        *_pointers(*bands, flags, places, n_places),
+    )
+    return places[: n_places[0]].copy()
+
+
+def dark_places_numpy(
+    sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
+) -> Places:
+    """dark_places in numpy alone."""
+    every_row, every_column = np.indices(sums.shape, sparse=True)
+    lengths = shadow_columns(shadows, every_row, every_column)
+    top, bottom = (np.clip(every_row + k, 0, sums.shape[0]) for k in (-shadows.half_rows, shadows.half_rows + 1))
+    stop = np.minimum(every_column + lengths, sums.shape[1])
+    total, count = (
+        (of[bottom, stop] - of[top, stop]) - (of[bottom, every_column] - of[top, every_column]) for of in (sums.total, sums.n_valid)
+    )
+    enough = count > np.float32(shadows.least_share) * ((2 * shadows.half_rows + 1) * lengths).astype(np.float32)
+    return _places_of((total <= _spread(limits, blocks, sums.shape) * level * count) & enough, rows)
+
+
+def shadow_columns(shadows: Shadows, row: NDArray[np.integer], column: NDArray[np.integer]) -> NDArray[np.intp]:
+    """Lengths in columns of the shadows that begin at pixels: h y / (H - h) on a flat bottom. row, column: of one broadcast shape."""
+    ground_m = (column + 0.5) * shadows.column_m
+    length_m = np.clip(shadows.height_m * ground_m / shadows.clearance_m[row], *shadows.length_m)
+    return np.asarray(np.maximum(np.rint(length_m / shadows.column_m), 1.0), dtype=np.intp)
+
+
+def box_means(sums: Sums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Mean of one box (n, 4) at each of n places, and its number of valid pixels, (n,) each."""
+    function = _c("contrast_means", _I, _I, _P, _P, _I, *[_P] * 4)
+    if function is None:
+        return box_means_numpy(sums, places, boxes)
+    places, boxes = np.ascontiguousarray(places, dtype=np.int32), np.ascontiguousarray(boxes, dtype=np.int32)
+    mean, count = np.empty(len(places), dtype=np.float32), np.empty(len(places), dtype=np.int32)
+    function(*sums.shape, *_pointers(sums.total, sums.n_valid), len(places), *_pointers(places, boxes, mean, count))
+    return mean, count
+
+
+def box_means_numpy(sums: Sums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """box_means in numpy alone."""
+    n_rows, n_columns = sums.shape
+    row, column = np.divmod(places, n_columns)
+    top, bottom = (np.clip(row + boxes[:, k], 0, n_rows) for k in (0, 1))
+    left, right = (np.clip(column + boxes[:, k], 0, n_columns) for k in (2, 3))
+    total, count = (
+        (image[bottom, right] - image[top, right]) - (image[bottom, left] - image[top, left]) for image in (sums.total, sums.n_valid)
+    )
+    return (total / np.maximum(count, 1)).astype(np.float32), np.asarray(count, dtype=np.int32)
+
+
+def peaks(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int) -> Places:
+    """Pixels of rows [start, stop) above -inf than which none within half_rows and half_columns is higher. Places rise."""
+    function = _c("contrast_peaks", *[_I] * 4, _P, _I, _I, _P, _P)
+    if function is None:
+        return peaks_numpy(plane, rows, half_rows, half_columns)
+    _, places, n_places = _room((plane.shape[0], plane.shape[1]), rows)
+    function(*plane.shape, *rows, *_pointers(np.ascontiguousarray(plane)), half_rows, half_columns, *_pointers(places, n_places))
+    return places[: n_places[0]].copy()
+
+
+def peaks_numpy(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int) -> Places:
+    """peaks in numpy alone."""
+    found = plane > -np.inf
+    for row, column in zip(*np.nonzero(found), strict=True):
+        near = plane[max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1]
+        found[row, column] = plane[row, column] >= near.max()
+    return _places_of(found, rows)
+
+
+def _integral(plane: NDArray[Any], dtype: type) -> NDArray[Any]:
+    sums = np.zeros((plane.shape[0] + 1, plane.shape[1] + 1), dtype=dtype)
+    np.cumsum(np.cumsum(plane, axis=1, dtype=dtype), axis=0, dtype=dtype, out=sums[1:, 1:])
+    return sums
+
+
+def _box(image: NDArray[Any], box: Boxes) -> NDArray[Any]:
+    """Sums over a box around every pixel."""
+    n_rows, n_columns = image.shape[0] - 1, image.shape[1] - 1
+    top, bottom = (np.clip(np.arange(n_rows) + k, 0, n_rows) for k in box[:2])
+    left, right = (np.clip(np.arange(n_columns) + k, 0, n_columns) for k in box[2:])
+    band = image[bottom] - image[top]
+    return np.asarray(band[:, right] - band[:, left])
+
+
+def _spread(values: NDArray[np.float64], blocks: Blocks, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Each pixel's block's value."""
+    rows, columns = (np.arange(n) // size for n, size in zip(shape, blocks, strict=True))
+    return values[np.ix_(rows, columns)]
+
+
+def _places_of(found: Flags, rows: tuple[int, int]) -> Places:
+    first = rows[0] * found.shape[1]
+    return np.asarray(np.flatnonzero(found[rows[0] : rows[1]]) + first, dtype=np.int32)
+
+
+def _bands(sums: Sums, n: int, *boxes: NDArray[np.integer]) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+    """How far boxes reach along rows, and room for n differences of rows that much longer on either side."""
+    pad = max(int(np.abs(box).max()) for box in boxes)
+    width = sums.shape[1] + 1 + 2 * pad
+    return pad, (np.empty((n, width)), np.empty((n, width), dtype=np.int32))
+
+
+def _room(shape: tuple[int, int], rows: tuple[int, int]) -> tuple[NDArray[np.uint8], Places, NDArray[np.int64]]:
+    """For a row's flags, for as many places as there can be and those that a chunk of flags passes over, and for their number."""
+    n_columns = shape[1]
+    return (
+        np.zeros(n_columns + 8, dtype=np.uint8),
+        np.empty((rows[1] - rows[0]) * n_columns + 8, dtype=np.int32),
+        np.zeros(1, dtype=np.int64),
+    )
+
+
+def _pointers(*arrays: NDArray[Any]) -> list[int]:
+    return [array.ctypes.data for array in arrays]
+
+
+@functools.cache
+def _c(name: str, *types: Any) -> Callable[..., None] | None:
+    return kernels.c_function(name, *types)

@@ -1,0 +1,177 @@
+"""Scores where they matter against the scores of all pixels: the same bits, whatever the tile, the threshold and where it was cut."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scene_tiles import make_tile, speckle
+
+from auv_mcm.detect.contrasts import LEAST_THRESHOLD, contrasts
+from auv_mcm.detect.prescreen import CONTEXT_M, ScoreMaps, find_peaks, score_tile
+from auv_mcm.kernels import contrast as kernel
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
+
+FACES = ("image_sums", "background", "ratios", "local_variance", "extremes", "bright_places", "dark_places", "box_means", "peaks")
+
+
+def threshold_of(p_false_alarm: float) -> np.float32:
+    return np.float32(-NormalDist().inv_cdf(p_false_alarm))
+
+
+def drawn_tile(seed: int, shape: tuple[int, int], row_m: float = 0.12, column_m: float = 0.06) -> Tile:
+    """Speckle of some kind with objects, holes, silent stretches, a masked border and a core."""
+    random = np.random.default_rng(seed)
+    intensity = speckle(seed, shape, spread_pixels=0.7 * (seed % 3), texture_nu=2.0 * (seed % 2))
+    mask = np.full(shape, VALID, dtype=np.uint8)
+    for _ in range(int(random.integers(0, 8))):
+        i, j, tall, wide = (int(random.integers(0, n)) for n in (*shape, 8, 30))
+        intensity[i : i + tall, j : j + 5] *= np.float32(10.0 ** random.uniform(0.0, 3.0))
+        intensity[i : i + tall, j + 5 : j + 5 + wide] *= np.float32(random.choice((0.0, 0.02, 0.3)))
+    for _ in range(int(random.integers(0, 4))):
+        i, j, tall, wide = (int(random.integers(0, n)) for n in (*shape, 12, 40))
+        mask[i : i + tall, j : j + wide] = random.choice((0, VALID | LOW_RESOLUTION, VALID | SATURATED))
+    if seed % 4 == 0:
+        intensity[: shape[0] // 3] = 0.0
+    if seed % 5 == 0:
+        mask[:, shape[1] * 3 // 4 :] = 0
+    start = int(random.integers(0, shape[0]))
+    core = (start, int(random.integers(start + 1, shape[0] + 1)))
+    first_return_m = float(random.choice((0.3, 4.0, 9.0, 40.0)))
+    return make_tile(intensity, mask, core=core, row_m=row_m, column_m=column_m, first_return_m=first_return_m)
+
+
+def assert_same(tile: Tile, p_false_alarm: float) -> None:
+    maps, found = score_tile(tile), contrasts(tile, p_false_alarm)
+    threshold = threshold_of(p_false_alarm)
+    np.testing.assert_array_equal(found.background, maps.background, strict=True)
+    np.testing.assert_array_equal(found.small, maps.small_box_variance, strict=True)
+    np.testing.assert_array_equal(found.score, np.where(maps.score >= threshold, maps.score, np.float32(-np.inf)), strict=True)
+    for radius_m in (0.1, 0.4):
+        assert found.peaks(radius_m) == find_peaks(tile, maps, p_false_alarm, radius_m)
+    random = np.random.default_rng(tile.mask.size)
+    rows, columns = (random.integers(0, n, 12).tolist() for n in tile.mask.shape)
+    half_rows, half_columns = (int(n) for n in random.integers(0, 9, 2))
+    for peak, row, column in zip(found.clearest(rows, columns, half_rows, half_columns), rows, columns, strict=True):
+        assert peak == clearest(maps, row, column, half_rows, half_columns)
+    assert found.floor(rows[0], columns[0]) == maps.floor(rows[0], columns[0])
+
+
+def clearest(maps: ScoreMaps, row: int, column: int, half_rows: int, half_columns: int) -> tuple[float, int, int]:
+    best = (-np.inf, max(row - half_rows, 0), max(column - half_columns, 0))
+    for i in range(best[1], min(row + half_rows + 1, maps.score.shape[0])):
+        for j in range(max(column - half_columns, 0), min(column + half_columns + 1, maps.score.shape[1])):
+            if maps.score[i, j] > best[0]:
+                best = (float(maps.score[i, j]), i, j)
+    return best
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    shape=st.tuples(st.integers(1, 70), st.integers(1, 260)),
+    spacing_m=st.sampled_from(((0.12, 0.06), (0.06, 0.03), (0.3, 0.25), (2.0, 2.0))),
+    p_false_alarm=st.sampled_from((0.3, 5e-3, 1e-3, 1e-4, 1e-9)),
+)
+def test_scores_over_the_threshold_peaks_and_clearest_pixels_are_those_of_all_pixels_to_the_bit(
+    seed: int, shape: tuple[int, int], spacing_m: tuple[float, float], p_false_alarm: float
+) -> None:
+    assert_same(drawn_tile(seed, shape, *spacing_m), p_false_alarm)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_large_tiles_score_as_by_all_pixels(seed: int) -> None:
+    assert_same(drawn_tile(seed, (150, 700)), 1e-4)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 100_000), shape=st.tuples(st.integers(1, 40), st.integers(1, 120)))
+def test_numpy_alone_finds_the_same(seed: int, shape: tuple[int, int]) -> None:
+    tile = drawn_tile(seed, shape)
+    found = contrasts(tile, 1e-3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernel, "_c", lambda name, *types: None)
+        alone = contrasts(tile, 1e-3)
+        peaks = alone.peaks(0.4)
+    np.testing.assert_array_equal(found.score, alone.score, strict=True)
+    assert found.peaks(0.4) == peaks
+
+
+def test_threads_change_nothing() -> None:
+    tiles = [drawn_tile(seed, (60, 300)) for seed in range(6)]
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(lambda tile: contrasts(tile, 1e-3).peaks(0.4), tiles))
+    assert together == [contrasts(tile, 1e-3).peaks(0.4) for tile in tiles]
+
+
+def test_where_a_tile_is_cut_changes_no_score_beyond_rounding() -> None:
+    strip = speckle(4, (400, 200), spread_pixels=1.0)
+    reach = round(CONTEXT_M / 0.12) + 1
+    whole = contrasts(make_tile(strip), 1e-3).score
+    part = contrasts(make_tile(strip[100:330]), 1e-3).score
+    inner = slice(reach, 230 - reach)
+    np.testing.assert_allclose(part[inner], whole[100:330][inner], rtol=1e-4)
+
+
+def test_low_thresholds_weigh_all_pixels() -> None:
+    assert threshold_of(0.3) < LEAST_THRESHOLD < threshold_of(1e-3)
+
+
+def test_silence_and_masked_tiles_hold_no_peaks() -> None:
+    silent, masked = np.zeros((30, 90), dtype=np.float32), np.zeros((30, 90), dtype=np.uint8)
+    for tile in (make_tile(silent), make_tile(speckle(1, (30, 90)), masked)):
+        assert contrasts(tile, 1e-4).peaks(0.4) == []
+        assert (contrasts(tile, 1e-4).score == -np.inf).all()
+
+
+# ---------------------------------------------------------------- kernels
+
+
+def assert_alike(name: str, *arguments: object) -> None:
+    """C, where there is a compiler, and numpy give the same bits."""
+    for ours, theirs in zip(
+        as_tuple(getattr(kernel, name)(*arguments)), as_tuple(getattr(kernel, f"{name}_numpy")(*arguments)), strict=True
+    ):
+        np.testing.assert_array_equal(ours, theirs, strict=True)
+
+
+def as_tuple(value: NDArray[np.float32] | tuple[NDArray[np.float32], ...]) -> tuple[NDArray[np.float32], ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 100_000), shape=st.tuples(st.integers(1, 40), st.integers(1, 90)))
+def test_every_kernel_gives_the_bits_of_its_twin_in_numpy(seed: int, shape: tuple[int, int]) -> None:
+    tile, random = drawn_tile(seed, shape), np.random.default_rng(seed)
+    assert_alike("image_sums", tile.intensity, tile.mask, 100.0, 6.0)
+    sums = kernel.image_sums(tile.intensity, tile.mask, 100.0, 6.0)
+    low, high = -random.integers(0, 30, (8, 2)), random.integers(1, 30, (8, 2))
+    boxes = np.stack((low[:, 0], high[:, 0], low[:, 1], high[:, 1]), axis=1).astype(np.int32)
+    frame = kernel.Frame(boxes[0], boxes[1] // 2, 20.0)
+    assert_alike("background", sums, tile.mask, frame, np.float32(1e-6))
+    level, known = kernel.background(sums, tile.mask, frame, np.float32(1e-6))
+    assert_alike("ratios", sums, level, boxes[:3], 1e-3)
+    values = np.log(kernel.ratios(sums, level, boxes[:1], 1e-3)[0])
+    half = (int(random.integers(0, 50)), int(random.integers(0, 100)))
+    assert_alike("local_variance", values, known, half, 1.2, 1e-3)
+    blocks = kernel.Blocks(*(int(n) for n in random.integers(1, 40, 2)))
+    assert_alike("extremes", values, blocks)
+    rows = (int(random.integers(0, shape[0])), shape[0])
+    limits = random.uniform(0.3, 2.0, blocks.shape(shape))
+    assert_alike("bright_places", sums, level, known, rows, boxes[2], limits, blocks)
+    shadows = kernel.Shadows(int(random.integers(0, 4)), 0.35, random.uniform(0.05, 20.0, shape[0]), 0.06, (0.18, 6.0), 0.6)
+    assert_alike("dark_places", sums, level, rows, shadows, limits, blocks)
+    places = random.integers(0, tile.mask.size, 50).astype(np.int32)
+    assert_alike("box_means", sums, places, boxes[random.integers(0, 8, 50)])
+    scores = np.where(random.random(shape) < 0.3, random.integers(0, 5, shape), -np.inf).astype(np.float32)
+    assert_alike("peaks", scores, rows, *(int(n) for n in random.integers(0, 9, 2)))
+
+
+def test_integral_images_do_not_take_part_in_what_numpy_replaces() -> None:
+    """Every face of the kernels has a twin."""
+    assert all(callable(getattr(kernel, f"{name}_numpy")) for name in FACES)
