@@ -80,7 +80,7 @@ def _add_performance(kinds: Commands) -> None:
         ],
     )
     _add_mission_options(parser, "800-815")
-    parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 3)")
+    parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)")
     parser.set_defaults(command=_run_performance)
 
 

@@ -17,7 +17,7 @@ from sim_replay.performance.missions import target_scene
 from sim_replay.training.farm import Farm, run_tasks
 
 FIT_SEEDS: Final = range(800, 816)
-FLIGHTS: Final = 3
+FLIGHTS: Final = 2
 _SWEEP_STEP_M: Final = 0.25
 
 
