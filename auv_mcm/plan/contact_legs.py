@@ -58,7 +58,7 @@ def information_nats(p_mine: float, p_look: float) -> float:
 
 
 def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits) -> list[ContactLegs]:
-    """Legs past contacts that ask for a look and where one tells something, in order of id: of each the first direction that fits the fence."""
+    """Legs past contacts that ask for a look that tells something, in order of id: of each the first direction that the fence allows."""
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
     found = []
     for contact in sorted(contacts, key=lambda contact: contact.id):

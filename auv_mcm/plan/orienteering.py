@@ -2,8 +2,8 @@
 
 Legs gain what of the wanting miss exponent they add, cell by cell and no more than is wanting, and what a look at their contact is worth.
 Such a gain never rises when more legs are sailed (it is submodular), so legs are chosen greedily by gain per metre, with gains measured
-anew only where an old one could still be the best (M. Minoux, "Accelerated greedy algorithms for maximizing submodular set functions", 1978;
-budgeted: J. Leskovec et al., "Cost-effective outbreak detection in networks", 2007), then ordered as a tour and improved.
+anew only where an old one could still be the best (M. Minoux, "Accelerated greedy algorithms for maximizing submodular set functions",
+1978; budgeted: J. Leskovec et al., "Cost-effective outbreak detection in networks", 2007), then ordered as a tour and improved.
 
 A way is 2 * leg, or 2 * leg + 1 for the leg sailed backwards. A route is a list of ways in order.
 """
@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.plan.clearance import LookModel
-from auv_mcm.plan.dubins import DubinsPath, Pose, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.dubins import DubinsPath, Flags, Pose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.fence import runs_inside
 from auv_mcm.plan.limits import Limits, turns_inside
-from auv_mcm.plan.tour import short_tour
-from auv_mcm.plan.tracks import Cells, Tracks
+from auv_mcm.plan.tour import richest_tour, short_tour, tour_length
+from auv_mcm.plan.tracks import Cells, Tracks, enterable, half_extent_m
 
 Array = NDArray[np.float64]
 MoreTime = Callable[[], bool]
@@ -35,7 +35,46 @@ _NO_WAY_M: Final = 1e7
 _LEAST_M2: Final = 1e-6
 _ROUNDS: Final = 4
 _SWEEPS: Final = 10
+EXACT_LEGS: Final = 9
+_OVERFULL: Final = 1.25  # of the budget, chosen by rough ways; what is too much by exact ones is left out then
+_LEAST_CUT_M: Final = 2.0
 _MADE_GOOD: Final = 0.1  # of all that is gained, what moving the others can make good for a leg that is left out
+
+
+class Turns:
+    """Ways between legs, each looked for once."""
+
+    def __init__(self, pose: Pose, limits: Limits) -> None:
+        self._pose, self._limits = pose, limits
+        self._known: dict[tuple[Pose, Pose], DubinsPath | None] = {}
+
+    @property
+    def radius_m(self) -> float:
+        """A little wider than the vehicle's, so that circles that touch the way-point polygon from inside are not tighter than it."""
+        return self._limits.turn_radius_m / math.cos(ARC_STEP_RAD / 2.0)
+
+    def room(self, poses: Array) -> Flags | None:
+        """(..., 2) whether poses have room for full circles to the left and right; None without a fence."""
+        return None if self._limits.fence is None else turns_inside(poses, _ROOM * self.radius_m, self._limits)
+
+    def between(self, start: Pose, end: Pose) -> DubinsPath | None:
+        """The shortest way that stays inside the fence with arcs of which the whole circles do; None if there is none."""
+        if (start, end) not in self._known:
+            self._known[start, end] = self._found(start, end)
+        return self._known[start, end]
+
+    def _found(self, start: Pose, end: Pose) -> DubinsPath | None:
+        room = self.room(np.array([start, end]))
+        if room is None:
+            return dubins_path(start, end, self.radius_m)
+        leave, arrive = room
+        # The vehicle is where it is: perhaps a part of a circle fits though the whole does not.
+        for circles in (np.ones(2, dtype=np.bool_), leave) if start == self._pose else (leave,):
+            if circles.any() and arrive.any():
+                path = dubins_path(start, end, self.radius_m, circles, arrive)
+                if path_inside(path, self._limits):
+                    return path
+        return None
 
 
 class Problem(NamedTuple):
@@ -51,11 +90,7 @@ class Problem(NamedTuple):
     model: LookModel
     pose: Pose
     limits: Limits
-
-    @property
-    def radius_m(self) -> float:
-        """A little wider than the vehicle's, so that circles that touch the way-point polygon from inside are not tighter than it."""
-        return self.limits.turn_radius_m / math.cos(ARC_STEP_RAD / 2.0)
+    turns: Turns
 
 
 class Wanting:
@@ -115,7 +150,7 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
     wanting = Wanting(problem)
     open_legs = among.copy()
     ends = np.concatenate([runs[:, 0], _reversed(runs[:, 1])])  # as entered
-    way_m = _rough_way_m(np.array([problem.pose]), ends, problem.radius_m)
+    way_m = _rough_way_m(np.array([problem.pose]), ends, problem.turns.radius_m)
     chosen: list[int] = []
     used_m = 0.0
 
@@ -125,7 +160,7 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
         chosen.append(leg)
         wanting.take(leg)
         open_legs[[leg, problem.other_side[leg]]] = False
-        way_m = np.minimum(way_m, _rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.radius_m))
+        way_m = np.minimum(way_m, _rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.turns.radius_m))
 
     for leg in first:
         choose(leg)
@@ -134,7 +169,7 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
     for leg in np.flatnonzero(open_legs).tolist():
         gain[leg] = wanting.gain_m2(leg)
     while open_legs.any():
-        rate = np.where(open_legs & (used_m + length_m + way_m <= problem.limits.budget_m), gain / (length_m + way_m), -1.0)
+        rate = np.where(open_legs & (used_m + length_m + way_m <= _OVERFULL * problem.limits.budget_m), gain / (length_m + way_m), -1.0)
         fresh[:] = not chosen or chosen == first
         while True:
             leg = int(np.argmax(rate))
@@ -198,6 +233,53 @@ def _moved(problem: Problem, legs: list[int], reach: int, more_time: MoreTime) -
     return legs
 
 
+def trimmed_legs(problem: Problem, legs: list[int], more_time: MoreTime) -> tuple[Problem, list[int]]:
+    """The legs cut back to what the others leave to them, as further legs of the problem; those left nothing go."""
+    tracks, cells, limits = problem.tracks, problem.cells, problem.limits
+    legs = list(legs)
+    alone = {leg: _without(problem, legs, leg).gain_m2(leg) for leg in legs if tracks.heading[leg] >= 0}
+    for leg in sorted(alone, key=lambda leg: (alone[leg], leg)):
+        if not more_time():
+            break
+        part, added = _without(problem, legs, leg).per_cell(leg)
+        cell = tracks.cell[part]
+        useful = np.flatnonzero(added * cells.weight_m2[cell] > _LEAST_M2)
+        at = legs.index(leg)
+        if not len(useful):
+            del legs[at]
+            continue
+        first, last = int(useful[0]), int(useful[-1])
+        entry, leave = tracks.run[leg]
+        sine, cosine = math.sin(entry[2]), math.cos(entry[2])
+        along = cells.east_m[cell] * sine + cells.north_m[cell] * cosine
+        margin_m = limits.settling_m + half_extent_m(cells.cell_m, float(entry[2]))
+        forward_m = along[first] - (entry[0] * sine + entry[1] * cosine) - margin_m
+        back_m = (leave[0] * sine + leave[1] * cosine) - along[last] - margin_m
+        if forward_m + back_m < _LEAST_CUT_M:
+            continue
+        ahead = np.array([sine, cosine, 0.0])
+        run = np.stack([entry + max(forward_m, 0.0) * ahead, leave - max(back_m, 0.0) * ahead])
+        if not enterable(run[np.newaxis], limits)[0]:
+            continue
+        problem = _with_leg(problem, leg, run, (part.start + first, part.start + last + 1))
+        tracks = problem.tracks
+        legs[at] = tracks.n_legs - 1
+    return problem, legs
+
+
+def _with_leg(problem: Problem, like: int, run: Array, part: tuple[int, int]) -> Problem:
+    tracks = problem.tracks
+    tracks = tracks._replace(
+        run=np.concatenate([tracks.run, run[np.newaxis]]),
+        first=np.append(tracks.first, part[0]),
+        last=np.append(tracks.last, part[1]),
+        line=np.append(tracks.line, tracks.line[like]),
+        heading=np.append(tracks.heading, tracks.heading[like]),
+    )
+    contact_m2, other_side = np.append(problem.contact_m2, 0.0), np.append(problem.other_side, tracks.n_legs - 1)
+    return problem._replace(tracks=tracks, contact_m2=contact_m2, other_side=other_side)
+
+
 def best_route(problem: Problem, legs: list[int], more_time: MoreTime) -> list[int]:
     """The legs as a short tour, one of both sides for contacts; what the track does not suffice for, or no turn leads to, is left out."""
     cost, ways = _connections(problem, legs)
@@ -207,6 +289,8 @@ def best_route(problem: Problem, legs: list[int], more_time: MoreTime) -> list[i
     route: list[int] = []
     for _ in range(_ROUNDS):
         picked = _tour(cost, left, more_time)
+        if len(left) <= EXACT_LEGS and _tour_m(picked, cost, runs) > problem.limits.budget_m:
+            picked = richest_tour(cost, runs, np.array([worth[leg] for leg in legs]), problem.limits.budget_m)
         picked = _within_budget(problem, picked, cost, runs, [worth[legs[way // 4]] for way in picked])
         route = [ways[way] for way in picked]
         blocked = _blocked(problem, route)
@@ -219,6 +303,10 @@ def best_route(problem: Problem, legs: list[int], more_time: MoreTime) -> list[i
             if before >= 0:
                 cost[(j ^ 1) + 1, picked[before] ^ 1] = _NO_WAY_M
     return sailable(problem, route)
+
+
+def _tour_m(tour: list[int], cost: Array, runs: Array) -> float:
+    return tour_length(tour, cost) + float(runs[tour].sum())
 
 
 def _tour(cost: Array, items: list[int], more_time: MoreTime) -> list[int]:
@@ -237,7 +325,7 @@ def sailable(problem: Problem, route: list[int]) -> list[int]:
     pose = problem.pose
     for way in route:
         entry, leave = ends_of(problem.tracks, way)
-        path = turn_between(problem, pose, entry)
+        path = problem.turns.between(pose, entry)
         if path is None:
             continue
         length_m = path.length_m + float(problem.tracks.length_m[way // 2])
@@ -252,25 +340,8 @@ def sailable(problem: Problem, route: list[int]) -> list[int]:
 def route_length_m(problem: Problem, route: list[int]) -> float:
     """Of a route that can be sailed."""
     poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
-    turns = (turn_between(problem, a, b) for a, b in list(pairwise(poses))[::2])
+    turns = (problem.turns.between(a, b) for a, b in list(pairwise(poses))[::2])
     return sum(path.length_m for path in turns if path is not None) + float(problem.tracks.length_m[[way // 2 for way in route]].sum())
-
-
-def turn_between(problem: Problem, start: Pose, end: Pose) -> DubinsPath | None:
-    """The shortest way that stays inside the fence with arcs of which the whole circles do; None if there is none."""
-    limits, radius_m = problem.limits, problem.radius_m
-    if limits.fence is None:
-        return dubins_path(start, end, radius_m)
-    leave, arrive = turns_inside(np.array([start, end]), _ROOM * radius_m, limits)
-    if start == problem.pose:
-        leave = np.ones(2, dtype=np.bool_)  # it is where it is; the way is looked at below
-    for flags in (leave, turns_inside(np.array([start]), _ROOM * radius_m, limits)[0]):
-        if not (flags.any() and arrive.any()):
-            continue
-        path = dubins_path(start, end, radius_m, flags, arrive)
-        if path_inside(path, limits):
-            return path
-    return None
 
 
 def path_inside(path: DubinsPath, limits: Limits) -> bool:
@@ -314,12 +385,10 @@ def _connections(problem: Problem, legs: list[int]) -> tuple[Array, list[int]]:
     ends = [ends_of(problem.tracks, way) for way in different.tolist()]
     entries = np.array([entry for entry, _ in ends]).reshape(-1, 3)
     exits = np.array([problem.pose, *(leave for _, leave in ends)])
-    leave = arrive = None
-    if problem.limits.fence is not None:
-        arrive = turns_inside(entries, _ROOM * problem.radius_m, problem.limits)[np.newaxis]
-        leave = turns_inside(exits, _ROOM * problem.radius_m, problem.limits)[:, np.newaxis]
-        leave[0] = True
-    cost = dubins_lengths(exits[:, np.newaxis], entries[np.newaxis], problem.radius_m, leave, arrive)
+    leave, arrive = problem.turns.room(exits[:, np.newaxis]), problem.turns.room(entries[np.newaxis])
+    if leave is not None:
+        leave[0] = True  # see `Turns`
+    cost = dubins_lengths(exits[:, np.newaxis], entries[np.newaxis], problem.turns.radius_m, leave, arrive)
     cost = np.where(np.isfinite(cost), cost, _NO_WAY_M)
     return cost[np.append(0, column + 1)[:, np.newaxis], column], ways
 
@@ -346,7 +415,7 @@ def _blocked(problem: Problem, route: list[int]) -> list[tuple[int, int]]:
     pose, blocked = problem.pose, []
     for place, way in enumerate(route):
         entry, leave = ends_of(problem.tracks, way)
-        if turn_between(problem, pose, entry) is None:
+        if problem.turns.between(pose, entry) is None:
             blocked.append((place - 1, place))
         pose = leave
     return blocked

@@ -1,9 +1,8 @@
 """The mission planned anew from what is known now: legs that clear what is not clear yet, and second looks at contacts, in one route.
 
-A cell that must be cleared wants the miss exponent -ln(1 - required). What a leg adds to it, and no more than it wants, is its gain, measured
-in square metres of unsearched floor made clear; a look at a contact gains what `contact_legs` says in the same measure. The best set of
-straight legs and their order under the budget is searched for by `orienteering`; every turn and leg keeps to the fence.
-The plan is a proposal: the vehicle decides.
+A cell that must be cleared wants the miss exponent -ln(1 - required). What a leg adds to it, and no more than it wants, is its gain,
+measured in square metres of unsearched floor made clear; a look at a contact gains what `contact_legs` says in the same measure.
+`tracks` has the legs to choose from, `ladders` and `orienteering` choose and order them. The plan is a proposal: the vehicle decides.
 """
 
 from __future__ import annotations
@@ -20,10 +19,12 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import Clearance, LookModel
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
 from auv_mcm.plan.dubins import Pose, sample_path
+from auv_mcm.plan.ladders import laddered_legs
 from auv_mcm.plan.limits import Limits, obstacle
 from auv_mcm.plan.orienteering import (
     ARC_STEP_RAD,
     Problem,
+    Turns,
     Wanting,
     best_route,
     ends_of,
@@ -33,7 +34,7 @@ from auv_mcm.plan.orienteering import (
     route_length_m,
     sailable,
     shifted_legs,
-    turn_between,
+    trimmed_legs,
 )
 from auv_mcm.plan.reinspect import on_the_globe
 from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
@@ -47,7 +48,19 @@ _WITHIN: Final = 0.99  # exponents this near to what is required are there
 _SHIFTS: Final = 3
 _ON_TRACK_RAD: Final = math.radians(15.0)
 _LEAST_STEP_M: Final = 1e-3
-_TRACK_M2: Final = 1e-3  # what a metre of track costs against gains, so that of plans that gain the same the shorter is taken
+_TAILS: Final = (
+    0.5,
+    0.25,
+    0.12,
+    0.06,
+    0.0,
+)  # of what a metre of track sees at most: what it clears of what ladders leave open; 0: no ladder
+_REBUILT: Final = 3
+_MOST_REBUILDS: Final = 60
+_LEAST_BETTER_M2: Final = 1e-6
+_TRACK_M2: Final = (
+    0.02  # of what it sees at most, what a metre of track costs against gains, so that of plans that gain the same the shorter is taken
+)
 _KNOWN_LEGS: Final = 40
 _USED_UP: Final = 0.8  # of the budget, from where on it is what keeps a plan from gaining more
 
@@ -154,14 +167,15 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
         else:
             verdict = f"cannot, because {_why_nothing(world, cells, limits)}"
         return Plan(verdict=verdict)
-    route, taken = _searched(problem, more_time)
-    kept = _kept_route(problem, known, looks)
+    found, began = _searched(problem, more_time)
+    prefixes = [began[:n] for n in sorted({0, len(began) // 2, len(began)})]
+    bound_m2 = gain_bound_m2(problem, prefixes)
+    problem, route = found.problem, found.route
+    kept = _kept_route(problem, known)
     if kept and not _is_better(problem, route, kept):
         route = kept
-    prefixes = [taken[:n] for n in sorted({0, len(taken) // 2, len(taken)})]
     plan = _told(problem, route, looks, world)
-    bound = max(gain_bound_m2(problem, prefixes), plan.gain_m2)
-    return msgspec.structs.replace(plan, bound_m2=bound, verdict=_verdict(problem, route, world, is_open))
+    return msgspec.structs.replace(plan, bound_m2=max(bound_m2, plan.gain_m2), verdict=_verdict(problem, route, world, is_open))
 
 
 def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cells:
@@ -206,18 +220,55 @@ def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: Look
         heading=np.append(tracks.heading, nothing - 1),
     )
     gain = np.append(np.zeros(n_survey), np.repeat([look.gain_m2 for look in looks], n_sides))
-    return Problem(everything, gain, other_side, cells, model, pose, limits)
+    return Problem(everything, gain, other_side, cells, model, pose, limits, Turns(pose, limits))
 
 
-def _searched(problem: Problem, more_time: Callable[[], bool]) -> tuple[list[int], list[int]]:
-    """The best route found, and the legs that greed chose first."""
+class _Found(NamedTuple):
+    problem: Problem  # with the legs that were cut for it
+    route: list[int]
+    worth_m2: float
+
+
+def _searched(problem: Problem, more_time: Callable[[], bool]) -> tuple[_Found, list[int]]:
+    """The best route found, and the legs that it began with.
+
+    Ladders and greed make routes, more or less of one and the other; of the best one some legs in a row are taken out and chosen anew.
+    """
     every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
-    first = greedy_legs(problem, every, [], more_time)
-    legs = shifted_legs(problem, first, _SHIFTS, more_time)
-    return best_route(problem, legs, more_time), first
+    fresh_m2 = 2.0 * (problem.limits.swath[1] - problem.limits.swath[0])  # that a metre sees at most
+    best: _Found | None = None
+    tried: set[tuple[int, ...]] = set()
+    began: list[int] = []
+    for share in _TAILS:
+        ladder = laddered_legs(problem, 1.0 / (share * fresh_m2), more_time) if share else []
+        legs = greedy_legs(problem, every, ladder, more_time)
+        began = began or legs
+        if tuple(sorted(legs)) not in tried:
+            tried.add(tuple(sorted(legs)))
+            found = _improved(problem, legs, more_time)
+            best = found if best is None or found.worth_m2 > best.worth_m2 else best
+        if not more_time():
+            break
+    assert best is not None
+    for first in range(_MOST_REBUILDS):
+        if not more_time() or len(best.route) <= _REBUILT:
+            break
+        taken_out = {(first * (_REBUILT - 1) + k) % len(best.route) for k in range(_REBUILT)}
+        kept = [way // 2 for place, way in enumerate(best.route) if place not in taken_out]
+        every = np.ones(best.problem.tracks.n_legs, dtype=np.bool_)
+        every[[best.route[place] // 2 for place in taken_out]] = False  # else they would come back
+        found = _improved(best.problem, greedy_legs(best.problem, every, kept, more_time), more_time)
+        best = found if found.worth_m2 > best.worth_m2 + _LEAST_BETTER_M2 else best
+    return best, began
 
 
-def _worth(problem: Problem, route: list[int]) -> float:
+def _improved(problem: Problem, legs: list[int], more_time: Callable[[], bool]) -> _Found:
+    problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
+    route = best_route(problem, legs, more_time)
+    return _Found(problem, route, _worth_m2(problem, route))
+
+
+def _worth_m2(problem: Problem, route: list[int]) -> float:
     near_m, far_m = problem.limits.swath
     gain = sum(gains_m2(problem, [way // 2 for way in route]))
     return gain - _TRACK_M2 * 2.0 * (far_m - near_m) * route_length_m(problem, route)
@@ -240,7 +291,7 @@ def _left_of(previous: Plan | None, pose: Pose) -> list[PlannedLeg]:
     return legs
 
 
-def _kept_route(problem: Problem, known: list[PlannedLeg], looks: list[ContactLegs]) -> list[int]:
+def _kept_route(problem: Problem, known: list[PlannedLeg]) -> list[int]:
     """The legs of the plan before, as far as they can be sailed and still gain something."""
     runs = problem.tracks.run
     route: list[int] = []
@@ -269,9 +320,8 @@ def _is_better(problem: Problem, route: list[int], kept: list[int]) -> bool:
 def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: World) -> Plan:
     """The route as a plan, with words."""
     frame = LocalFrame(latitude_deg=world.clearance.origin_latitude_deg, longitude_deg=world.clearance.origin_longitude_deg)
-    of_leg = [look for look in looks for _ in look.runs]
-    n_survey = problem.tracks.n_legs - len(of_leg)
     cells, tracks = problem.cells, problem.tracks
+    of_leg = dict(zip(np.flatnonzero(tracks.heading < 0).tolist(), (look for look in looks for _ in look.runs), strict=True))
     wanting = Wanting(problem)
     legs: list[PlannedLeg] = []
     points: list[tuple[Pose, int, str]] = []  # pose, number of the leg, kind
@@ -280,8 +330,8 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: W
         entry, leave = ends_of(tracks, way)
         leg = way // 2
         gain = wanting.gain_m2(leg)
-        if leg >= n_survey:
-            contact_id, why = of_leg[leg - n_survey].contact.id, contact_words(of_leg[leg - n_survey])
+        if leg in of_leg:
+            contact_id, why = of_leg[leg].contact.id, contact_words(of_leg[leg])
         else:
             part, added = wanting.per_cell(leg)
             cell = tracks.cell[part][added > 0.0]
@@ -289,7 +339,7 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: W
             contact_id, why = "", survey_words(entry.heading_rad, gained, cells.seabed[cell], cells.ripple_rad[cell], cells.looked[cell])
         wanting.take(leg)
         legs.append(PlannedLeg(entry, leave, gain, contact_id, why))
-        path = turn_between(problem, pose, entry)
+        path = problem.turns.between(pose, entry)
         assert path is not None
         if not points:
             points.append((pose, number, "start"))

@@ -133,23 +133,53 @@ def _shortest_through(before: int, contacts: list[int], after: int | None, cost:
     Dynamic programming over sets of contacts and the way sailed last (M. Held and R. M. Karp, "A dynamic programming approach to
     sequencing problems", 1962), all sets of equal size at once.
     """
+    ways, bits, reach = _shortest_to(before, contacts, cost)
+    done_set = len(reach) - 1
+    last = reach[done_set] + (cost[ways + 1, after] if after is not None else 0.0)
+    return _traced(done_set, int(np.argmin(last)), ways, bits, reach, cost)
+
+
+def richest_tour(cost: Costs, runs_m: Costs, worth: Costs, budget_m: float) -> list[int]:
+    """The tour that is worth most of those whose connections and legs are no longer than the budget; of equal ones the shortest. Exact.
+
+    runs_m: (n_ways,) length of each leg, worth: (n_contacts,). Time and memory double with every contact.
+    """
+    contacts = list(range(cost.shape[1] // WAYS))
+    ways, bits, reach = _shortest_to(0, contacts, cost, runs_m)
+    length_m = reach.min(axis=1)
+    length_m[0] = 0.0
+    member = (np.arange(len(reach))[:, np.newaxis] >> np.arange(len(contacts))) & 1
+    total = np.where(length_m <= budget_m, member @ worth, -np.inf)
+    best = int(np.lexsort((length_m, -total))[0])
+    return _traced(best, int(np.argmin(reach[best])), ways, bits, reach, cost) if best else []
+
+
+_Bits: TypeAlias = NDArray[np.int64]
+
+
+def _shortest_to(before: int, contacts: list[int], cost: Costs, runs_m: Costs | None = None) -> tuple[_Bits, _Bits, Costs]:
+    """The ways past the contacts, the bit of each way's contact, and the least length through every set of contacts to every way last."""
     ways = np.add.outer(WAYS * np.array(contacts), np.arange(WAYS)).ravel()
     bits = 1 << np.arange(len(ways)) // WAYS
-    between = cost[ways[:, np.newaxis] + 1, ways]
+    run_m = np.zeros(len(ways)) if runs_m is None else runs_m[ways]
+    between = cost[ways[:, np.newaxis] + 1, ways] + run_m
     sets = np.arange(1 << len(contacts))
     size = sum((sets >> place) & 1 for place in range(len(contacts)))
     reach = np.full((len(sets), len(ways)), np.inf)
-    reach[bits, np.arange(len(ways))] = cost[before, ways]
+    reach[bits, np.arange(len(ways))] = cost[before, ways] + run_m
     for n_done in range(1, len(contacts)):
         done = sets[size == n_done]
         through = np.min(reach[done][:, :, np.newaxis] + between, axis=1)
         row, column = np.nonzero((done[:, np.newaxis] & bits) == 0)
         reach[done[row] | bits[column], column] = through[row, column]
-    done_set = len(sets) - 1
-    last = reach[done_set] + (cost[ways + 1, after] if after is not None else 0.0)
-    picked = [int(np.argmin(last))]
+    return ways, bits, reach
+
+
+def _traced(done_set: int, last: int, ways: _Bits, bits: _Bits, reach: Costs, cost: Costs) -> list[int]:
+    """The tour through a set of contacts that ends with a way, from its end back."""
+    picked = [last]
     while done_set := int(done_set & ~bits[picked[-1]]):
-        picked.append(int(np.argmin(reach[done_set] + between[:, picked[-1]])))
+        picked.append(int(np.argmin(reach[done_set] + cost[ways + 1, ways[picked[-1]]])))
     return [int(way) for way in ways[picked[::-1]]]
 
 

@@ -66,8 +66,8 @@ class Tracks(NamedTuple):
     """Legs, n in all; what leg i sees are elements [first[i], last[i]) of the arrays below, in order along its way.
 
     run: (n, 2, 3) poses of entry and exit, settling included. cell: index into `Cells`; exponent: what a first look adds to it; bit: of its
-    direction, alike: of those that are nearly the same, uint64. line: number of the straight line that a leg is part of, lines in order from
-    side to side; heading: number of their heading, both -1 for legs past contacts, which count for nothing else.
+    direction, alike: of those that are nearly the same, uint64. line: number of the straight line that a leg is part of, lines in order
+    from side to side; heading: number of their heading, both -1 for legs past contacts, which count for nothing else.
     """
 
     run: Array
@@ -99,6 +99,11 @@ class _Lines(NamedTuple):
     cell: NDArray[np.int64]
     exponent: Array
     to_right: NDArray[np.bool_]
+
+
+def half_extent_m(cell_m: float, heading_rad: float) -> float:
+    """Half the extent of a cell along a heading."""
+    return 0.5 * cell_m * (abs(math.sin(heading_rad)) + abs(math.cos(heading_rad)))
 
 
 def look_number(look_rad: float) -> int:
@@ -183,7 +188,7 @@ class _Legs:
         self._numbers: list[tuple[int, int, int, int]] = []  # first, last, line, heading
 
     def add(self, lines: _Lines) -> None:
-        margin_m = self._limits.settling_m + self._half_m(lines)
+        margin_m = self._limits.settling_m + half_extent_m(self._cells.cell_m, lines.heading_rad)
         inside = None if self._limits.fence is None or not len(lines.along_m) else _Inside(lines, margin_m, self._limits)
         # Between pieces farther apart than this, another leg may run meanwhile.
         apart_m = 2.0 * margin_m + math.pi * self._limits.turn_radius_m
@@ -209,10 +214,6 @@ class _Legs:
         self._add_piece(lines, 0, 0, lines.along_m, begin, end, None)
         self._keep(lines)
 
-    def _half_m(self, lines: _Lines) -> float:
-        """Half the extent of a cell along the lines."""
-        return 0.5 * self._cells.cell_m * (abs(math.sin(lines.heading_rad)) + abs(math.cos(lines.heading_rad)))
-
     def _keep(self, lines: _Lines) -> None:
         self._lines.append(lines)
         self._n_seen += len(lines.cell)
@@ -220,7 +221,7 @@ class _Legs:
     def _add_piece(self, lines: _Lines, number: int, low: int, along: Array, begin: float, end: float, inside: _Inside | None) -> None:
         for run_begin, run_end in [(begin, end)] if inside is None else inside.parts(number, begin, end):
             # A cell counts if all of it lies abeam of the credited run.
-            margin_m = self._limits.settling_m + self._half_m(lines) - 1e-6
+            margin_m = self._limits.settling_m + half_extent_m(self._cells.cell_m, lines.heading_rad) - 1e-6
             first, last = np.searchsorted(along, [run_begin + margin_m, run_end - margin_m])
             if last > first:
                 self._runs.append(
