@@ -152,7 +152,8 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
 
     # Bright enough to need hardly any shadow, and none has been seen: then how little there is counts.
     unseen = lit[(gain > needed - _LEAST_SHADOW) & (shadow[lit] < np.float32(_LEAST_SHADOW))]
-    shadow[unseen] = _shadows_at(tile, unseen)
+    if unseen.size:
+        shadow[unseen] = _shadows_at(tile, unseen)
     likely = (gain + saturate_shadow(shadow[lit]) >= needed) | (glint(flat[lit]) >= threshold - SLACK)
     bright = _scored(tile, lit[likely])
     faint = np.flatnonzero((shadow >= needed - _FAINT_WORTH) & (flat < np.float32(FAINT_HIGHLIGHT)) & tile.known.ravel())

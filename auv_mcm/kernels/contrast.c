@@ -133,71 +133,63 @@ WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const doubl
         }
 }
 
-/* A row's values clipped and, where not known, 0. */
-static inline float clipped(float value, uint8_t known, float clip)
-{
-    value = value < -clip ? -clip : value;
-    value = value > clip ? clip : value;
-    return value * (float)known;
-}
-
-/* Adds one row's sums from its start on, as far as each column, to what the rows above it came to. */
-static inline void add_row(int64_t n_columns, const float *restrict values, const uint8_t *restrict known, float clip,
-                           double *restrict total, double *restrict square, int32_t *restrict count)
+/* Running sums of a row's values, clipped and 0 where not known, and of their squares. n: known so far. */
+static inline void run_along(int64_t n_columns, const float *restrict values, const uint8_t *restrict known, float clip,
+                             float *restrict clipped, double *restrict sums, double *restrict squares, int32_t *restrict n)
 {
     double sum = 0.0, square_sum = 0.0;
-    int32_t n = 0;
+    int32_t count = 0;
     for (int64_t column = 0; column < n_columns; column++) {
-        const float value = clipped(values[column], known[column], clip);
-        sum += value;
-        square_sum += value * value;
-        n += known[column];
-        total[column + 1] += sum;
-        square[column + 1] += square_sum;
-        count[column + 1] += n;
+        float value = values[column];
+        value = value < -clip ? -clip : value;
+        value = value > clip ? clip : value;
+        clipped[column] = value * (float)known[column];
+    }
+    sums[0] = squares[0] = 0.0;
+    n[0] = 0;
+    for (int64_t column = 0; column < n_columns; column++) {
+        sums[column + 1] = sum += clipped[column];
+        squares[column + 1] = square_sum += clipped[column] * clipped[column];
+        n[column + 1] = count += known[column];
     }
 }
 
-/* add_row for two rows at once, which do not wait for each other, and the differences between what they come to. */
-static inline void add_rows(int64_t n_columns, const float *restrict values, const uint8_t *restrict known, double *restrict total,
-                            double *restrict square, const float *restrict other_values, const uint8_t *restrict other_known,
-                            double *restrict other_total, double *restrict other_square, int32_t *restrict count, float clip)
+static inline void add(int64_t n, const double *restrict more, double *restrict total)
 {
-    double sum = 0.0, square_sum = 0.0, other_sum = 0.0, other_square_sum = 0.0;
-    int32_t n = 0;
-    for (int64_t column = 0; column < n_columns; column++) {
-        const float value = clipped(values[column], known[column], clip);
-        const float other = clipped(other_values[column], other_known[column], clip);
-        sum += value;
-        square_sum += value * value;
-        other_sum += other;
-        other_square_sum += other * other;
-        n += known[column] - other_known[column];
-        total[column + 1] += sum;
-        square[column + 1] += square_sum;
-        other_total[column + 1] += other_sum;
-        other_square[column + 1] += other_square_sum;
-        count[column + 1] += n;
-    }
+    for (int64_t i = 0; i < n; i++)
+        total[i] += more[i];
 }
 
-/* values, known (n_rows, n_columns). nothing (n_columns), nowhere (n_columns): zeros. totals (6, n_columns + 1), n_band (n_columns + 1):
- * zeros, overwritten. variance: out. */
+/* values, known (n_rows, n_columns). clipped (n_columns): overwritten. rows (8, n_columns + 1), n_rows_known (2, n_columns + 1): zeros,
+ * overwritten. variance: out. Sums above and below the box's rows go down the tile with them.
+ */
 WIDE void auv_mcm_contrast_variance(int64_t n_rows, int64_t n_columns, const float *restrict values, const uint8_t *restrict known,
-                                    int64_t half_rows, int64_t half_columns, float clip, double least, const float *restrict nothing,
-                                    const uint8_t *restrict nowhere, double *restrict totals, int32_t *restrict n_band,
-                                    float *restrict variance)
+                                    int64_t half_rows, int64_t half_columns, float clip, double least, float *restrict clipped,
+                                    double *restrict rows, int32_t *restrict n_rows_known, float *restrict variance)
 {
     const int64_t width = n_columns + 1;
-    double *restrict upper = totals, *restrict upper_square = totals + width, *restrict lower = totals + 2 * width;
-    double *restrict lower_square = totals + 3 * width, *restrict band = totals + 4 * width, *restrict band_square = totals + 5 * width;
-    for (int64_t row = 0; row < half_rows && row < n_rows; row++)
-        add_row(n_columns, values + row * n_columns, known + row * n_columns, clip, lower, lower_square, n_band);
-    for (int64_t row = 0; row < n_rows; row++) {
+    double *restrict upper = rows, *restrict upper_square = rows + width, *restrict lower = rows + 2 * width;
+    double *restrict lower_square = rows + 3 * width, *restrict band = rows + 4 * width, *restrict band_square = rows + 5 * width;
+    double *restrict sums = rows + 6 * width, *restrict squares = rows + 7 * width;
+    int32_t *restrict n_band = n_rows_known, *restrict n = n_rows_known + width;
+    for (int64_t row = -half_rows; row < n_rows; row++) {
         const int64_t joins = row + half_rows, leaves = row - half_rows - 1;
-        add_rows(n_columns, joins < n_rows ? values + joins * n_columns : nothing, joins < n_rows ? known + joins * n_columns : nowhere,
-                 lower, lower_square, leaves >= 0 ? values + leaves * n_columns : nothing,
-                 leaves >= 0 ? known + leaves * n_columns : nowhere, upper, upper_square, n_band, clip);
+        if (joins < n_rows) {
+            run_along(n_columns, values + joins * n_columns, known + joins * n_columns, clip, clipped, sums, squares, n);
+            add(width, sums, lower);
+            add(width, squares, lower_square);
+            for (int64_t column = 0; column < width; column++)
+                n_band[column] += n[column];
+        }
+        if (leaves >= 0) {
+            run_along(n_columns, values + leaves * n_columns, known + leaves * n_columns, clip, clipped, sums, squares, n);
+            add(width, sums, upper);
+            add(width, squares, upper_square);
+            for (int64_t column = 0; column < width; column++)
+                n_band[column] -= n[column];
+        }
+        if (row < 0)
+            continue;
         for (int64_t column = 0; column < width; column++) {
             band[column] = lower[column] - upper[column];
             band_square[column] = lower_square[column] - upper_square[column];
@@ -207,8 +199,8 @@ WIDE void auv_mcm_contrast_variance(int64_t n_rows, int64_t n_columns, const flo
         const int64_t end = n_columns - half_columns > begin ? n_columns - half_columns : begin;
 #define VARIANCE(FAR, NEAR)                                                                                                              \
     {                                                                                                                                    \
-        const int32_t n = n_band[FAR] - n_band[NEAR];                                                                                    \
-        const double count = (double)(n > 1 ? n : 1);                                                                                    \
+        const int32_t inside = n_band[FAR] - n_band[NEAR];                                                                               \
+        const double count = (double)(inside > 1 ? inside : 1);                                                                          \
         const double mean = (band[FAR] - band[NEAR]) / count;                                                                            \
         const double value = (band_square[FAR] - band_square[NEAR]) / count - mean * mean;                                               \
         out[column] = (float)(value > least ? value : least);                                                                            \

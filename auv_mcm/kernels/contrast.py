@@ -143,15 +143,14 @@ def ratios_numpy(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
 
 def local_variance(values: Plane, known: Flags, half: tuple[int, int], clip: float, least: float) -> Plane:
     """Variance of values, clipped to +-clip, over the known pixels within `half` rows and columns of each pixel; at least `least`."""
-    function = _c("contrast_variance", _I, _I, _P, _P, _I, _I, _F, _D, *[_P] * 5)
+    function = _c("contrast_variance", _I, _I, _P, _P, _I, _I, _F, _D, *[_P] * 4)
     if function is None:
         return local_variance_numpy(values, known, half, clip, least)
     values, known = np.ascontiguousarray(values), np.ascontiguousarray(known)
     n_columns = values.shape[1]
-    nothing, nowhere = np.zeros(n_columns, dtype=np.float32), np.zeros(n_columns, dtype=np.bool_)
-    totals, n_band = np.zeros((6, n_columns + 1)), np.zeros(n_columns + 1, dtype=np.int32)
-    variance = np.empty(values.shape, dtype=np.float32)
-    function(*values.shape, *_pointers(values, known), *half, clip, least, *_pointers(nothing, nowhere, totals, n_band, variance))
+    clipped, variance = np.empty(n_columns, dtype=np.float32), np.empty(values.shape, dtype=np.float32)
+    rows, n_known = np.zeros((8, n_columns + 1)), np.zeros((2, n_columns + 1), dtype=np.int32)
+    function(*values.shape, *_pointers(values, known), *half, clip, least, *_pointers(clipped, rows, n_known, variance))
     return variance
 
 
