@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
@@ -236,14 +237,13 @@ def predicted(performance: Performance, seen: Outcomes) -> Array:
 
 
 def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
-    """The tables with what a further look adds, from pairs of looks at one target."""
-    same, other = pairs(seen)
+    """The tables with what a further look adds, from pairs of looks at one target.
+
+    A look in the same direction is taken to tell no more than one in another, whatever few pairs say.
+    """
     p = np.minimum(predicted(performance, seen), HIGHEST_P)
-    told = {
-        name: round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3)
-        for name, (first, second) in (("same_look_correlation", same), ("other_look_correlation", other))
-    }
-    return Performance(**{name: getattr(performance, name) for name in performance.__struct_fields__} | told)
+    same, other = (round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3) for first, second in pairs(seen))
+    return msgspec.structs.replace(performance, same_look_correlation=max(same, other), other_look_correlation=other)
 
 
 def pairs(seen: Outcomes) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
