@@ -1,6 +1,6 @@
 """Sets of legs to begin with: evenly spaced parallel ones, on top of one another where one set does not suffice.
 
-Greed by gain per metre takes legs that cross what is open at its best places and leaves slivers, each of which costs a leg of its own later.
+Greed by gain per metre takes legs that cross what is open at its best places and leaves slivers, each of which costs a leg of its own.
 Even spacing leaves none. Which spacing and heading suits the ranges, the sea floor and the ripples is tried.
 """
 

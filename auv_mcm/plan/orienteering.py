@@ -150,7 +150,7 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
     wanting = Wanting(problem)
     open_legs = among.copy()
     ends = np.concatenate([runs[:, 0], _reversed(runs[:, 1])])  # as entered
-    way_m = _rough_way_m(np.array([problem.pose]), ends, problem.turns.radius_m)
+    way_m = rough_way_m(np.array([problem.pose]), ends, problem.turns.radius_m)
     chosen: list[int] = []
     used_m = 0.0
 
@@ -160,7 +160,7 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
         chosen.append(leg)
         wanting.take(leg)
         open_legs[[leg, problem.other_side[leg]]] = False
-        way_m = np.minimum(way_m, _rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.turns.radius_m))
+        way_m = np.minimum(way_m, rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.turns.radius_m))
 
     for leg in first:
         choose(leg)
@@ -365,7 +365,7 @@ def _reversed(poses: Array) -> Array:
     return np.asarray(poses + np.array([0.0, 0.0, math.pi]))
 
 
-def _rough_way_m(exits: Array, ends: Array, radius_m: float) -> Array:
+def rough_way_m(exits: Array, ends: Array, radius_m: float) -> Array:
     """(n,) about how far it is from the nearest of (m, 3) exits to the nearer end of every leg; ends: (2 n, 3) as entered."""
     east = ends[:, 0] - exits[:, :1]
     north = ends[:, 1] - exits[:, 1:2]

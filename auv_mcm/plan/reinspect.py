@@ -50,6 +50,12 @@ def needs_second_look(contact: Contact, min_p_mine: float) -> bool:
     return all(map(math.isfinite, (contact.latitude_deg, contact.longitude_deg, contact.next_look_deg[0])))
 
 
+def most_undecided(contacts: Iterable[Contact], config: PlanConfig) -> tuple[Contact, ...]:
+    """The `max_contacts` that need a second look most."""
+    undecided = (contact for contact in contacts if needs_second_look(contact, config.min_p_mine))
+    return tuple(sorted(undecided, key=lambda contact: (abs(contact.p_mine - 0.5), contact.id))[: config.max_contacts])
+
+
 def plan_reinspection(
     contacts: Iterable[Contact],
     start_latitude_deg: float,
@@ -70,8 +76,7 @@ def plan_reinspection(
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
-    undecided = (contact for contact in contacts if needs_second_look(contact, config.min_p_mine))
-    chosen = sorted(undecided, key=lambda contact: (abs(contact.p_mine - 0.5), contact.id))[: config.max_contacts]
+    chosen = most_undecided(contacts, config)
     if not chosen:
         return ()
     if not all(map(math.isfinite, (start_latitude_deg, start_longitude_deg, start_heading_rad))):

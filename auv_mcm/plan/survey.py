@@ -31,6 +31,7 @@ from auv_mcm.plan.orienteering import (
     gain_bound_m2,
     gains_m2,
     greedy_legs,
+    rough_way_m,
     route_length_m,
     sailable,
     shifted_legs,
@@ -56,13 +57,13 @@ _TAILS: Final = (
     0.0,
 )  # of what a metre of track sees at most: what it clears of what ladders leave open; 0: no ladder
 _REBUILT: Final = 3
+_MOST_FITTING: Final = 5
 _MOST_REBUILDS: Final = 60
 _LEAST_BETTER_M2: Final = 1e-6
 _TRACK_M2: Final = (
     0.02  # of what it sees at most, what a metre of track costs against gains, so that of plans that gain the same the shorter is taken
 )
 _KNOWN_LEGS: Final = 40
-_USED_UP: Final = 0.8  # of the budget, from where on it is what keeps a plan from gaining more
 
 
 class World(NamedTuple):
@@ -167,6 +168,8 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
         else:
             verdict = f"cannot, because {_why_nothing(world, cells, limits)}"
         return Plan(verdict=verdict)
+    if problem.tracks.length_m.min() > limits.budget_m:
+        return Plan(verdict=_verdict(problem, [], world, is_open))
     found, began = _searched(problem, more_time)
     prefixes = [began[:n] for n in sorted({0, len(began) // 2, len(began)})]
     bound_m2 = gain_bound_m2(problem, prefixes)
@@ -265,7 +268,19 @@ def _searched(problem: Problem, more_time: Callable[[], bool]) -> tuple[_Found, 
 def _improved(problem: Problem, legs: list[int], more_time: Callable[[], bool]) -> _Found:
     problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
     route = best_route(problem, legs, more_time)
-    return _Found(problem, route, _worth_m2(problem, route))
+    found = _Found(problem, route, _worth_m2(problem, route))
+    wanting = Wanting(problem)
+    gain_m2 = wanting.take_all(way // 2 for way in route)
+    if gain_m2 >= _WITHIN * _wanting_m2(problem):
+        return found
+    # Rough ways have misjudged what the track suffices for: there may be some left.
+    for leg in _fitting(problem, route, wanting):
+        if not more_time():
+            break
+        fuller = best_route(problem, [*(way // 2 for way in found.route), leg], more_time)
+        worth_m2 = _worth_m2(problem, fuller)
+        found = _Found(problem, fuller, worth_m2) if worth_m2 > found.worth_m2 else found
+    return found
 
 
 def _worth_m2(problem: Problem, route: list[int]) -> float:
@@ -405,9 +420,28 @@ def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[
             f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to {world.required:.2f} by any leg; "
             f"the best that can be reached is {mean:.2f} on average and {float(reach.min()):.2f} in the worst cell"
         )
-    one_side = problem.other_side >= np.arange(tracks.n_legs)
-    wanting_m2 = float(cells.need @ cells.weight_m2) + float(problem.contact_m2[one_side].sum())
-    gain_m2 = sum(gains_m2(problem, [way // 2 for way in route]))
-    if gain_m2 < _WITHIN * wanting_m2 and route_length_m(problem, route) > _USED_UP * budget_m:
+    wanting_m2, gain_m2 = _wanting_m2(problem), sum(gains_m2(problem, [way // 2 for way in route]))
+    further_m = float(np.median(tracks.length_m)) + 2.0 * math.pi * problem.turns.radius_m
+    if gain_m2 < _WITHIN * wanting_m2 and route_length_m(problem, route) + further_m > budget_m:
         return f"cannot, because {budget_m:.0f} m of track suffice for {gain_m2 / wanting_m2:.0%} of what is wanting"
     return ""
+
+
+def _wanting_m2(problem: Problem) -> float:
+    """What could be gained by all there is to gain."""
+    one_side = problem.other_side >= np.arange(problem.tracks.n_legs)
+    return float(problem.cells.need @ problem.cells.weight_m2) + float(problem.contact_m2[one_side].sum())
+
+
+def _fitting(problem: Problem, route: list[int], wanting: Wanting) -> list[int]:
+    """The legs that would still gain most per metre and that the rest of the track could suffice for, by rough ways."""
+    tracks = problem.tracks
+    exits = np.array([problem.pose, *(ends_of(tracks, way)[1] for way in route)])
+    entries = np.concatenate([tracks.run[:, 0], tracks.run[:, 1] + np.array([0.0, 0.0, math.pi])])
+    track_m = tracks.length_m + rough_way_m(exits, entries, problem.turns.radius_m)
+    taken = [way // 2 for way in route]
+    fits = track_m <= problem.limits.budget_m - route_length_m(problem, route)
+    fits[taken] = fits[problem.other_side[taken]] = False
+    legs = np.flatnonzero(fits).tolist()
+    gain_m2 = {leg: gain for leg in legs if (gain := wanting.gain_m2(leg)) > _LEAST_BETTER_M2}
+    return sorted(gain_m2, key=lambda leg: (-gain_m2[leg] / track_m[leg], leg))[:_MOST_FITTING]

@@ -114,6 +114,8 @@ def look_number(look_rad: float) -> int:
 def headings_rad(cells: Cells) -> list[float]:
     """Directions to sail in, the opposite of each meant as well: eight evenly spread from the direction in which the cells reach farthest,
     and along the crests where ripples lie between these."""
+    if not len(cells.need):
+        return []
     turned = np.arange(0.0, math.pi / 2.0 - 1e-9, _TURNED_RAD)[:, np.newaxis]
     sine, cosine = np.sin(turned), np.cos(turned)
     along = np.ptp(cells.east_m * sine + cells.north_m * cosine, axis=1)
@@ -211,7 +213,7 @@ class _Legs:
     def add_run(self, lines: _Lines, entry: Pose, leave: Pose) -> None:
         ahead = math.sin(entry.heading_rad), math.cos(entry.heading_rad)
         begin, end = (pose.east_m * ahead[0] + pose.north_m * ahead[1] for pose in (entry, leave))
-        self._add_piece(lines, 0, 0, lines.along_m, begin, end, None)
+        self._add_run(lines, 0, 0, lines.along_m, (begin, end), (entry, leave))
         self._keep(lines)
 
     def _keep(self, lines: _Lines) -> None:
@@ -220,15 +222,19 @@ class _Legs:
 
     def _add_piece(self, lines: _Lines, number: int, low: int, along: Array, begin: float, end: float, inside: _Inside | None) -> None:
         for run_begin, run_end in [(begin, end)] if inside is None else inside.parts(number, begin, end):
-            # A cell counts if all of it lies abeam of the credited run.
-            margin_m = self._limits.settling_m + half_extent_m(self._cells.cell_m, lines.heading_rad) - 1e-6
-            first, last = np.searchsorted(along, [run_begin + margin_m, run_end - margin_m])
-            if last > first:
-                self._runs.append(
-                    (_on_line(lines, number, run_begin), _on_line(lines, number, run_end)),
-                )
-                offset = self._n_seen + low
-                self._numbers.append((offset + int(first), offset + int(last), number, len(self._lines)))
+            self._add_run(lines, number, low, along, (run_begin, run_end), None)
+
+    def _add_run(
+        self, lines: _Lines, number: int, low: int, along: Array, stretch: tuple[float, float], ends: tuple[Pose, Pose] | None
+    ) -> None:
+        begin, end = stretch
+        # A cell counts if all of it lies abeam of the credited run.
+        margin_m = self._limits.settling_m + half_extent_m(self._cells.cell_m, lines.heading_rad) - 1e-6
+        first, last = np.searchsorted(along, [begin + margin_m, end - margin_m])
+        if last > first:
+            self._runs.append(ends or (_on_line(lines, number, begin), _on_line(lines, number, end)))
+            offset = self._n_seen + low
+            self._numbers.append((offset + int(first), offset + int(last), number, len(self._lines)))
 
     def tracks(self) -> Tracks:
         first, last, line, heading = np.array(self._numbers, dtype=np.int64).reshape(-1, 4).T

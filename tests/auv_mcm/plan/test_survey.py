@@ -1,0 +1,333 @@
+"""Missions planned anew: no plan breaks a limit, whatever is asked; what is asked for is got where it can be, or else it is said why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from survey_worlds import CELL_M, LIMITS, ORIGIN, Sonar, contact, world
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance
+from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.limits import Limits
+from auv_mcm.plan.survey import HIGHEST_REQUIRED, Plan, PlannedLeg, World, clearance_over, replan, unsearched
+
+POSE = Pose(-20.0, -20.0, 0.3)
+SQUARE = np.array([[-60.0, -60.0], [-60.0, 140.0], [140.0, 140.0], [140.0, -60.0]])
+BAY = np.array([[-60.0, -60.0], [-60.0, 140.0], [40.0, 60.0], [140.0, 140.0], [140.0, -60.0]])
+
+
+def steps(n: int) -> Callable[[], bool]:
+    left = iter(range(n))
+    return lambda: next(left, None) is not None
+
+
+def plane(plan: Plan, origin_deg: tuple[float, float] = ORIGIN) -> NDArray[np.float64]:
+    frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
+    return np.array([frame.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in plan.waypoints]).reshape(-1, 2)
+
+
+def even_odd(points: NDArray[np.float64], fence: NDArray[np.float64]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(points), dtype=np.bool_)
+    for (east0, north0), (east1, north1) in zip(fence, np.roll(fence, -1, axis=0), strict=True):
+        spans = (north0 > points[:, 1]) != (north1 > points[:, 1])
+        height = north1 - north0 if north1 != north0 else 1.0
+        inside ^= spans & (points[:, 0] < east0 + (points[:, 1] - north0) / height * (east1 - east0))
+    return inside
+
+
+def edge_distance(points: NDArray[np.float64], fence: NDArray[np.float64]) -> NDArray[np.float64]:
+    nearest = np.full(len(points), np.inf)
+    for a, b in zip(fence, np.roll(fence, -1, axis=0), strict=True):
+        share = np.clip((points - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.hypot(*(points - a - share[:, np.newaxis] * (b - a)).T))
+    return nearest
+
+
+def assert_within_limits(plan: Plan, limits: Limits, pose: Pose) -> None:
+    """By the way-points alone: the polygon that the vehicle is given."""
+    places = plane(plan)
+    if not len(places):
+        assert plan.length_m == 0.0
+        return
+    assert np.hypot(*(places[0] - pose[:2])) < 1e-3
+    pieces = np.hypot(*np.diff(places, axis=0).T)
+    assert pieces.sum() <= plan.length_m + 1e-3 <= limits.budget_m + 2e-3
+    # A circle that touches two pieces from inside where they meet, as far out as the shorter one allows, is no tighter than the vehicle's.
+    course = np.unwrap(np.arctan2(*np.diff(places, axis=0).T))
+    for (before_m, after_m), turned in zip(pairwise(pieces), np.abs(np.diff(course)), strict=True):
+        if turned > 1e-6:
+            assert (
+                turned <= math.radians(15.0) + 1e-6 or 0.5 * min(before_m, after_m) / math.tan(turned / 2.0) >= limits.turn_radius_m - 0.01
+            )
+    kinds = [point.kind for point in plan.waypoints]
+    entries = [at for at, kind in enumerate(kinds) if kind == "leg_entry"]
+    assert [kinds[at + 1] for at in entries] == ["leg_exit"] * len(plan.legs)
+    assert all(point.why for point in plan.waypoints)
+    if limits.fence is not None:
+        on_the_way = np.concatenate([a + np.linspace(0.0, 1.0, 40)[:, np.newaxis] * (b - a) for a, b in pairwise(places)])
+        assert even_odd(on_the_way, limits.fence).all()
+        assert edge_distance(on_the_way, limits.fence).min() >= limits.fence_margin_m - 1e-3
+
+
+def legs_alone_raise(clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: Sonar, settling_m: float) -> NDArray[np.float64]:
+    """Miss exponents after the legs, one cell and one leg at a time."""
+    exponent = clearance.exponent.copy()
+    for row in range(exponent.shape[0]):
+        for column in range(exponent.shape[1]):
+            centre = np.array([clearance.first_east + column + 0.5, clearance.first_north + row + 0.5]) * CELL_M
+            had: list[float] = []
+            for leg in legs:
+                heading = leg.entry.heading_rad
+                ahead, right = np.array([math.sin(heading), math.cos(heading)]), np.array([math.cos(heading), -math.sin(heading)])
+                along, beside = float((centre - leg.entry[:2]) @ ahead), float((centre - leg.entry[:2]) @ right)
+                length = math.hypot(leg.exit.east_m - leg.entry.east_m, leg.exit.north_m - leg.entry.north_m)
+                half = CELL_M / 2.0 * (abs(ahead[0]) + abs(ahead[1])) - 1e-3
+                if not settling_m + half <= along <= length - settling_m - half:
+                    continue
+                near_m, far_m = LIMITS.swath
+                part = min(max(min(abs(beside) - near_m, far_m - abs(beside)) / CELL_M + 0.5, 0.0), 1.0)
+                look = heading + math.copysign(math.pi / 2.0, beside)
+                one = [
+                    np.array([value])
+                    for value in (clearance.seabed[row, column], abs(beside), 5.0, look, clearance.ripple_rad[row, column])
+                ]
+                p = part * min(float(sonar.p_look(one[0], *(value.astype(np.float32) for value in one[1:]))[0]), HIGHEST_P)
+                if p <= 0.0:
+                    continue
+                alike = any(abs(math.remainder(look - other, 2.0 * math.pi)) <= math.radians(15.0) for other in had)
+                rho = sonar.same_look_correlation if alike else sonar.other_look_correlation if had else 0.0
+                exponent[row, column] += -(1.0 - rho) * math.log1p(-p)
+                had.append(look)
+    return exponent
+
+
+def test_a_small_area_is_cleared_by_the_legs_of_its_plan() -> None:
+    state = world()
+    plan = replan(state, POSE, LIMITS, None, steps(200))
+    assert plan.verdict == ""
+    reached = -np.expm1(-legs_alone_raise(state.clearance, plan.legs, Sonar(), LIMITS.settling_m))
+    assert np.mean(reached >= state.required - 0.01) >= 0.97
+    # Whole ladders at the best spacing take at least eight legs of 100 m with their turns.
+    assert plan.length_m < 1000.0
+
+
+@pytest.mark.parametrize("ripple_deg", [math.nan, 0.0, 50.0])
+def test_what_a_plan_says_it_gains_is_what_its_legs_add_cell_by_cell(ripple_deg: float) -> None:
+    state = world(12, 16, seabed="ripple" if math.isfinite(ripple_deg) else "flat", ripple_deg=ripple_deg)
+    plan = replan(state, POSE, LIMITS, None, steps(30))
+    wanted = -math.log1p(-state.required)
+    added = np.minimum(legs_alone_raise(state.clearance, plan.legs, Sonar(), LIMITS.settling_m), wanted)
+    assert plan.gain_m2 == pytest.approx(added.sum() / wanted * CELL_M**2, rel=0.02)
+    assert plan.gain_m2 <= plan.bound_m2
+
+
+def test_over_ripples_it_looks_across_the_crests() -> None:
+    for ripple_deg in (0.0, 70.0, 135.0):
+        state = world(16, 16, seabed="ripple", ripple_deg=ripple_deg, required=0.8)
+        longest = max(replan(state, POSE, LIMITS, None, steps(60)).legs, key=lambda leg: leg.gain_m2)
+        look = longest.entry.heading_rad + math.pi / 2.0
+        assert abs(math.remainder(look - math.radians(ripple_deg), math.pi)) < math.radians(30.0)
+        assert "ripple" in longest.why
+        assert "across the crests" in longest.why
+
+
+def star(radii: list[float], turned: float) -> NDArray[np.float64]:
+    angle = turned + np.linspace(0.0, 2.0 * math.pi, len(radii), endpoint=False)
+    return np.asarray(np.column_stack([np.sin(angle), np.cos(angle)]) * np.array(radii)[:, np.newaxis] + 40.0)
+
+
+FENCES = st.one_of(
+    st.none(), st.just(SQUARE), st.just(BAY), st.builds(star, st.lists(st.floats(20.0, 250.0), min_size=3, max_size=9), st.floats(0.0, 6.0))
+)
+CONTACTS = st.lists(st.tuples(st.floats(-30.0, 110.0), st.floats(-30.0, 110.0), st.floats(0.0, 360.0), st.floats(0.0, 1.0)), max_size=6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    fence=FENCES,
+    radius_m=st.floats(2.0, 40.0),
+    budget_m=st.floats(0.0, 3000.0),
+    margin_m=st.floats(0.0, 10.0),
+    settling_m=st.floats(0.0, 20.0),
+    pose=st.builds(Pose, st.floats(-50.0, 130.0), st.floats(-50.0, 130.0), st.floats(-7.0, 7.0)),
+    asking=CONTACTS,
+    searched=st.floats(0.0, 1.0),
+    patience=st.integers(0, 25),
+)
+def test_no_leg_and_no_turn_ever_breaks_a_limit(
+    fence: NDArray[np.float64] | None,
+    radius_m: float,
+    budget_m: float,
+    margin_m: float,
+    settling_m: float,
+    pose: Pose,
+    asking: list[tuple[float, float, float, float]],
+    searched: float,
+    patience: int,
+) -> None:
+    state = world(14, 14, contacts=tuple(contact(number, *told) for number, told in enumerate(asking)))
+    state.clearance.exponent[np.random.default_rng(7).random((14, 14)) < searched] = 3.0
+    limits = LIMITS._replace(turn_radius_m=radius_m, budget_m=budget_m, fence=fence, fence_margin_m=margin_m, settling_m=settling_m)
+    plan = replan(state, pose, limits, None, steps(patience))
+    assert_within_limits(plan, limits, pose)
+    assert bool(plan.legs) or plan.verdict.startswith(("cannot, because ", "done: "))
+    assert plan.gain_m2 <= plan.bound_m2
+    assert plan == replan(state, pose, limits, None, steps(patience))
+    # As the plan is flown, what is left of it keeps the limits as well.
+    if plan.legs and math.isfinite(budget_m):
+        less = limits._replace(budget_m=0.5 * budget_m)
+        assert_within_limits(replan(state, pose, less, plan, steps(3)), less, pose)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"altitude_m": 1.0}, "below the least allowed of 2 m"),
+        ({"altitude_m": math.nan}, "below the least allowed"),
+        ({"turn_radius_m": 0.0}, "turn radius"),
+        ({"swath": (50.0, 50.0)}, "looks at nothing"),
+        ({"budget_m": 0.0}, "no track is left"),
+        ({"budget_m": math.nan}, "no track is left"),
+        ({"budget_m": 30.0}, "no leg can be reached"),
+        ({"fence": SQUARE[:2]}, "no polygon"),
+        ({"fence": SQUARE * math.nan}, "no polygon"),
+        ({"fence": SQUARE + 500.0}, "outside its fence"),
+        ({"fence": np.array([[-25.0, -25.0], [-25.0, -15.0], [-15.0, -15.0], [-15.0, -25.0]])}, "room for a turn"),
+    ],
+)
+def test_where_nothing_can_be_planned_it_says_why(changes: dict[str, Any], reason: str) -> None:
+    for state in (world(), world(contacts=(contact(1, 30.0, 40.0),))):
+        plan = replan(state, POSE, LIMITS._replace(**changes), None, steps(50))
+        assert not plan.legs
+        assert not plan.waypoints
+        assert plan.verdict.startswith("cannot, because ")
+        assert reason in plan.verdict
+
+
+@pytest.mark.parametrize("pose", [Pose(math.nan, 0.0, 0.0), Pose(0.0, math.inf, 0.0), Pose(0.0, 0.0, math.nan)])
+def test_without_a_pose_there_is_no_plan(pose: Pose) -> None:
+    assert "pose is not known" in replan(world(), pose, LIMITS, None, steps(50)).verdict
+
+
+@pytest.mark.parametrize("highest_p", [0.0, math.nan])
+def test_a_sonar_that_finds_nothing_plans_nothing_and_says_so(highest_p: float) -> None:
+    plan = replan(world(sonar=Sonar(highest_p)), POSE, LIMITS, None, steps(50))
+    assert plan.legs == ()
+    assert plan.verdict.startswith("cannot, because ")
+    assert "finds nothing" in plan.verdict
+
+
+def test_what_cannot_be_reached_is_said_with_the_best_that_can() -> None:
+    plan = replan(world(sonar=Sonar(0.02)), POSE, LIMITS, None, steps(20))
+    assert "cannot be brought to 0.90 by any leg; the best that can be reached is 0." in plan.verdict
+
+
+def test_a_budget_for_a_part_is_spent_on_it_and_the_share_is_said() -> None:
+    plan = replan(world(40, 40), POSE, LIMITS._replace(budget_m=700.0), None, steps(200))
+    assert 400.0 < plan.length_m <= 700.0
+    assert "700 m of track suffice for" in plan.verdict
+
+
+def test_a_cleared_area_is_done_and_an_empty_one_too() -> None:
+    state = world()
+    state.clearance.exponent[:] = 2.4
+    assert replan(state, POSE, LIMITS, None, steps(5)) == Plan(verdict="done: required clearance of 0.90 reached in all of 6\u2009400 m²")
+    nothing = state._replace(area=np.zeros((20, 20), dtype=np.bool_))
+    assert "no area to clear" in replan(nothing, POSE, LIMITS, None, steps(5)).verdict
+    empty = World(unsearched(*ORIGIN, CELL_M), np.zeros((0, 0), dtype=np.bool_), 0.9, Sonar(), ())
+    assert replan(empty, POSE, LIMITS, None, steps(5)).verdict.startswith("done: ")
+
+
+def test_an_area_laid_out_otherwise_and_a_certainty_are_refused() -> None:
+    state = world()
+    with pytest.raises(ValueError, match="clearance_over"):
+        replan(state._replace(area=np.ones((3, 3), dtype=np.bool_)), POSE, LIMITS, None, steps(5))
+    for required in (0.0, 1.0, math.nan):
+        with pytest.raises(ValueError, match="required probability"):
+            replan(state._replace(required=required), POSE, LIMITS, None, steps(5))
+    assert replan(state._replace(required=HIGHEST_REQUIRED), POSE, LIMITS, None, steps(5)).legs
+
+
+def test_contacts_are_looked_at_towards_where_they_ask_from_the_range_that_is_best() -> None:
+    asking = tuple(contact(number, 20.0 * number, 60.0 - 15.0 * number, look_deg=37.0 * number) for number in range(1, 5))
+    state = world(contacts=asking)
+    state.clearance.exponent[:] = 3.0
+    plan = replan(state, POSE, LIMITS, None, steps(50))
+    assert sorted(leg.contact_id for leg in plan.legs) == [told.id for told in asking]
+    for leg in plan.legs:
+        place = np.array([20.0, -15.0]) * int(leg.contact_id[1:]) + np.array([0.0, 60.0])
+        heading = leg.entry.heading_rad
+        beside = float((place - leg.entry[:2]) @ np.array([math.cos(heading), -math.sin(heading)]))
+        middle = 0.5 * (np.array(leg.entry[:2]) + leg.exit[:2])
+        assert abs(float((place - middle) @ np.array([math.sin(heading), math.cos(heading)]))) < 0.01
+        assert LIMITS.swath[0] < abs(beside) < 26.0
+        look_deg = math.degrees(heading) + math.copysign(90.0, beside)
+        assert abs(math.remainder(look_deg - 37.0 * int(leg.contact_id[1:]), 180.0)) < 0.01
+        assert leg.contact_id in leg.why
+        assert "towards" in leg.why
+
+
+def test_contacts_all_at_one_place_are_each_looked_at() -> None:
+    asking = tuple(contact(number, 40.0, 40.0, look_deg=0.0) for number in range(5))
+    state = world(contacts=asking)._replace(area=np.zeros((20, 20), dtype=np.bool_))
+    plan = replan(state, POSE, LIMITS, None, steps(50))
+    assert [sorted(leg.contact_id for leg in plan.legs), plan.verdict] == [[told.id for told in asking], ""]
+
+
+@pytest.mark.parametrize("origin_deg", [(0.0, 180.0), (-17.0, -179.9999), (89.99, 30.0)])
+def test_it_plans_alike_anywhere_on_the_globe(origin_deg: tuple[float, float]) -> None:
+    here = replan(world(origin_deg=ORIGIN), POSE, LIMITS, None, steps(40))
+    there = replan(world(origin_deg=origin_deg), POSE, LIMITS, None, steps(40))
+    assert there.legs == here.legs
+    assert np.abs(plane(there, origin_deg) - plane(here)).max() < 1e-3
+    assert all(-180.0 <= point.longitude_deg < 180.0 for point in there.waypoints)
+
+
+def test_a_plan_that_is_being_sailed_is_kept_while_no_other_is_a_tenth_better() -> None:
+    state = world(contacts=(contact(1, 60.0, 20.0),))
+    plan = replan(state, POSE, LIMITS, None, steps(60))
+    for n in (0, 5, 60):
+        again = replan(state, POSE, LIMITS, plan, steps(n))
+        assert [leg[:2] for leg in again.legs] == [leg[:2] for leg in plan.legs]
+    # On its way along the first leg.
+    first = plan.legs[0]
+    part = 0.3
+    on_leg = Pose(
+        first.entry.east_m + part * (first.exit.east_m - first.entry.east_m),
+        first.entry.north_m + part * (first.exit.north_m - first.entry.north_m),
+        first.entry.heading_rad,
+    )
+    going_on = replan(state, on_leg, LIMITS, plan, steps(60))
+    assert going_on.legs[0].exit == first.exit
+    assert [leg.entry for leg in going_on.legs[1:]] == [leg.entry for leg in plan.legs[1:]]
+
+
+def test_a_plan_goes_once_its_work_is_done_or_a_better_one_is_found() -> None:
+    state = world(contacts=(contact(1, 60.0, 20.0),))
+    plan = replan(state, POSE, LIMITS, None, steps(60))
+    decided = state._replace(contacts=(msgspec.structs.replace(state.contacts[0], next_look_deg=()),))
+    assert all(leg.contact_id == "" for leg in replan(decided, POSE, LIMITS, plan, steps(40)).legs)
+    worse = msgspec.structs.replace(plan, legs=plan.legs[:1])
+    assert len(replan(state, POSE, LIMITS, worse, steps(60)).legs) > 1
+
+
+def test_a_clearance_is_laid_over_a_box_with_what_is_known_in_place() -> None:
+    known = world(3, 4, first=(10, 20)).clearance
+    known.exponent[:] = np.arange(12.0).reshape(3, 4)
+    laid = clearance_over(known, 8, 21, (5, 9))
+    expected = np.zeros((5, 9))
+    expected[0:2, 2:6] = known.exponent[1:]
+    np.testing.assert_array_equal(laid.exponent, expected)
+    assert (laid.first_east, laid.first_north, laid.ripple_rad.shape) == (8, 21, (5, 9))
+    assert not clearance_over(known, 100, 100, (2, 2)).exponent.any()
+    assert not clearance_over(known, 0, 0, (2, 2)).exponent.any()
