@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import yaml
@@ -17,7 +17,7 @@ from msgspec import Meta, inspect
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import ArmLength, PortConfig, check_together
 from auv_mcm.strict_yaml import keyed, load_mapping
-from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleConfig
+from auv_mcm.vehicle_config import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -173,7 +173,7 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
 
 
 class PlanConfig(_Section, frozen=True, kw_only=True):
-    """Limits of the proposed re-inspection legs."""
+    """What is asked of the vehicle: second looks at contacts and, where there is an area to clear, a survey of it."""
 
     cell_m: Annotated[float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")] = 4.0
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="contacts looked at again at most")] = 12
@@ -181,6 +181,44 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
     turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
     stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
     leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
+    area_deg: Annotated[
+        tuple[tuple[Latitude, Longitude], ...],
+        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second looks alone"),
+    ] = ()
+    required_clearance: Annotated[
+        float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")
+    ] = 0.9
+    max_track_m: Annotated[float, Meta(gt=0.0, le=1e6, description="track that is commanded in all at most, m")] = 10_000.0
+
+    def __post_init__(self) -> None:
+        if not self.area_deg:
+            return
+        if len(self.area_deg) < 3:
+            raise ValueError("plan: area_deg needs at least three corners [latitude, longitude]")
+        if not all(math.isfinite(value) for corner in self.area_deg for value in corner):
+            raise ValueError("plan: area_deg holds a corner that is no number")
+        east_m, north_m = zip(*_about_first(self.area_deg, self.area_deg[0]), strict=True)
+        if max(map(math.hypot, east_m, north_m)) > _FARTHEST_CORNER_M:
+            raise ValueError(f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one mission")
+        twice_m2 = sum(east_m[n - 1] * north_m[n] - east_m[n] * north_m[n - 1] for n in range(len(east_m)))
+        if abs(twice_m2) < 2.0:
+            raise ValueError("plan: area_deg is no area; give its corners in order, edges must not cross")
+        n_cells = (max(east_m) - min(east_m)) * (max(north_m) - min(north_m)) / self.cell_m**2
+        if n_cells > _MOST_CELLS:
+            raise ValueError(
+                f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MOST_CELLS}: give a larger cell_m"
+            )
+
+
+_FARTHEST_CORNER_M: Final = 50_000.0  # farther out the mission's plane bends straight lines
+_MOST_CELLS: Final = 1_000_000
+_DEGREE_M: Final = 111_320.0
+
+
+def _about_first(corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[float, float]) -> list[tuple[float, float]]:
+    """East and north, m, on a plane good enough to judge sizes; across the antimeridian as well."""
+    shrunk = math.cos(math.radians(first_deg[0]))
+    return [(math.remainder(lon - first_deg[1], 360.0) * _DEGREE_M * shrunk, (lat - first_deg[0]) * _DEGREE_M) for lat, lon in corners_deg]
 
 
 class ServiceConfig(_Section, frozen=True, kw_only=True):
@@ -210,8 +248,16 @@ class Config(_Section, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_together(self.ports)
+        if self.vehicle.command and self.plan.area_deg and _are_apart(self.plan.area_deg, self.vehicle.fence_deg):
+            raise ValueError("plan: area_deg lies outside vehicle.fence_deg, where no leg can be sailed: correct one of them")
         if self.vehicle.command and self.ports and all(port.device not in VEHICLE_NAMES for port in self.ports):
             raise ValueError(f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one")
+
+
+def _are_apart(area_deg: tuple[tuple[float, float], ...], fence_deg: tuple[tuple[float, float], ...]) -> bool:
+    """Whether a straight line to the north or east lies between them."""
+    ways = [list(zip(*_about_first(corners, area_deg[0]), strict=True)) for corners in (area_deg, fence_deg)]
+    return any(max(ways[0][k]) <= min(ways[1][k]) or max(ways[1][k]) <= min(ways[0][k]) for k in (0, 1))
 
 
 def parse_config(text: str, place: str) -> Config:

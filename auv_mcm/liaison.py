@@ -54,7 +54,7 @@ class Liaison:
     def __init__(self, config: Config, vehicle: VehicleEnd, clock: Clock) -> None:
         self.vehicle = vehicle
         self._clock = clock
-        self._commands = config.vehicle.command
+        self._plans = config.vehicle.command or bool(config.plan.area_deg)
         self._look_again = LookAgain(config)
         self._serving: asyncio.Future[None] | None = None
         self._told_health: tuple[Health, str] | None = None
@@ -72,7 +72,13 @@ class Liaison:
 
     def health(self) -> str:
         """For the health line; after parting, how it was then."""
-        return self._parted or self.vehicle.health()
+        area = self._look_again.area
+        return (self._parted or self.vehicle.health()) + ("" if area is None else f" {area.words()}")
+
+    @property
+    def verdict(self) -> str:
+        """What the search of the area came to, "" if that is not known."""
+        return "" if self._look_again.area is None else self._look_again.area.verdict
 
     def start(self, serve: Coroutine[Any, Any, None]) -> None:
         """serve: talks to the vehicle until cancelled."""
@@ -99,9 +105,12 @@ class Liaison:
         now_s = self._clock.monotonic_s()
         position_lost = now_s - self._position_s > _POSITION_LOST_S
         faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
-        self._tell_health("fault" if faults else "normal", "; ".join(faults))
-        if self._commands and not self._ending and not position_lost and self.vehicle.authority != "down":
+        area = self._look_again.area
+        self._tell_health("fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])]))
+        if self._plans and not self._ending and not position_lost and self.vehicle.authority != "down":
             self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
+            if (plan := self._look_again.insist(now_s)) is not None:
+                self.vehicle.propose(plan)
             request = self._look_again.request((*self._position_deg, self._heading_rad), now_s)
             if request is not None:
                 ask(request)

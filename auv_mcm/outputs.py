@@ -17,6 +17,7 @@ from auv_mcm.config import PlanConfig
 from auv_mcm.contacts.export import contacts_csv, contacts_geojson, contacts_kml, coverage_geojson, is_mine_like, waypoints_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame, geodetic_to_ecef
+from auv_mcm.plan.area import area_state, over_area
 from auv_mcm.plan.clearance import Clearance
 from auv_mcm.plan.clearance_export import BANDS, clearance_geojson
 from auv_mcm.plan.residual import remaining_mines
@@ -157,6 +158,23 @@ def search_totals(clearance: Clearance | None, contacts: Sequence[Contact]) -> d
             "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
             "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
             "mines_left": {"expected": round(left.expected, 4), "at_most_95": left.high, "p_none": round(left.p_none, 4)},
+        }
+    }
+
+
+def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:
+    """How the search of the area to be cleared stands at the end; empty if there is none. verdict: of planning, while it went on."""
+    if not plan.area_deg:
+        return {}
+    state = area_state(over_area(clearance, plan.area_deg, plan.cell_m), plan.required_clearance)
+    return {
+        "area": {
+            "km2": round(state.km2, 6),
+            "required": state.required,
+            "p_detected_mean": round(state.p_detected, 4),
+            "percent_at_required": round(100.0 * state.share, 1),
+            "reached": state.is_reached,
+            "verdict": verdict,
         }
     }
 

@@ -31,6 +31,7 @@ from auv_mcm.liaison import Liaison, VehicleEnd
 from auv_mcm.outputs import (
     Journal,
     Tally,
+    area_totals,
     contact_totals,
     make_directory,
     plan_waypoints,
@@ -489,6 +490,7 @@ class Service:
             **self._tally.totals(),
             **contact_totals(contacts, self._coverage),
             **search_totals(self._clearance, contacts),
+            **area_totals(self._clearance, self._config.plan, "" if self._liaison is None else self._liaison.verdict),
             "waypoints": len(waypoints),
             **({} if self._liaison is None else {"vehicle": self._liaison.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),

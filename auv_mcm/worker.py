@@ -14,12 +14,13 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any, Final, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import msgspec
 import numpy as np
@@ -29,13 +30,17 @@ from auv_mcm.config import Config
 from auv_mcm.contacts.export import best_view
 from auv_mcm.plan.clearance import Clearance, ClearanceMap
 from auv_mcm.plan.look_again import PlanRequest, Proposal
-from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.plan.performance import Performance, shipped_performance
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, PipelineEvent, SourceEvent, Tile
+
+if TYPE_CHECKING:
+    from auv_mcm.plan.clear_area import ClearArea
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
 _ALIGNMENT: Final = 64
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
+_PLANNING_S: Final = 0.2  # for a plan of the survey to get better
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 
 
@@ -308,19 +313,23 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
     place = "at its start"
     try:
         pipeline = make_pipeline(config)
-        searched = ClearanceMap(shipped_performance())
+        model = shipped_performance()
+        searched = ClearanceMap(model)
+        area = _clear_area(config, model)
         gc.collect()
         gc.freeze()
         connection.send(Fed(()))
         while (message := connection.recv()) is not None:
             if isinstance(message, PlanRequest):
-                connection.send(Planned(_proposal(pipeline, message, config)))
+                connection.send(Planned(_proposal(pipeline, searched, area, message, config)))
                 continue
             event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
             place = getattr(event, "place", "") or place
-            connection.send(Fed(_slim(pipeline.feed(event), searched)))
+            if area is not None and isinstance(event, Ping):
+                area.see(event)
+            connection.send(Fed(_slim(pipeline.feed(event), searched, area)))
         # The last contacts are made durable while their pictures are drawn.
-        connection.send(Fed(_slim(pipeline.finish(), searched)))
+        connection.send(Fed(_slim(pipeline.finish(), searched, area)))
         contacts, clearance = pipeline.contacts, searched.snapshot()
         pictures = _snippets(contacts), b"" if clearance is None else _clearance_png(clearance)
         connection.send(Finished(tuple(map(_without_pictures, contacts)), pipeline.counters, pictures[0], clearance, pictures[1]))
@@ -340,18 +349,29 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         memory.close()
 
 
-def _proposal(pipeline: Perceiving, request: PlanRequest, config: Config) -> Proposal:
+def _clear_area(config: Config, model: Performance) -> ClearArea | None:
+    if not config.plan.area_deg:
+        return None
+    from auv_mcm.plan.clear_area import ClearArea
+
+    return ClearArea(config, model)
+
+
+def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | None, request: PlanRequest, config: Config) -> Proposal:
     """Contacts matter more than plans: a planner that fails does not take perception with it."""
     from auv_mcm.plan.propose import propose
 
+    until_s = time.monotonic() + _PLANNING_S
     try:
+        if area is not None:
+            return area.propose(searched.snapshot(), pipeline.contacts, request, lambda: time.monotonic() < until_s)
         return propose(pipeline.contacts, request, config.plan, config.vehicle)
     except Exception as error:
         traceback.print_exc(file=sys.stderr)
         return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
 
 
-def _slim(events: list[PipelineEvent], searched: ClearanceMap) -> tuple[PipelineEvent, ...]:
+def _slim(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea | None) -> tuple[PipelineEvent, ...]:
     """What the parent needs of events; cells of patches stay here, in the map of what was searched."""
     slim: list[PipelineEvent] = []
     for event in events:
@@ -360,6 +380,8 @@ def _slim(events: list[PipelineEvent], searched: ClearanceMap) -> tuple[Pipeline
                 continue
             case CoveragePatch():
                 searched.add(event)
+                if area is not None:
+                    area.add(event)
                 slim.append(msgspec.structs.replace(event, cells=None))
             case Contact():
                 slim.append(_without_pictures(event))

@@ -1,20 +1,22 @@
-"""At which contacts the vehicle is asked to look again, and when: as asked once, not again and again, and never without end.
+"""When a plan is made, and which is asked for: at once where there is something to look at, in peace while a leg is run, and not for ever.
 
 A contact is given up after two legs past it that gave no new view of it, and after four legs in all. A plan under way is not changed while
-the vehicle runs past a contact, nor as long as the contacts in it stay the same.
+the vehicle runs along a leg, nor as long as the legs in it stay the same. Where there is an area to clear, plans are also made anew when a
+leg of its survey ends, and from time to time. No plan is asked for beyond the track that may be commanded in all.
 """
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from auv_mcm.config import Config
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.reinspect import needs_second_look
+from auv_mcm.plan.area import AreaState
+from auv_mcm.plan.reinspect import Place, needs_second_look
 from auv_mcm.records import Contact, Notice, Waypoint
 
 MOST_VAIN_LOOKS: Final = 2
@@ -22,23 +24,37 @@ MOST_LOOKS: Final = 4
 WAIT_FOR_VIEW_S: Final = 120.0  # from the end of a leg to what was seen on it: a tile has to be complete
 _EVERY_S: Final = 5.0
 _REFRESH_S: Final = 30.0  # a plan that waits for permission begins where the vehicle was
-_SLACK_M: Final = 5.0  # between a leg as planned and as flown
+LEAVES_LEG_M: Final = 5.0  # and the radius of arrival: so far before its end a leg counts as flown
+_BESIDE_M: Final = 5.0  # between a leg as planned and as flown
+_SURVEY_S: Final = 10.0  # between looks at how the search of an area stands, while nothing is flown
+_SURVEY_AGAIN_S: Final = 60.0  # and while something is, or nothing can be
+_STEP_M: Final = 5.0  # in which track is measured, so that the noise of positions does not add up
+_JUMP_M: Final = 100.0  # farther apart, two positions are no track
+_SAME_M: Final = 1.0
+_CODES: Final = {"done": "survey_done", "cannot": "survey_cannot", "not yet": "survey_waits"}
+
+Run: TypeAlias = tuple[Place, Place]
+"""A leg from entry to exit."""
 
 
 class PlanRequest(NamedTuple):
-    """Where a plan begins, and the contacts (ids) that it leaves out."""
+    """Where a plan begins, and the contacts (ids) that it leaves out. sailed_m: track commanded so far. flown: survey legs since the last
+    request."""
 
     latitude_deg: float
     longitude_deg: float
     heading_rad: float
     left_out: frozenset[str]
+    sailed_m: float = 0.0
+    flown: tuple[Run, ...] = ()
 
 
 class Proposal(NamedTuple):
-    """A plan, and the contacts that are not in it with reasons."""
+    """A plan, and the contacts that are not in it with reasons. area: how the search of the area stands, if there is one."""
 
     waypoints: tuple[Waypoint, ...]
     refused: tuple[tuple[str, str], ...]
+    area: AreaState | None = None
 
 
 class _OnLeg(NamedTuple):
@@ -52,9 +68,10 @@ class _OnLeg(NamedTuple):
 
 
 class _Leg(NamedTuple):
-    """The straight run past a contact, in metres from its entry. along: unit vector."""
+    """A straight run, past a contact or ("") of a survey, in metres from its entry. along: unit vector."""
 
     contact_id: str
+    ends_deg: Run
     frame: LocalFrame
     along: tuple[float, float]
     length_m: float
@@ -83,11 +100,16 @@ class _Looks:
 
 
 class LookAgain:
-    """Times are monotonic seconds. `plan` is what was proposed last."""
+    """Times are monotonic seconds. `plan` is what was proposed last; `area` how the search of the area stood then, if there is one."""
 
     def __init__(self, config: Config) -> None:
         self.plan: tuple[Waypoint, ...] = ()
+        self.area: AreaState | None = None
         self._config = config
+        self._clears = bool(config.plan.area_deg)
+        self._flown: list[Run] = []  # survey legs not told of yet
+        self._sailed_m = 0.0
+        self._sailed_from: LocalFrame | None = None
         self._looks: dict[str, _Looks] = {}
         self._legs: list[_Leg] = []  # of the plan, not yet flown
         self._on_leg: _Leg | None = None
@@ -122,9 +144,11 @@ class LookAgain:
             if commanding:  # the plan begins where the vehicle was before
                 self._changed, self._asked_s = True, -math.inf
         if not commanding:
+            self._sailed_from = None
             return
-        end_m = self._config.vehicle.arrival_radius_m + _SLACK_M
-        beside_m = max(0.5 * self._config.plan.stand_off_m, _SLACK_M)
+        self._sail(latitude_deg, longitude_deg)
+        end_m = self._config.vehicle.arrival_radius_m + LEAVES_LEG_M
+        beside_m = max(0.5 * self._config.plan.stand_off_m, _BESIDE_M)
         near = {
             leg: place for leg in self._legs if (place := leg.place(latitude_deg, longitude_deg)).is_near(leg.length_m, end_m, beside_m)
         }
@@ -139,11 +163,24 @@ class LookAgain:
     def request(self, pose: tuple[float, float, float], now_s: float) -> PlanRequest | None:
         """What to plan now, if anything. pose: latitude, longitude (degrees), heading (radians)."""
         left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
-        due = self._changed or left_out != self._left_out or (bool(self.plan) and self._is_old(now_s))
+        due = self._changed or left_out != self._left_out or (bool(self.plan) and self._is_old(now_s)) or self._is_survey_due(now_s)
         if not due or self._waiting or self._on_leg is not None or now_s - self._asked_s < _EVERY_S or not all(map(math.isfinite, pose)):
             return None
         self._changed, self._waiting, self._asked_s, self._left_out = False, True, now_s, left_out
-        return PlanRequest(*pose, left_out)
+        flown, self._flown = tuple(self._flown), []
+        return PlanRequest(*pose, left_out, self._sailed_m, flown)
+
+    def insist(self, now_s: float) -> tuple[Waypoint, ...] | None:
+        """What to propose without having planned: the same again while a leg is run that outlasts a plan, () when all track is sailed."""
+        if self.plan and self._sailed_m >= self._config.plan.max_track_m:
+            text = f"the {self._config.plan.max_track_m:g} m of track that the payload may command are sailed: nothing more is asked for"
+            self._tell("track_spent", text)
+            self.plan, self._legs = (), []
+            return ()
+        if self._on_leg is not None and self._is_old(now_s):
+            self._planned_s = now_s
+            return self.plan
+        return None
 
     def take(self, proposal: Proposal, now_s: float) -> tuple[Waypoint, ...] | None:
         """The plan to propose in place of the one before, None to keep that."""
@@ -152,32 +189,57 @@ class LookAgain:
             if contact_id not in self._told:
                 self._told.add(contact_id)
                 self._notices.append(Notice(code="look_refused", text=f"no second look at {contact_id} is proposed: {reason}"))
+        if proposal.area is not None:
+            self.area = proposal.area
+            if code := next((code for begin, code in _CODES.items() if self.area.verdict.startswith(begin)), ""):
+                self._tell(code, f"{self.area.words()}: {self.area.verdict}")
         if self._on_leg is not None:  # it came upon it while the plan was made
             self._changed = True
             return None
-        contacts = {waypoint.contact_id for waypoint in proposal.waypoints}
-        unchanged = contacts == {leg.contact_id for leg in self._legs}
-        if contacts and unchanged and self._begins_here and not self._is_old(now_s):
+        legs = _legs(proposal.waypoints)
+        if legs and _are_alike(legs, self._legs) and self._begins_here and not self._is_old(now_s):
             return None
         if not proposal.waypoints and not self.plan:
             return None
         self._begins_here = self._commanding
-        self.plan, self._planned_s = proposal.waypoints, now_s
-        self._legs = _legs(proposal.waypoints)
+        self.plan, self._planned_s, self._legs = proposal.waypoints, now_s, legs
         return self.plan
+
+    def _is_survey_due(self, now_s: float) -> bool:
+        settled = bool(self._legs) or (self.area is not None and bool(self.area.verdict)) or not self._config.vehicle.command
+        return self._clears and now_s - self._asked_s >= (_SURVEY_AGAIN_S if settled else _SURVEY_S)
+
+    def _sail(self, latitude_deg: float, longitude_deg: float) -> None:
+        here = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        if self._sailed_from is None:
+            self._sailed_from = here
+        sailed_m = float(np.linalg.norm(self._sailed_from.to_enu(latitude_deg, longitude_deg, 0.0)))
+        if sailed_m >= _STEP_M:
+            self._sailed_from = here
+            self._sailed_m += sailed_m if sailed_m <= _JUMP_M else 0.0
+
+    def _tell(self, code: str, text: str) -> None:
+        """Once."""
+        if code not in self._told:
+            self._told.add(code)
+            self._notices.append(Notice(code=code, text=text))
 
     def _is_old(self, now_s: float) -> bool:
         lasts_s = 0.5 * self._config.vehicle.plan_valid_s
         return now_s - self._planned_s > (lasts_s if self._commanding else min(lasts_s, _REFRESH_S))
 
     def _leave_leg(self, now_s: float) -> None:
-        """It was flown if the contact, abeam of its middle, was passed."""
+        """It was flown if its middle, abeam of the contact, was passed."""
         leg, self._on_leg = self._on_leg, None
         if leg is None or self._along_m <= 0.5 * leg.length_m:
             return
+        self._legs.remove(leg)
+        self._changed |= self._clears
+        if not leg.contact_id:
+            self._flown.append(leg.ends_deg)
+            return
         looks = self._looks[leg.contact_id]
         looks.n_flown, looks.n_vain, looks.flown_s = looks.n_flown + 1, looks.n_vain + 1, now_s
-        self._legs.remove(leg)
         if looks.is_given_up:
             text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not asked for any more"
             self._notices.append(Notice(code="look_given_up", text=text))
@@ -191,5 +253,17 @@ def _legs(waypoints: tuple[Waypoint, ...]) -> list[_Leg]:
             run_m = frame.to_enu(leaving.latitude_deg, leaving.longitude_deg, 0.0)[:2]
             length_m = float(np.linalg.norm(run_m))
             east, north = (run_m / length_m).tolist()
-            legs.append(_Leg(entry.contact_id, frame, (east, north), length_m))
+            ends_deg = (entry.latitude_deg, entry.longitude_deg), (leaving.latitude_deg, leaving.longitude_deg)
+            legs.append(_Leg(entry.contact_id, ends_deg, frame, (east, north), length_m))
     return legs
+
+
+def _are_alike(legs: list[_Leg], others: list[_Leg]) -> bool:
+    """Second looks at the same contacts, or the same legs in the same order."""
+    if all(leg.contact_id for leg in legs):
+        return {leg.contact_id for leg in legs} == {leg.contact_id for leg in others}
+    return len(legs) == len(others) and all(
+        np.linalg.norm(leg.frame.to_enu(*other.ends_deg[0], 0.0)) < _SAME_M
+        and np.linalg.norm(leg.frame.to_enu(*other.ends_deg[1], 0.0)[:2] - np.multiply(leg.along, leg.length_m)) < _SAME_M
+        for leg, other in zip(legs, others, strict=True)
+    )

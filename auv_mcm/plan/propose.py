@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_mcm.config import PlanConfig
 from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.area import in_plane
+from auv_mcm.plan.fence import Points, circles_inside, runs_inside
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact, Waypoint
 from auv_mcm.vehicle_config import VehicleConfig
-
-Points = NDArray[np.float64]
 
 
 def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig, vehicle: VehicleConfig) -> Proposal:
     """The plan from a pose through all legs that stay inside the fence, by its margin and the radius of arrival at least.
 
     A contact whose leg does not, or that cannot be reached from the one before without a turn outside, is left out, which `refused` says.
+    Legs that the track left does not suffice for are left out as well.
     """
     fence = _Fence(vehicle)
     wanted = [contact for contact in contacts if contact.id not in request.left_out]
@@ -32,7 +31,7 @@ def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig,
         waypoints = plan_reinspection(chosen, *pose, plan, may_run=lambda *ends: fence.holds(ends))
         outside = _outside(waypoints, fence)
         if not outside:
-            return Proposal(waypoints, tuple(refused.items()))
+            return Proposal(_within(waypoints, plan.max_track_m - request.sailed_m), tuple(refused.items()))
         refused |= outside
 
 
@@ -46,11 +45,23 @@ class _Fence:
 
     def holds(self, places_deg: Iterable[tuple[float, float]]) -> bool:
         """Whether the way from place to place stays inside."""
-        return keeps_inside(self._points(places_deg), self._corners, self.least_m)
+        points = self._points(places_deg)
+        at_ends = circles_inside(points, 0.0, self._corners, self.least_m)
+        return bool(at_ends.all() and runs_inside(points[:-1], points[1:], self._corners, self.least_m).all())
 
     def _points(self, places_deg: Iterable[tuple[float, float]]) -> Points:
-        latitude_deg, longitude_deg = np.array(list(places_deg)).T
-        return self._frame.to_enu(latitude_deg, longitude_deg, np.zeros_like(latitude_deg))[:, :2]
+        return in_plane(list(places_deg), self._frame)
+
+
+def _within(waypoints: tuple[Waypoint, ...], track_m: float) -> tuple[Waypoint, ...]:
+    """The legs, from the first on, that a track of so many metres suffices for."""
+    if not waypoints:
+        return ()
+    frame = LocalFrame(latitude_deg=waypoints[0].latitude_deg, longitude_deg=waypoints[0].longitude_deg)
+    points = in_plane([(point.latitude_deg, point.longitude_deg) for point in waypoints], frame)
+    way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    ends = [n for n, point in enumerate(waypoints, start=1) if point.kind == "leg_exit" and way_m[n - 1] <= track_m]
+    return waypoints[: max(ends, default=0)]
 
 
 def _outside(waypoints: tuple[Waypoint, ...], fence: _Fence) -> dict[str, str]:
@@ -69,44 +80,3 @@ def _outside(waypoints: tuple[Waypoint, ...], fence: _Fence) -> dict[str, str]:
         if not turns and not fence.holds(places[before:at]):
             turns[point.contact_id] = f"the turn towards it {why}"
     return legs or turns
-
-
-def keeps_inside(path: Points, fence: Points, margin_m: float) -> bool:
-    """Whether a path of straight pieces stays in a polygon, margin_m from its edges. path (n, 2), fence (k, 2): east and north, m."""
-    starts, ends = fence, np.roll(fence, -1, axis=0)
-    if not _all_within(path, starts, ends):
-        return False
-    if any(_cross(a, b, starts, ends) for a, b in pairwise(path)):
-        return False
-    distances = np.concatenate([_to_segments(path, starts, ends).ravel(), _to_segments(fence, path[:-1], path[1:]).ravel()])
-    return float(distances.min()) >= margin_m
-
-
-def _all_within(points: Points, starts: Points, ends: Points) -> bool:
-    """By the even-odd rule: a ray to the east crosses the edges an odd number of times."""
-    east, north = points[:, :1], points[:, 1:]
-    spans = (starts[:, 1] > north) != (ends[:, 1] > north)
-    rise = np.where(ends[:, 1] == starts[:, 1], 1.0, ends[:, 1] - starts[:, 1])
-    at_east = starts[:, 0] + (north - starts[:, 1]) / rise * (ends[:, 0] - starts[:, 0])
-    return bool(np.all(np.count_nonzero(spans & (at_east > east), axis=1) % 2 == 1))
-
-
-def _cross(a: Points, b: Points, starts: Points, ends: Points) -> bool:
-    """Whether the line from a to b crosses one of the edges."""
-
-    def side(p: Points, q: Points, r: Points) -> Points:
-        along, to = q - p, r - p
-        turn: Points = along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]
-        return turn
-
-    apart = side(a, b, starts) * side(a, b, ends) <= 0.0
-    return bool(np.any(apart & (side(starts, ends, a) * side(starts, ends, b) <= 0.0)))
-
-
-def _to_segments(points: Points, starts: Points, ends: Points) -> Points:
-    """(n, k) distances from n points to k segments."""
-    along = ends - starts
-    length2 = np.maximum(np.sum(along**2, axis=1), 1e-12)
-    share = np.clip(np.sum((points[:, None] - starts) * along, axis=2) / length2, 0.0, 1.0)
-    distance: Points = np.linalg.norm(points[:, None] - (starts + share[..., None] * along), axis=2)
-    return distance

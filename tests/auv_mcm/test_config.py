@@ -91,6 +91,17 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
         ("vehicle: {fence_deg: [[43, 5], [43, 6], [99, 5]]}", "<= 90.0 - at `vehicle.fence_deg[2][0]`"),
         ("vehicle: {altitude_m: 1.0}", "must not be below min_altitude_m"),
         (f"vehicle: {{command: true, {FENCE}}}\nports: [{GNSS}]", "command is true, but no port has a vehicle's device (imc, bluefin, "),
+        ("plan: {area_deg: [[43, 5], [43, 6]]}", "plan: area_deg needs at least three corners [latitude, longitude] - at `plan`"),
+        ("plan: {area_deg: [[43, 5], [43, 5.001], [43, 5.002]]}", "area_deg is no area; give its corners in order"),
+        ("plan: {area_deg: [[43, 5], [44, 5], [44, 6]]}", "corners more than 50 km apart"),
+        ("plan: {area_deg: [[43, 5], [43.1, 5], [43.1, 5.1]]}", "more than 1000000: give a larger cell_m"),
+        ("plan: {area_deg: [[43, 5], [43.001, 5], [99, 5.001]]}", "<= 90.0 - at `plan.area_deg[2][0]`"),
+        ("plan: {required_clearance: 0.999}", "<= 0.99 - at `plan.required_clearance`"),
+        ("plan: {max_track_m: 0}", "> 0.0 - at `plan.max_track_m`"),
+        (
+            f"plan: {{area_deg: [[44, 5], [44.001, 5], [44.001, 5.001]]}}\nvehicle: {{command: true, {FENCE}}}",
+            "area_deg lies outside vehicle.fence_deg, where no leg can be sailed",
+        ),
         ("ports: [{name: v, link: 'udp://h:1', device: submarine}]", "'submarine' - at `ports[0].device`"),
         (
             "ports: [{name: v, link: 'udp://h:1', device: imc}, {name: w, link: 'udp://h:2', device: iver}]",
@@ -113,6 +124,14 @@ def test_mistakes_are_refused_by_place_and_key(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=re.escape(message)) as caught:
         parse_config(text, "f.yaml")
     assert str(caught.value).startswith("f.yaml: ")
+
+
+@pytest.mark.parametrize("command", ["false", "true"])
+def test_an_area_may_lie_across_the_antimeridian(command: str) -> None:
+    area = "[[-17.0, 179.999], [-17.002, 179.999], [-17.002, -179.999], [-17.0, -179.999]]"
+    fence = "[[-16.99, 179.99], [-17.01, 179.99], [-17.01, -179.99], [-16.99, -179.99]]"
+    config = parse_config(f"plan: {{area_deg: {area}}}\nvehicle: {{command: {command}, fence_deg: {fence}}}", "f.yaml")
+    assert parse_config(config_yaml(config), "f.yaml") == config
 
 
 def test_numbers_and_words_mean_what_they_say() -> None:

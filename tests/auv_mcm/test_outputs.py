@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from auv_mcm.config import PlanConfig
+from auv_mcm.geodesy import LocalFrame
 from auv_mcm.outputs import (
     Journal,
     Tally,
+    area_totals,
     make_directory,
     plan_waypoints,
     search_totals,
@@ -123,6 +125,19 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     assert searched["km2_at_p"]["0.9"] == pytest.approx(2 * 16e-6, abs=1e-6)
     assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
     assert 0.0 < searched["mines_left"]["expected"] < 0.01
+
+
+def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not_found() -> None:
+    assert area_totals(searched_half(), PlanConfig()) == {}
+    frame = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
+    latitude_deg, longitude_deg, _ = frame.to_geodetic([[0.0, 0.0, 0.0], [0.0, 16.0, 0.0], [8.0, 16.0, 0.0], [8.0, 0.0, 0.0]])
+    plan = PlanConfig(area_deg=tuple(zip(latitude_deg.tolist(), longitude_deg.tolist(), strict=True)))
+    area = area_totals(searched_half(), plan, "cannot, because")["area"]
+    assert area["km2"] == pytest.approx(8 * 16e-6, abs=1e-6)
+    assert area["p_detected_mean"] == pytest.approx((0.5 + 0.9001 + 0.96) / 8.0, abs=1e-4)
+    assert area["percent_at_required"] == pytest.approx(25.0)
+    assert (area["required"], area["reached"], area["verdict"]) == (0.9, False, "cannot, because")
+    assert area_totals(None, plan)["area"]["p_detected_mean"] == 0.0
 
 
 def searched_half() -> Clearance:

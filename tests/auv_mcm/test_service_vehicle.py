@@ -13,7 +13,7 @@ from typing import Any
 import fake_pipelines as fake
 import pytest
 
-from auv_mcm.config import Config, ServiceConfig
+from auv_mcm.config import Config, PlanConfig, ServiceConfig
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.records import Contact, Notice, SourceEvent, Waypoint
 from auv_mcm.service import Record, Service
@@ -103,11 +103,13 @@ def serve(
     make: MakePipeline = fake.Base,
     vehicle: VehicleConfig = FENCED,
     cancel: bool = False,
+    plan: PlanConfig | None = None,
 ) -> Path:
     """Serve until something is so, then stop."""
 
     async def main() -> Path:
-        config = Config(service=ServiceConfig(output_directory=str(folder), record=False), vehicle=vehicle)
+        service_config = ServiceConfig(output_directory=str(folder), record=False)
+        config = Config(service=service_config, vehicle=vehicle, plan=plan or PlanConfig())
         service = Service(config, ports, console=lambda line: None, make_pipeline=make)
         serving = asyncio.ensure_future(service.run())
         async with asyncio.timeout(30.0):
@@ -195,6 +197,19 @@ def test_nothing_is_asked_for_unless_it_is_wanted(tmp_path: Path, vehicle: Vehic
         tmp_path, ports, lambda: ports.vehicle.words().count("contact") > 2 and "normal" in ports.vehicle.words(), fake.Undecided, vehicle
     )
     assert "plan" not in ports.vehicle.words()
+
+
+@pytest.mark.parametrize("vehicle", [VehicleConfig(), FENCED])
+def test_how_far_an_area_is_cleared_is_told_to_the_vehicle_and_left_in_the_results(tmp_path: Path, vehicle: VehicleConfig) -> None:
+    ports = Ports()
+    plan = PlanConfig(area_deg=((43.0, 5.0), (43.0, 5.001), (43.001, 5.001)))
+    told = ("normal", "clearance 0.00 of 0.90")
+    results = serve(tmp_path, ports, lambda: told in ports.vehicle.said, vehicle=vehicle, plan=plan)
+    summary = json.loads((results / "summary.json").read_bytes())
+    assert summary["area"]["p_detected_mean"] == 0.0
+    assert summary["area"]["km2"] == pytest.approx(0.5 * 0.111 * 0.0815, rel=0.1)
+    assert summary["vehicle"] == "vehicle=listening clearance 0.00 of 0.90"
+    assert ("plan", ()) not in ports.vehicle.said
 
 
 def test_a_vehicle_that_is_out_of_reach_is_asked_for_nothing(tmp_path: Path) -> None:

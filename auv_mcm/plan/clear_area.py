@@ -1,0 +1,215 @@
+"""Clearing an area: legs are planned anew from what has been seen until the required clearance is reached, or cannot be.
+
+What a leg just flown has shown is told only later, when the tiles that it runs through are complete. Until then its cells count as looked
+at as well as was expected, so that it is not planned once more at once. Cells that legs have been flown past twice, and that have gained
+next to nothing by it, are given up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import Config
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.area import Area, area_state, in_plane, middles_m, over_area, plane_of
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
+from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.limits import Limits, obstacle
+from auv_mcm.plan.look_again import LEAVES_LEG_M, PlanRequest, Proposal, Run
+from auv_mcm.plan.propose import propose
+from auv_mcm.plan.reinspect import SETTLING_RADII, most_undecided
+from auv_mcm.plan.survey import Plan, World, replan
+from auv_mcm.plan.words import area_words
+from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
+
+MOST_VAIN_PASSES: Final = 2
+TELLING_S: Final = 120.0  # after a leg, at most, until all that it will have shown is told
+_VAIN: Final = 0.1  # of what was expected
+_SAME_PLACE_M: Final = 1.0
+
+
+def wished(required: float) -> float:
+    """What each cell is wished to come to for a mean of `required`: half as many missed, so that hard sea floor may stay below where easy
+    sea floor is above."""
+    return 1.0 - 0.5 * (1.0 - required)
+
+
+class _Flown(NamedTuple):
+    """A survey leg. until_s: time of the last ping when it was over. before: the clearance then."""
+
+    ends_deg: Run
+    until_s: float
+    before: Clearance | None
+
+
+class ClearArea:
+    """In the perception process: sees pings and patches in the order in which they come, and plans when it is asked to."""
+
+    def __init__(self, config: Config, model: LookModel) -> None:
+        self._config = config
+        self._model = model
+        self._slant_range_m = 0.0
+        self._now_s = -math.inf
+        self._told_s: dict[Side, float] = {}
+        self._untold: list[_Flown] = []
+        self._plane: LocalFrame | None = None
+        self._vain = np.zeros((0, 0), dtype=np.uint8)  # passes, per cell of the area's box
+        self._previous: Plan | None = None
+
+    def see(self, ping: Ping) -> None:
+        """A ping that was fed to the pipeline: how far it reaches."""
+        if math.isfinite(ping.time_s):
+            self._now_s = ping.time_s
+        reach_m = max(map(_reach_m, (ping.port, ping.starboard)))
+        self._slant_range_m = min(reach_m, self._config.sonar.max_range_m) if reach_m > 0.0 else self._slant_range_m
+
+    def add(self, patch: CoveragePatch) -> None:
+        """A patch that has become part of the clearance."""
+        self._told_s[patch.side] = max(self._told_s.get(patch.side, -math.inf), patch.stop_s)
+
+    def propose(
+        self, clearance: Clearance | None, contacts: Iterable[Contact], request: PlanRequest, more_time: Callable[[], bool]
+    ) -> Proposal:
+        """How the search of the area stands and, where the payload may command at all, the plan from here.
+
+        clearance: of everything seen. more_time: as `replan` asks it.
+        """
+        plan = self._config.plan
+        area = over_area(clearance, plan.area_deg, plan.cell_m)
+        if area.frame != self._plane or self._vain.shape != area.cells.shape:
+            self._plane, self._vain, self._previous = area.frame, np.zeros(area.cells.shape, dtype=np.uint8), None
+        state = area_state(area, plan.required_clearance)
+        if not self._config.vehicle.command:
+            return Proposal((), (), state._replace(verdict=_done(area, plan.required_clearance) if state.is_reached else ""))
+        limits = self._limits(area.frame, request)
+        self._learn_of(area, request.flown, clearance, limits)
+        ground = self._expected(area.ground, limits)
+        expected = area_state(area._replace(ground=ground), plan.required_clearance)
+        wanted = area.cells & (self._vain < MOST_VAIN_PASSES) & (not expected.is_reached)
+        if not wanted.any():
+            verdict = "" if self._untold else self._given_up(area)
+            verdict = _done(area, plan.required_clearance) if state.is_reached else verdict
+            return propose(contacts, request, plan, self._config.vehicle)._replace(area=state._replace(verdict=verdict))
+        pose = _pose(request, area.frame)
+        if limits.budget_m > 0.0 and (hindrance := self._hindrance(pose, limits)):
+            return Proposal((), (), state._replace(verdict=f"not yet, because {hindrance}"))
+        asking = most_undecided((contact for contact in contacts if contact.id not in request.left_out), plan)
+        world = World(ground, wanted, wished(plan.required_clearance), self._model, asking)
+        self._previous = found = replan(world, pose, limits, self._previous, more_time)
+        verdict = "" if found.legs or self._untold else found.verdict
+        return Proposal(found.waypoints, (), state._replace(verdict=verdict))
+
+    def _limits(self, plane: LocalFrame, request: PlanRequest) -> Limits:
+        config, vehicle = self._config, self._config.vehicle
+        near_m = vehicle.altitude_m / math.tan(math.radians(config.waterfall.max_grazing_deg))
+        far_m = math.sqrt(max(self._slant_range_m**2 - vehicle.altitude_m**2, 0.0))
+        return Limits(
+            turn_radius_m=config.plan.turn_radius_m,
+            budget_m=config.plan.max_track_m - request.sailed_m,
+            fence=in_plane(vehicle.fence_deg, plane),
+            altitude_m=vehicle.altitude_m,
+            min_altitude_m=vehicle.min_altitude_m,
+            swath=(near_m, far_m),
+            speed_mps=vehicle.speed_mps,
+            settling_m=max(SETTLING_RADII * config.plan.turn_radius_m, vehicle.arrival_radius_m + LEAVES_LEG_M),
+            fence_margin_m=vehicle.fence_margin_m + vehicle.arrival_radius_m,
+        )
+
+    def _hindrance(self, pose: Pose, limits: Limits) -> str:
+        """Why nothing can be planned from here and now that may pass by itself."""
+        if not self._slant_range_m:
+            return "no ping has shown how far the sonar reaches"
+        return obstacle(pose, limits)
+
+    def _learn_of(self, area: Area, flown: Sequence[Run], clearance: Clearance | None, limits: Limits) -> None:
+        """Legs flown since the last request, and what those before them have come to."""
+        self._untold += [_Flown(ends_deg, self._now_s, clearance) for ends_deg in flown]
+        if self._previous is not None:
+            gone = [in_plane(ends_deg, area.frame) for ends_deg in flown]
+            left = tuple(leg for leg in self._previous.legs if not any(_is_same(leg.entry, leg.exit, ends) for ends in gone))
+            self._previous = msgspec.structs.replace(self._previous, legs=left)
+        told_s = min(self._told_s.values(), default=-math.inf)
+        for leg in self._untold:
+            if max(told_s, self._now_s - TELLING_S) >= leg.until_s:
+                self._judge(leg, area, limits)
+        self._untold = [leg for leg in self._untold if max(told_s, self._now_s - TELLING_S) < leg.until_s]
+
+    def _judge(self, leg: _Flown, area: Area, limits: Limits) -> None:
+        """Which cells were passed in vain."""
+        before = over_area(leg.before, self._config.plan.area_deg, area.ground.cell_m).ground
+        was = before.exponent if plane_of(before) == area.frame else np.zeros(area.cells.shape)
+        promised = self._with_look(area.ground, leg, limits, was) - was
+        seen = promised > 0.0
+        vain = area.ground.exponent - was < _VAIN * promised
+        self._vain = np.where(seen, np.where(vain, np.minimum(self._vain, 254) + 1, 0), self._vain).astype(np.uint8)
+
+    def _expected(self, ground: Clearance, limits: Limits) -> Clearance:
+        """With what legs that are not told yet will have shown."""
+        for leg in self._untold:
+            exponent = self._with_look(ground, leg, limits, ground.exponent)
+            looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(np.uint8)
+            ground = msgspec.structs.replace(ground, exponent=exponent, looks=looks)
+        return ground
+
+    def _with_look(self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Miss exponents, with a look from the leg where cells lie abeam of its run, less the settling."""
+        entry, leave = in_plane(leg.ends_deg, plane_of(ground))
+        along = (leave - entry) / max(float(np.hypot(*(leave - entry))), 1e-9)
+        place = middles_m(ground) - entry
+        ahead_m = place @ along
+        to_right_m = place @ np.array([along[1], -along[0]])
+        near_m, far_m = limits.swath
+        length_m = float(np.hypot(*(leave - entry)))
+        seen = (np.abs(to_right_m) >= near_m) & (np.abs(to_right_m) <= far_m)
+        seen &= (ahead_m >= limits.settling_m) & (ahead_m <= length_m - limits.settling_m)
+        heading = math.atan2(along[0], along[1])
+        look = np.mod(heading + np.sign(to_right_m[seen]) * 0.5 * math.pi, 2.0 * math.pi).astype(np.float32)
+        p = self._model.p_look(
+            ground.seabed[seen],
+            np.abs(to_right_m[seen]).astype(np.float32),
+            np.full(len(look), limits.altitude_m, dtype=np.float32),
+            look,
+            ground.ripple_rad[seen],
+        )
+        renewed = np.where(ground.looks[seen] > 0, 1.0 - self._model.other_look_correlation, 1.0)
+        added = exponent.copy()
+        added[seen] -= renewed * np.log1p(-np.clip(p, 0.0, HIGHEST_P))
+        return added
+
+    def _given_up(self, area: Area) -> str:
+        """Why the clearance cannot be reached, where no cell is left to try."""
+        given_up = area.cells & (self._vain >= MOST_VAIN_PASSES)
+        return (
+            f"cannot, because no leg adds to it any more: {area_words(given_up.sum() * area.ground.cell_m**2)} of "
+            f"{area_words(area.cells.sum() * area.ground.cell_m**2)} were passed {MOST_VAIN_PASSES} times in vain and given up"
+        )
+
+
+def _done(area: Area, required: float) -> str:
+    state = area_state(area, required)
+    return (
+        f"done: mines in the {area_words(area.cells.sum() * area.ground.cell_m**2)} are found with probability {state.p_detected:.3f}, "
+        f"{required:.2f} was required"
+    )
+
+
+def _pose(request: PlanRequest, plane: LocalFrame) -> Pose:
+    """Where a plan begins, in the plane, whose north turns away from true north far from its origin and near the poles."""
+    here = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
+    ahead_deg = here.to_geodetic([math.sin(request.heading_rad), math.cos(request.heading_rad), 0.0])[:2]
+    start, ahead = in_plane([(request.latitude_deg, request.longitude_deg), (float(ahead_deg[0]), float(ahead_deg[1]))], plane)
+    return Pose(float(start[0]), float(start[1]), math.atan2(ahead[0] - start[0], ahead[1] - start[1]))
+
+
+def _reach_m(trace: EchoTrace | None) -> float:
+    return 0.0 if trace is None else trace.first_range_m + trace.spacing_m * trace.samples.size
+
+
+def _is_same(entry: Pose, leave: Pose, ends: NDArray[np.float64]) -> bool:
+    return float(np.hypot(*(np.array([entry[:2], leave[:2]]) - ends).T).max()) < _SAME_PLACE_M

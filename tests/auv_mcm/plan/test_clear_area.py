@@ -1,0 +1,320 @@
+"""Clearing an area: legs until the required clearance is reached, or told not to be reachable; never outside fence and budget."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from test_propose import clearance_m, contact
+
+from auv_mcm.config import Config, PlanConfig
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clear_area import MOST_VAIN_PASSES, ClearArea
+from auv_mcm.plan.clearance import ClearanceMap
+from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
+from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
+from auv_mcm.vehicle_config import VehicleConfig
+
+AREA = ((0.0, 0.0), (0.0, 60.0), (80.0, 60.0), (80.0, 0.0))
+FENCE = ((-70.0, -70.0), (-70.0, 130.0), (150.0, 130.0), (150.0, -70.0))
+SIGHT_M = 24.0
+STEPS = 6  # of the planner's search
+STEP_M = 3.0
+Corners = tuple[tuple[float, float], ...]
+
+
+class Model(NamedTuple):
+    """A look at anything in sight finds a mine with one probability."""
+
+    p: float = 0.85
+    same_look_correlation: float = 0.7
+    other_look_correlation: float = 0.1
+
+    def p_look(
+        self,
+        seabed: NDArray[np.uint8],
+        ground_range_m: NDArray[np.float32],
+        altitude_m: NDArray[np.float32],
+        look_rad: NDArray[np.float32],
+        ripple_rad: NDArray[np.float32],
+    ) -> NDArray[np.float64]:
+        return np.full(np.shape(ground_range_m), self.p)
+
+
+class Mission:
+    """A vehicle that does at once what it is asked for, and a sonar that tells of a leg some time after its end, or never."""
+
+    def __init__(
+        self,
+        *,
+        model: Model | None = None,
+        area: Corners = AREA,
+        fence: Corners = FENCE,
+        required: float = 0.8,
+        max_track_m: float = 5000.0,
+        longitude_deg: float = 5.0,
+        is_blind: bool = False,
+        command: bool = True,
+        told_after_s: float = 40.0,
+    ) -> None:
+        self.frame = LocalFrame(latitude_deg=43.0, longitude_deg=longitude_deg)
+        self.fence, self.max_track_m = fence, max_track_m
+        self.config = Config(
+            plan=PlanConfig(area_deg=self.globe(area), required_clearance=required, max_track_m=max_track_m),
+            vehicle=VehicleConfig(command=command, fence_deg=self.globe(fence)),
+        )
+        self.model = model or Model()
+        self.is_blind, self.told_after_s = is_blind, told_after_s
+        self.planner, self.searched = ClearArea(self.config, self.model), ClearanceMap(self.model)
+        self.look_again = LookAgain(self.config)
+        self.contacts: tuple[Contact, ...] = ()
+        self.now_s, self.place_m, self.heading_rad = 1000.0, (-20.0, -20.0), 0.0
+        self.way_m = 0.0
+        self.coming: list[tuple[float, CoveragePatch]] = []
+        self.flown: list[tuple[Waypoint, Waypoint]] = []
+        self.proposals: list[Proposal] = []
+
+    def globe(self, corners_m: Corners) -> Corners:
+        return tuple(self.geodetic(corner) for corner in corners_m)
+
+    def geodetic(self, place_m: tuple[float, float]) -> tuple[float, float]:
+        latitude_deg, longitude_deg, _ = self.frame.to_geodetic([*place_m, 0.0])
+        return float(latitude_deg), float(longitude_deg)
+
+    def place_of(self, point: Waypoint) -> tuple[float, float]:
+        east_m, north_m, _ = self.frame.to_enu(point.latitude_deg, point.longitude_deg, 0.0).tolist()
+        return east_m, north_m
+
+    @property
+    def codes(self) -> list[str]:
+        return [notice.code for notice in self.look_again.take_notices()]
+
+    def ping(self) -> None:
+        trace = EchoTrace(samples=np.zeros(100, dtype=np.uint8), first_range_m=0.0, spacing_m=math.hypot(SIGHT_M, 5.0) / 100.0)
+        self.planner.see(Ping(number=1, time_s=self.now_s, port=trace, starboard=trace))
+
+    def plan(self) -> bool:
+        """Whether there is a new one. The clock goes on by as much as a vehicle waits."""
+        for _, patch in (told := [due for due in self.coming if due[0] <= self.now_s]):
+            self.searched.add(patch)
+            self.planner.add(patch)
+        self.coming = [due for due in self.coming if due not in told]
+        request = self.look_again.request((*self.geodetic(self.place_m), self.heading_rad), self.now_s)
+        if request is None:
+            return False
+        self.proposals.append(self.propose(request))
+        return self.look_again.take(self.proposals[-1], self.now_s) is not None
+
+    def propose(self, request: PlanRequest) -> Proposal:
+        left = iter(range(STEPS))
+        return self.planner.propose(self.searched.snapshot(), self.contacts, request, lambda: next(left, None) is not None)
+
+    def run(self, most_s: float = 20_000.0) -> str:
+        """Until there is a verdict and nothing more to fly. Returns it."""
+        steps: Iterator[tuple[float, float]] = iter(())
+        while self.now_s < most_s:
+            self.ping()
+            if self.plan():
+                steps = self._way()
+            place_m = next(steps, None)
+            self.now_s += 2.0
+            state = self.look_again.area
+            if place_m is None and state is not None and state.verdict:
+                return state.verdict
+            self._go(place_m)
+        raise AssertionError("no end")
+
+    def _go(self, place_m: tuple[float, float] | None) -> None:
+        if place_m is not None and place_m != self.place_m:
+            step = place_m[0] - self.place_m[0], place_m[1] - self.place_m[1]
+            self.way_m += math.hypot(*step)
+            self.heading_rad, self.place_m = math.atan2(*step), place_m
+        self.look_again.move(*self.geodetic(self.place_m), place_m is not None, self.now_s)
+
+    def _way(self) -> Iterator[tuple[float, float]]:
+        """Along the plan in small steps; what is seen on a leg comes later."""
+        plan = self.look_again.plan
+        for before, point in pairwise(plan):
+            a, b = (np.array(self.place_of(end)) for end in (before, point))
+            began_s = self.now_s
+            n = max(1, math.ceil(float(np.hypot(*(b - a))) / STEP_M))
+            for k in range(1, n + 1):
+                yield tuple((a + (b - a) * k / n).tolist())
+                if point.kind == "leg_exit" and k == max(n - 3, 1):  # it may be called away from its very end
+                    self.flown.append((before, point))
+                    self._see(a, b, began_s)
+
+    def _see(self, entry: NDArray[np.float64], leave: NDArray[np.float64], began_s: float) -> None:
+        course = math.atan2(*(leave - entry))
+        for side, sense in (("port", -1.0), ("starboard", 1.0)):
+            cells = None if self.is_blind else self._cells(entry, leave, course, sense)
+            patch = drawn_patch(side, began_s, self.now_s + 10.0, cells)  # type: ignore[arg-type]
+            self.coming.append((self.now_s + self.told_after_s, patch))
+
+    def _cells(self, entry: NDArray[np.float64], leave: NDArray[np.float64], course: float, sense: float) -> SurveyedCells | None:
+        """Cell by cell, those that lie abeam."""
+        seen = []
+        for east in range(-40, 60):
+            for north in range(-40, 60):
+                off_east, off_north = 4.0 * east + 2.0 - entry[0], 4.0 * north + 2.0 - entry[1]
+                ahead = off_east * math.sin(course) + off_north * math.cos(course)
+                beside = sense * (off_east * math.cos(course) - off_north * math.sin(course))
+                if 10.0 <= ahead <= math.hypot(*(leave - entry)) - 10.0 and 2.0 <= beside <= SIGHT_M:
+                    seen.append((east, north, beside))
+        if not seen:
+            return None
+        east, north, beside = np.array(seen).T
+        n = len(seen)
+        return SurveyedCells(
+            origin_latitude_deg=self.frame.latitude_deg,
+            origin_longitude_deg=self.frame.longitude_deg,
+            cell_m=4.0,
+            east_index=east.astype(np.int32),
+            north_index=north.astype(np.int32),
+            fraction=np.ones(n, dtype=np.float32),
+            ground_range_m=beside.astype(np.float32),
+            altitude_m=np.full(n, 5.0, dtype=np.float32),
+            look_rad=np.full(n, (course + sense * math.pi / 2.0) % (2.0 * math.pi), dtype=np.float32),
+            seabed=np.full(n, SEABED_TYPES.index("flat"), dtype=np.uint8),
+            confidence=np.full(n, 0.9, dtype=np.float32),
+            ripple_rad=np.full(n, np.nan, dtype=np.float32),
+            wavelength_m=np.full(n, np.nan, dtype=np.float32),
+        )
+
+    def assert_kept_to_limits(self) -> None:
+        assert self.way_m <= self.max_track_m + 2.0 * STEP_M
+        for proposal in self.proposals:
+            assert_inside(self, proposal)
+
+
+def drawn_patch(side: Side, start_s: float, stop_s: float, cells: SurveyedCells | None) -> CoveragePatch:
+    return CoveragePatch(side=side, tile_index=0, start_s=start_s, stop_s=stop_s, rings_deg=(), covered_m2=0.0, lost_m2={}, cells=cells)
+
+
+def assert_inside(mission: Mission, proposal: Proposal) -> None:
+    places = [np.array(mission.place_of(point)) for point in proposal.waypoints]
+    for a, b in pairwise(places[1:]):
+        for share in (0.0, 0.3, 0.7, 1.0):
+            assert clearance_m(a + share * (b - a), mission.fence) >= 8.0 - 0.1
+
+
+def test_legs_are_flown_until_the_clearance_is_reached_and_then_none() -> None:
+    mission = Mission()
+    verdict = mission.run()
+    assert re.match("done: mines in the 4.800 m² are found with probability 0[.][89]", verdict)
+    assert 2 <= len(mission.flown) <= 8
+    assert mission.look_again.plan == ()
+    assert mission.codes == ["survey_done"]
+    assert {entry.contact_id for entry, _ in mission.flown} == {""}
+    mission.assert_kept_to_limits()
+    assert not mission.plan()
+
+
+def test_a_leg_that_is_not_told_yet_is_not_flown_twice() -> None:
+    slow, quick = Mission(told_after_s=100.0), Mission(told_after_s=5.0)
+    assert slow.run().startswith("done")
+    assert quick.run().startswith("done")
+    assert len(slow.flown) <= len(quick.flown) + 1
+
+
+def test_where_nothing_can_be_found_it_is_said_at_once_that_it_cannot_be() -> None:
+    mission = Mission(model=Model(p=0.0))
+    assert mission.run().startswith("cannot, because")
+    assert not mission.flown
+    assert mission.codes == ["survey_cannot"]
+
+
+def test_what_passes_show_nothing_of_is_given_up() -> None:
+    mission = Mission(is_blind=True)
+    verdict = mission.run()
+    assert verdict.startswith("cannot, because no leg adds to it any more")
+    assert f"passed {MOST_VAIN_PASSES} times in vain and given up" in verdict
+    assert len(mission.flown) < 30
+
+
+def test_control_ends_with_the_track_that_may_be_commanded() -> None:
+    mission = Mission(max_track_m=300.0, required=0.95)
+    assert mission.run().startswith("cannot, because")
+    mission.assert_kept_to_limits()
+    assert mission.flown
+
+
+def test_across_the_antimeridian_it_is_the_same_survey() -> None:
+    mission = Mission(longitude_deg=179.9997)
+    assert mission.run().startswith("done")
+    assert {math.copysign(1.0, entry.longitude_deg) for entry, _ in mission.flown} == {1.0, -1.0}
+    mission.assert_kept_to_limits()
+
+
+def test_an_area_that_no_leg_inside_the_fence_sees_cannot_be_cleared() -> None:
+    far = tuple((east + 120.0, north + 160.0) for east, north in AREA)
+    corner = ((-70.0, -70.0), (-70.0, 260.0), (-40.0, 260.0), (-40.0, -40.0), (260.0, -40.0), (260.0, -70.0))  # an L around it
+    mission = Mission(area=far, fence=corner)
+    mission.place_m = (-55.0, 0.0)
+    assert "inside the fence" in mission.run() or "fits into the fence" in mission.look_again.area.verdict  # type: ignore[union-attr]
+
+
+def test_without_command_it_is_only_told_how_the_search_stands() -> None:
+    mission = Mission(command=False)
+    mission.ping()
+    mission.plan()
+    assert mission.proposals[-1].waypoints == ()
+    state = mission.look_again.area
+    assert state is not None
+    assert (state.p_detected, state.verdict, state.words()) == (0.0, "", "clearance 0.00 of 0.80")
+    assert state.km2 == pytest.approx(0.0048, rel=0.1)
+
+
+def test_before_the_sonar_sounds_nothing_is_planned() -> None:
+    mission = Mission()
+    assert not mission.plan()
+    assert mission.codes == ["survey_waits"]
+    assert mission.look_again.area is not None
+    assert mission.look_again.area.verdict == "not yet, because no ping has shown how far the sonar reaches"
+    mission.ping()
+    mission.now_s += 60.0
+    assert mission.plan()
+
+
+def test_a_contact_is_looked_at_on_the_way_and_after_the_area_is_clear() -> None:
+    mission = Mission()
+    mission.run()
+    mission.contacts = (contact(1, 40.0, 30.0),)
+    mission.look_again.learn(mission.contacts[0])
+    mission.now_s += 60.0
+    assert mission.plan()
+    assert {point.contact_id for point in mission.look_again.plan} == {"C00001"}
+    assert mission.look_again.area is not None
+    assert mission.look_again.area.is_reached
+
+
+@given(
+    place=st.tuples(st.floats(-60.0, 140.0), st.floats(-60.0, 120.0)),
+    heading_rad=st.floats(0.0, 6.28),
+    left_m=st.floats(-10.0, 800.0),
+    fence=st.sampled_from([FENCE, ((-70.0, -70.0), (-70.0, 130.0), (40.0, 20.0), (150.0, 130.0), (150.0, -70.0))]),
+    with_contact=st.booleans(),
+)
+@settings(deadline=None, max_examples=10)
+def test_no_plan_leads_out_of_the_fence_or_beyond_the_track_left(
+    place: tuple[float, float], heading_rad: float, left_m: float, fence: Corners, with_contact: bool
+) -> None:
+    mission = Mission(fence=fence)
+    mission.ping()
+    if with_contact:
+        mission.contacts = (contact(1, 20.0, 10.0),)
+    request = PlanRequest(*mission.geodetic(place), heading_rad, frozenset(), mission.max_track_m - left_m)
+    proposal = mission.propose(request)
+    assert_inside(mission, proposal)
+    places = np.array([mission.place_of(point) for point in proposal.waypoints]).reshape(-1, 2)
+    assert np.hypot(*np.diff(places, axis=0).T).sum() <= max(left_m, 0.0) + 0.1
+    assert proposal.area is not None
+    assert bool(proposal.waypoints) or proposal.area.verdict.startswith(("cannot, because", "not yet, because"))
