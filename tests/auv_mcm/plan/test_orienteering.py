@@ -1,0 +1,161 @@
+"""Choice and order of legs against trying everything on small problems: near the optimum, and never above the bound."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise, permutations, product
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from survey_worlds import LIMITS, Sonar, contact, world
+
+from auv_mcm.plan.contact_legs import contact_legs, information_nats
+from auv_mcm.plan.dubins import Pose, dubins_lengths
+from auv_mcm.plan.limits import Limits
+from auv_mcm.plan.orienteering import Array, Problem, Turns, best_route, ends_of, gain_bound_m2, gains_m2, greedy_legs, route_length_m
+from auv_mcm.plan.survey import World, replan
+from auv_mcm.plan.tour import WAYS, richest_tour, tour_length
+from auv_mcm.plan.tracks import Cells, survey_tracks
+
+POSE = Pose(-20.0, 10.0, 0.5)
+
+
+def always() -> bool:
+    return True
+
+
+def problem_of(state: World, limits: Limits, kept: list[int] | None = None) -> Problem:
+    """Survey legs of an unsearched world, of all or some."""
+    row, column = np.nonzero(state.area)
+    n = len(row)
+    wanted = -math.log1p(-state.required)
+    clearance = state.clearance
+    cells = Cells(
+        east_m=np.asarray((column + 0.5) * clearance.cell_m, dtype=np.float64),
+        north_m=np.asarray((row + 0.5) * clearance.cell_m, dtype=np.float64),
+        need=np.full(n, wanted),
+        weight_m2=np.full(n, clearance.cell_m**2 / wanted),
+        looked=np.zeros(n, dtype=np.bool_),
+        towards=np.zeros(n, dtype=np.uint64),
+        seabed=clearance.seabed[row, column],
+        ripple_rad=clearance.ripple_rad[row, column],
+        cell_m=clearance.cell_m,
+    )
+    tracks = survey_tracks(cells, state.performance, limits, [])
+    at = np.arange(tracks.n_legs) if kept is None else np.array(kept) % tracks.n_legs
+    tracks = tracks._replace(
+        run=tracks.run[at], first=tracks.first[at], last=tracks.last[at], line=tracks.line[at], heading=tracks.heading[at]
+    )
+    return Problem(tracks, np.zeros(len(at)), np.arange(len(at)), cells, Sonar(), POSE, limits, Turns(POSE, limits))
+
+
+class Best(NamedTuple):
+    gain_m2: float
+    route: tuple[int, ...]
+
+
+def best_of_all(problem: Problem) -> Best:
+    """Every subset of the legs, in every order, each sailed either way."""
+    ways = [ends_of(problem.tracks, way) for way in range(2 * problem.tracks.n_legs)]
+    exits = np.array([POSE, *(leave for _, leave in ways)])
+    between = dubins_lengths(exits[:, np.newaxis], np.array([entry for entry, _ in ways])[np.newaxis], problem.turns.radius_m)
+    best = Best(0.0, ())
+    for n in range(1, problem.tracks.n_legs + 1):
+        for order in permutations(range(problem.tracks.n_legs), n):
+            gain = sum(gains_m2(problem, list(order)))
+            legs_m = float(problem.tracks.length_m[list(order)].sum())
+            for turned in product((0, 1), repeat=n):
+                route = [2 * leg + way for leg, way in zip(order, turned, strict=True)]
+                turns_m = sum(between[before, after - 1] for before, after in pairwise([0, *(way + 1 for way in route)]))
+                if gain > best.gain_m2 and legs_m + turns_m <= problem.limits.budget_m:
+                    best = Best(gain, order)
+    return best
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(0, 10_000), min_size=1, max_size=4, unique=True), st.floats(100.0, 1500.0))
+def test_no_choice_of_few_legs_gains_more_than_the_bound_or_much_more_than_the_route(numbers: list[int], budget_m: float) -> None:
+    limits = LIMITS._replace(budget_m=budget_m)
+    problem = problem_of(world(10, 10), limits, numbers)
+    n = problem.tracks.n_legs
+    legs = greedy_legs(problem, np.ones(n, dtype=np.bool_), [], always)
+    route = best_route(problem, legs, always)
+    gain = sum(gains_m2(problem, [way // 2 for way in route]))
+    best = best_of_all(problem)
+    assert route_length_m(problem, route) <= budget_m
+    for taken in ([], legs, legs[:1]):
+        assert gain_bound_m2(problem, [taken]) >= best.gain_m2 - 1e-6
+    # Of so few legs the greedy choice loses at most what one leg gains.
+    assert gain >= 0.5 * best.gain_m2 - 1e-6
+
+
+def test_greedy_gains_are_those_of_measuring_every_leg_anew_each_time() -> None:
+    problem = problem_of(world(12, 12), LIMITS)
+    legs = greedy_legs(problem, np.ones(problem.tracks.n_legs, dtype=np.bool_), [], always)
+    gains = gains_m2(problem, legs)
+    assert sum(gains) == pytest.approx(12 * 12 * 16.0, rel=0.01)
+    assert min(gains) > 0.0
+    single = [gains_m2(problem, [leg])[0] for leg in legs]
+    assert all(later <= alone + 1e-9 for later, alone in zip(gains, single, strict=True))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 4), st.integers(0, 1000), st.floats(0.0, 4.0))
+def test_the_richest_tour_is_the_best_of_all_subsets_orders_and_ways(n: int, seed: int, budget: float) -> None:
+    generator = np.random.default_rng(seed)
+    cost = generator.uniform(0.1, 1.0, (WAYS * n + 1, WAYS * n))
+    runs = np.repeat(generator.uniform(0.0, 0.5, n), WAYS)
+    worth = generator.uniform(0.1, 1.0, n)
+    best = 0.0
+    for size in range(1, n + 1):
+        for order in permutations(range(n), size):
+            value = float(worth[list(order)].sum())
+            if value > best:
+                tours = ([4 * k + way for k, way in zip(order, ways, strict=True)] for ways in product(range(4), repeat=size))
+                best = value if any(tour_length(tour, cost) + runs[tour].sum() <= budget for tour in tours) else best
+    tour = richest_tour(cost, runs, worth, budget) if n else []
+    assert sum(worth[way // 4] for way in tour) == pytest.approx(best)
+    assert not tour or tour_length(tour, cost) + runs[tour].sum() <= budget
+
+
+def exact_contacts_m2(state: World, limits: Limits) -> float:
+    """The most that looks at contacts can gain within the budget, by the exact tours."""
+    looks = contact_legs(state.contacts, state.clearance, state.performance, limits)
+    ends: list[tuple[Array, Array]] = []
+    for look in looks:
+        for run in look.runs:
+            ends += [(run[0], run[1]), (run[1] + [0.0, 0.0, math.pi], run[0] + [0.0, 0.0, math.pi])]
+    entries, exits = np.array([entry for entry, _ in ends]), np.array([POSE, *(leave for _, leave in ends)])
+    cost = dubins_lengths(exits[:, np.newaxis], entries[np.newaxis], limits.turn_radius_m / math.cos(math.radians(7.5)))
+    runs = np.full(len(ends), 50.0)
+    worth = np.array([look.gain_m2 for look in looks])
+    tour = richest_tour(cost, runs, worth, limits.budget_m)
+    return float(sum(worth[way // 4] for way in tour))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_plans_for_nine_contacts_are_within_a_twentieth_of_the_optimum(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    places = generator.uniform(0.0, 300.0, (9, 2)).tolist()
+    asking = tuple(
+        contact(k, east, north, generator.uniform(0.0, 360.0), generator.uniform(0.1, 0.9)) for k, (east, north) in enumerate(places)
+    )
+    state = world(contacts=asking)
+    state.clearance.exponent[:] = 3.0
+    limits = LIMITS._replace(budget_m=float(generator.uniform(300.0, 2000.0)))
+    plan = replan(state, POSE, limits, None, always)
+    best = exact_contacts_m2(state, limits)
+    assert 0.95 * best <= plan.gain_m2 <= best + 1e-6
+    assert plan.bound_m2 >= best - 1e-6
+
+
+def test_a_look_tells_most_where_nothing_is_decided_and_nothing_where_it_sees_no_difference() -> None:
+    assert information_nats(0.5, 0.9) > information_nats(0.9, 0.9) > information_nats(0.999, 0.9) > 0.0
+    assert information_nats(0.5, 0.9) > information_nats(0.5, 0.6) > 0.0
+    assert information_nats(0.5, 0.1) == pytest.approx(0.0, abs=1e-12)
+    assert information_nats(0.0, 0.9) == information_nats(1.0, 0.9) == 0.0
+    # A sure sonar without false calls would leave ln 2 to nothing; with one false call in ten it tells most of it.
+    assert 0.3 < information_nats(0.5, 0.98) < math.log(2.0)
