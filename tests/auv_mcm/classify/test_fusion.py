@@ -170,17 +170,22 @@ def test_a_mine_seen_badly_once_is_still_a_mine() -> None:
     assert odds(fuse([well, badly], PRIOR)) == pytest.approx(PRIOR + 5.0 - 3.0 * NEWS, abs=0.01)
 
 
-@pytest.mark.parametrize("symmetric", [True, False])
-def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_different_from_there(symmetric: bool) -> None:
-    """Square views count in full either way; the odds of a mine are nearly the same: all else is what shapes say of the kind."""
-
-    def belief_in_wedge(apart_deg: float) -> float:
-        aspects = (10.0, 10.0 + apart_deg)
-        seen = [looked_at(4.0, aspect, aspect, shape=like("wedge", quality=0.7), half_turn_symmetric=symmetric) for aspect in aspects]
-        return fuse(seen, PRIOR).belief["wedge"]
-
-    gained = belief_in_wedge(90.0) - belief_in_wedge(180.0)
-    assert gained > 0.15 if symmetric else abs(gained) < 0.12
+@pytest.mark.parametrize(
+    ("symmetric", "apart_deg", "n_counted"),
+    [(True, 0.0, 1), (True, 90.0, 2), (True, 180.0, 1), (False, 0.0, 1), (False, 90.0, 2), (False, 180.0, 2)],
+)
+@pytest.mark.parametrize("log_ratio", [1.0, 4.0])
+def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_different_from_there(
+    symmetric: bool, apart_deg: float, n_counted: int, log_ratio: float
+) -> None:
+    """A view excludes each of the three other solids by 0.7, independently, and two that count leave 0.3 of 0.3."""
+    aspects = (10.0, 10.0 + apart_deg)
+    shape = like("wedge", quality=0.7)
+    verdict = fuse([looked_at(log_ratio, aspect, aspect, shape=shape, half_turn_symmetric=symmetric) for aspect in aspects], PRIOR)
+    among_mines = verdict.belief["wedge"] / (1.0 - verdict.belief["clutter"])
+    assert among_mines == pytest.approx((1.0 - 0.3**n_counted) ** 3, abs=1e-5)
+    # Of a mine only the view from square to the first tells more.
+    assert odds(verdict) == pytest.approx(PRIOR + log_ratio * (1.0 + NEWS * (apart_deg == 90.0)), abs=1e-6)
 
 
 def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
