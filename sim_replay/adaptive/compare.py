@@ -1,0 +1,175 @@
+"""One order flown twice in the same world: replanned on the way, and as a lawnmower laid beforehand; both scored alike."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Final, NamedTuple
+
+import msgspec
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.contacts.export import contacts_geojson
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import Clearance, LookModel
+from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.records import SeabedType
+from sim_replay.adaptive.decide import by_replanning
+from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
+from sim_replay.adaptive.lawnmower import Lawnmower, shortest_lawnmower, worst_seabed
+from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
+from sim_replay.benches.scenes import config_for
+from sim_replay.scoring import Mission, parse_contacts, parse_truth, score_missions
+from sim_replay.scoring.inputs import ReportedContact, Truth, TruthObject
+from sim_replay.simulator.plan import local_frame, planned_legs
+from sim_replay.simulator.scene import Origin
+
+AVERAGE: Final[dict[SeabedType, float]] = {"flat": 0.25, "ripple": 0.25, "rough": 0.25, "vegetation": 0.25}
+"""What is assumed of a sea floor of which nothing is known: the kinds in equal shares, which is their mean over worlds drawn here."""
+HALF_P: Final = 0.5
+GATE_M: Final = 2.0
+
+
+class Target(msgspec.Struct, frozen=True, kw_only=True):
+    """A mine in the area: how likely the clearance map says it is found, and whether a mine-like contact lies within 2 m."""
+
+    p_detected: float
+    found: bool
+
+
+class Counts(msgspec.Struct, frozen=True, kw_only=True):
+    """Mines found and false alarms among contacts that are called mine-like, and at p_mine 0.5."""
+
+    n_found: int
+    n_false: int
+    n_found_half: int
+    n_false_half: int
+
+
+class Arm(msgspec.Struct, frozen=True, kw_only=True):
+    """One flight. reached_m: track after which the map said that the order was met, None if never; then, with contacts as they were at
+    that moment, or at the end where it never came, and at_end."""
+
+    track_m: float
+    duration_s: float
+    reached_m: float | None
+    verdict: str
+    believed: float
+    n_targets: int
+    then: Counts
+    at_end: Counts
+    targets: tuple[Target, ...]
+
+
+class Compared(msgspec.Struct, frozen=True, kw_only=True):
+    """planned_m, expected: of the lawnmower that was flown, on the worst sea floor. average_planned_m: of one for the average sea floor."""
+
+    seed: int
+    area_km2: float
+    required: float
+    adaptive: Arm
+    fixed: Arm
+    planned_m: float
+    expected: float
+    average_planned_m: float
+
+
+def compare(seed: int) -> Compared:
+    """Fly and score the world of a seed both ways, with what ships."""
+    order, model = usual_order(), shipped_performance()
+    flights = fly_both(seed, order, model)
+    return Compared(
+        seed=seed,
+        area_km2=order.side_m**2 / 1e6,
+        required=order.required,
+        adaptive=_arm(flights.adaptive, order),
+        fixed=_arm(flights.fixed, order),
+        planned_m=flights.worst.length_m,
+        expected=flights.worst.expected,
+        average_planned_m=flights.average.length_m,
+    )
+
+
+class Flights(NamedTuple):
+    """worst: the lawnmower flown as `fixed`, for the worst sea floor; average: one for the average sea floor, not flown."""
+
+    adaptive: Flight
+    fixed: Flight
+    worst: Lawnmower
+    average: Lawnmower
+
+
+def fly_both(seed: int, order: Order, model: LookModel) -> Flights:
+    """Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with."""
+    scene = drawn_scene(seed, order.side_m)
+    limits, config = limits_of(scene, order), config_for(scene)
+    first = planned_legs(scene.track.plan)[0]
+    start = Pose(first.east_m, first.north_m, first.direction_rad)
+    average, worst = (
+        shortest_lawnmower(order.side_m, order.required, assumed, model, limits, start)
+        for assumed in (AVERAGE, {worst_seabed(model, limits): 1.0})
+    )
+    if average is None or worst is None:
+        raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
+    adaptive = fly_adaptive(scene, order, by_replanning(order, model, limits, local_frame(scene.origin)), limits, model, config)
+    return Flights(adaptive, fly_fixed(scene, order, worst.legs, model, config), worst, average)
+
+
+def _arm(flight: Flight, order: Order) -> Arm:
+    """Scored inside the ordered area alone; a mine there that was never swept is missed."""
+    truth = parse_truth(flight.truth, "the flight's truth")
+    frame = local_frame(Origin())
+
+    def inside(thing: ReportedContact | TruthObject) -> bool:
+        east, north, _ = frame.to_enu(thing.latitude_deg, thing.longitude_deg, 0.0).tolist()
+        return bool(0.0 <= east <= order.side_m and 0.0 <= north <= order.side_m)
+
+    objects = tuple(msgspec.structs.replace(thing, looks=None) for thing in truth.objects)
+    told_then, contacts = (
+        tuple(filter(inside, parse_contacts(json.loads(contacts_geojson(some)), "the flight's contacts")))
+        for some in (flight.contacts_then, flight.contacts)
+    )
+    scored = Truth(area_km2=order.side_m**2 / 1e6, objects=objects)
+    called = [contact for contact in contacts if contact.p_mine >= MINE_LIKE_P]
+    targets = tuple(
+        Target(p_detected=_p_at(flight.ground, thing), found=any(_apart_m(thing, contact) <= GATE_M for contact in called))
+        for thing in objects
+        if thing.is_target
+    )
+    return Arm(
+        track_m=flight.way_m,
+        duration_s=flight.duration_s,
+        reached_m=flight.reached_m if math.isfinite(flight.reached_m) else None,
+        verdict=flight.verdict,
+        believed=float(flight.ground.p_detected.mean()),
+        n_targets=len(targets),
+        then=_counts(Mission(told_then, scored)),
+        at_end=_counts(Mission(contacts, scored)),
+        targets=targets,
+    )
+
+
+def _counts(mission: Mission) -> Counts:
+    mine_like, half = (score_missions([mission], gate_m=GATE_M, threshold=p).at_threshold for p in (MINE_LIKE_P, HALF_P))
+    return Counts(
+        n_found=mine_like.pd.count,
+        n_false=mine_like.false_alarms.count,
+        n_found_half=half.pd.count,
+        n_false_half=half.false_alarms.count,
+    )
+
+
+def _p_at(ground: Clearance, thing: TruthObject) -> float:
+    frame = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
+    east, north, _ = frame.to_enu(thing.latitude_deg, thing.longitude_deg, 0.0).tolist()
+    row, column = math.floor(north / ground.cell_m) - ground.first_north, math.floor(east / ground.cell_m) - ground.first_east
+    n_north, n_east = ground.exponent.shape
+    return float(ground.p_detected[min(max(row, 0), n_north - 1), min(max(column, 0), n_east - 1)])
+
+
+def _apart_m(thing: TruthObject, contact: ReportedContact) -> float:
+    frame = LocalFrame(latitude_deg=thing.latitude_deg, longitude_deg=thing.longitude_deg)
+    east, north, _ = frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0).tolist()
+    return math.hypot(east, north)

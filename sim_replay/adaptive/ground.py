@@ -1,0 +1,76 @@
+"""The ordered area as cells of the mission's plane: how its search stands, and what looks that are not told yet will have added."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
+from auv_mcm.plan.limits import Limits
+from auv_mcm.plan.survey import clearance_over, unsearched
+from auv_mcm.records import Side
+from sim_replay.adaptive.order import Order
+
+Array = NDArray[np.float64]
+
+_ACROSS_M: Final = 0.5
+
+
+def over_area(clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float) -> Clearance:
+    """What is known of the cells whose middles lie in the ordered area, and of no others; nothing where nothing was seen.
+
+    origin: the plane that the order is in. plane: that of the clearance, and of the cells.
+    """
+    known = clearance or unsearched(plane.latitude_deg, plane.longitude_deg, cell_m)
+    corner = plane.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)[:2]
+    first = np.ceil(corner / cell_m - 0.5).astype(int)
+    n_east, n_north = (np.ceil((corner + order.side_m) / cell_m - 0.5).astype(int) - first).tolist()
+    return clearance_over(known, int(first[0]), int(first[1]), (n_north, n_east))
+
+
+def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Side, track: Array) -> Clearance:
+    """The clearance with what a straight track will have added to one side.
+
+    track: (n, 3) east, north, heading in the clearance's plane, evenly spaced in time.
+    """
+    if len(track) < 2:
+        return ground
+    near_m, far_m = limits.swath
+    step_m = float(np.hypot(*np.diff(track[:, :2], axis=0).T).mean())
+    ground_m = np.arange(near_m + 0.5 * _ACROSS_M, far_m, _ACROSS_M)
+    sense = 1.0 if side == "starboard" else -1.0
+    east = track[:, :1] + sense * ground_m * np.cos(track[:, 2:])
+    north = track[:, 1:2] - sense * ground_m * np.sin(track[:, 2:])
+    n_north, n_east = ground.exponent.shape
+    row = np.floor(north / ground.cell_m).astype(np.int64) - ground.first_north
+    column = np.floor(east / ground.cell_m).astype(np.int64) - ground.first_east
+    inside = (row >= 0) & (row < n_north) & (column >= 0) & (column < n_east)
+    if not inside.any():
+        return ground
+    key = (row * n_east + column)[inside]
+    look = np.broadcast_to(track[:, 2:] + sense * 0.5 * math.pi, inside.shape)[inside]
+    count = np.bincount(key, minlength=n_north * n_east)
+    cell = np.flatnonzero(count)
+
+    def mean(value: Array) -> Array:
+        return np.asarray(np.bincount(key, value, len(count))[cell] / count[cell])
+
+    place = np.unravel_index(cell, ground.exponent.shape)
+    p = model.p_look(
+        ground.seabed[place],
+        mean(np.broadcast_to(ground_m, inside.shape)[inside]).astype(np.float32),
+        np.full(len(cell), limits.altitude_m, dtype=np.float32),
+        np.mod(np.arctan2(mean(np.sin(look)), mean(np.cos(look))), 2.0 * math.pi).astype(np.float32),
+        ground.ripple_rad[place],
+    )
+    fraction = np.minimum(count[cell] * step_m * _ACROSS_M / ground.cell_m**2, 1.0)
+    renewed = np.where(ground.looks[place] > 0, 1.0 - model.other_look_correlation, 1.0)
+    exponent, looks = ground.exponent.copy(), ground.looks.copy()
+    exponent[place] -= renewed * np.log1p(-fraction * np.clip(p, 0.0, HIGHEST_P))
+    looks[place] = np.minimum(looks[place], 254) + 1
+    return msgspec.structs.replace(ground, exponent=exponent, looks=looks)

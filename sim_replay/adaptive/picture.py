@@ -1,0 +1,70 @@
+"""One mission as a picture: tracks over the sea floor as it is, with its mines, and what the clearance map says at the end."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.contacts.picture import encoded
+from auv_mcm.plan.clearance_picture import clearance_picture
+from sim_replay.adaptive.flight import Flight
+from sim_replay.adaptive.order import Order
+from sim_replay.seabed.missions import KIND_OF
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.sea import Sea
+
+Bytes = NDArray[np.uint8]
+
+_PER_M: Final = 4.0
+_AROUND_M: Final = 40.0
+_STEP_M: Final = 0.5
+_KINDS: Final = {"flat": (175, 205, 225), "ripple": (70, 150, 220), "rough": (110, 110, 120), "vegetation": (80, 150, 70)}
+_INK: Final = (60, 50, 40)
+_TRACK: Final = (30, 30, 200)
+
+
+def mission_png(scene: Scene, order: Order, flights: dict[str, Flight]) -> bytes:
+    """PNG with a row per flight, by title: track over the true sea floor, then clearance and sea floor as mapped."""
+    floor = _floor(scene, order)
+    return encoded(np.vstack([_row(title, floor, order, flight) for title, flight in flights.items()]), ".png", [])
+
+
+def _floor(scene: Scene, order: Order) -> Bytes:
+    """The kinds as they are, with the area's outline and all mines."""
+    sea = Sea(scene)
+    at = np.arange(-_AROUND_M, order.side_m + _AROUND_M, _STEP_M) + 0.5 * _STEP_M
+    covers = np.array([_KINDS[KIND_OF[cover.type]] for cover in sea.world.covers], dtype=np.uint8)
+    picture = covers[sea.world.seabed_at(*np.meshgrid(at, at[::-1]))]
+    size = round(len(at) * _STEP_M * _PER_M)
+    picture = np.asarray(cv2.resize(picture, (size, size), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
+    corners = _pixels(order, np.array([(0.0, 0.0), (order.side_m, 0.0), (order.side_m, order.side_m), (0.0, order.side_m)]))
+    cv2.polylines(picture, [corners], isClosed=True, color=_INK, thickness=2)
+    for thing in sea.objects:
+        if thing.is_target:
+            (place,) = _pixels(order, np.array([(thing.east_m, thing.north_m)]))
+            cv2.circle(picture, (int(place[0]), int(place[1])), 5, (0, 0, 0), 2)
+    return picture
+
+
+def _row(title: str, floor: Bytes, order: Order, flight: Flight) -> Bytes:
+    picture = floor.copy()
+    cv2.polylines(picture, [_pixels(order, flight.track)], isClosed=False, color=_TRACK, thickness=1, lineType=cv2.LINE_AA)
+    words = f"{title}: {flight.way_m:.0f} m, clearance {flight.ground.p_detected.mean():.2f}"
+    cv2.putText(picture, words, (12, 26), cv2.FONT_HERSHEY_SIMPLEX, 0.7, _INK, 2, cv2.LINE_AA)
+    maps = clearance_picture(flight.ground)
+    height = max(len(picture), len(maps))
+    return np.hstack([_padded(picture, height), _padded(maps, height)])
+
+
+def _padded(picture: Bytes, height: int) -> Bytes:
+    return np.pad(picture, ((0, height - len(picture)), (0, 0), (0, 0)), constant_values=255)
+
+
+def _pixels(order: Order, places: NDArray[np.float64]) -> NDArray[np.int32]:
+    """(n, 2) pixels of (n, 2) places east and north."""
+    column = (places[:, 0] + _AROUND_M) * _PER_M
+    row = (order.side_m + _AROUND_M - places[:, 1]) * _PER_M
+    return np.rint(np.stack([column, row], axis=1)).astype(np.int32)

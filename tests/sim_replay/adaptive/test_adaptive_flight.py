@@ -1,0 +1,98 @@
+"""A flight goes on until the order is met, cannot be met, or the budget is used up, and never leaves the fence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_worlds import SIDE_M, Worth, coarse_config, fly_small, small_order, small_scene
+
+from auv_mcm.plan.dubins import Pose
+from sim_replay.adaptive.flight import Decision, Flight, Situation, fly_adaptive, fly_fixed
+from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower
+from sim_replay.adaptive.order import limits_of
+from sim_replay.simulator.plan import planned_legs
+
+GOOD = Worth(0.6)
+
+
+@pytest.fixture(scope="module")
+def cleared() -> Flight:
+    return fly_small(GOOD, small_order())
+
+
+def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: Flight) -> None:
+    assert cleared.verdict.startswith("done")
+    assert cleared.ground.p_detected.mean() >= 0.6
+    assert cleared.reached_m == pytest.approx(cleared.way_m, abs=1.0)
+    # Before the last piece of news it was not reached yet, or the flight would have ended there.
+    assert all(told.p_detected < 0.6 for told in cleared.told if told.way_m < cleared.reached_m)
+
+
+def test_what_is_told_only_grows_and_covers_the_ordered_area(cleared: Flight) -> None:
+    assert all(np.diff([told.p_detected for told in cleared.told]) >= 0.0)
+    cell_m = cleared.ground.cell_m
+    assert cleared.ground.exponent.shape == pytest.approx((SIDE_M / cell_m, SIDE_M / cell_m), abs=1)
+
+
+def test_every_decision_is_explained(cleared: Flight) -> None:
+    assert len(cleared.reasons) >= 2
+    assert all(cleared.reasons)
+
+
+def test_the_same_seed_gives_the_same_flight(cleared: Flight) -> None:
+    again = fly_small(GOOD, small_order())
+    assert again.track.tobytes() == cleared.track.tobytes()
+    assert again.ground.exponent.tobytes() == cleared.ground.exponent.tobytes()
+    assert (again.verdict, again.told, again.reasons) == (cleared.verdict, cleared.told, cleared.reasons)
+
+
+def test_a_sea_floor_on_which_nothing_is_found_ends_the_flight_at_once_with_words() -> None:
+    flight = fly_small(Worth(0.0), small_order())
+    assert flight.verdict.startswith("cannot, because")
+    assert flight.way_m == 0.0
+    assert flight.reached_m == np.inf
+
+
+def test_an_order_that_takes_more_track_than_there_is_ends_within_the_budget() -> None:
+    flight = fly_small(Worth(0.2), small_order(required=0.95, budget_m=230.0))
+    assert flight.verdict.startswith("cannot, because")
+    assert flight.way_m <= 231.0
+
+
+def test_the_vehicle_stays_inside_the_fence(cleared: Flight) -> None:
+    low, high = small_order().fence.min(axis=0), small_order().fence.max(axis=0)
+    assert (cleared.track > low).all()
+    assert (cleared.track < high).all()
+
+
+def test_a_flight_with_nothing_left_to_decide_waits_for_what_it_has_flown_over() -> None:
+    """One leg, then no more: it ends only after the sonar's last picture of that leg has been told."""
+    scene, order = small_scene(), small_order()
+    limits = limits_of(scene, order)
+    leg = planned_legs(scene.track.plan)[0]._replace(length_m=70.0)
+    asked: list[Situation] = []
+
+    def one_leg(now: Situation) -> Decision:
+        asked.append(now)
+        return Decision((leg,) if len(asked) == 1 else (), "cannot, because the test has one leg", "one leg")
+
+    flight = fly_adaptive(scene, order, one_leg, limits, Worth(0.3), coarse_config())
+    assert not asked[1].complete
+    assert asked[-1].complete
+    assert flight.verdict == "cannot, because the test has one leg"
+    # What the situation after the leg expected is what came of it.
+    assert asked[1].ground.exponent.sum() == pytest.approx(flight.ground.exponent.sum(), rel=0.15)
+
+
+def test_a_lawnmower_flown_gives_about_the_clearance_that_was_expected() -> None:
+    scene, order = small_scene(), small_order(required=0.7)
+    limits = limits_of(scene, order)
+    first = planned_legs(scene.track.plan)[0]
+    start = Pose(first.east_m, first.north_m, first.direction_rad)
+    lawnmower = shortest_lawnmower(SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, start)
+    assert lawnmower is not None
+    flight = fly_fixed(scene, order, lawnmower.legs, GOOD, coarse_config())
+    assert flight.verdict == "flown to the end"
+    expected = expected_clearance(lawnmower.legs, SIDE_M, {"flat": 1.0}, GOOD, limits)
+    assert flight.ground.p_detected.mean() == pytest.approx(expected, abs=0.05)
+    assert flight.way_m == pytest.approx(lawnmower.length_m, rel=0.1)
