@@ -16,7 +16,7 @@ from sim_replay.adaptive.flight import Decide, Decision, Situation
 from sim_replay.adaptive.order import Order
 from sim_replay.simulator.plan import Leg
 
-_STEPS: Final = 600  # of the planner's search: counted, so that the same mission gives the same plans on any machine
+_STEPS: Final = 300  # of the planner's search: counted, so that the same mission gives the same plans on any machine
 _FENCE_MARGIN_M: Final = 5.0
 
 

@@ -27,8 +27,8 @@ from sim_replay.simulator.scene import (
     World,
 )
 
-SIDE_M: Final = 100.0
-REQUIRED: Final = 0.7
+SIDE_M: Final = 80.0
+REQUIRED: Final = 0.6
 
 _MARGIN_M: Final = 60.0  # of sea room around the area
 _BUDGET_M: Final = 3000.0
