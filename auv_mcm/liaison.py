@@ -64,6 +64,7 @@ class Liaison:
         self._position_deg = NAN, NAN
         self._heading_rad = NAN
         self._position_s = -math.inf
+        self._time_s = NAN
 
     @property
     def plan(self) -> tuple[Waypoint, ...] | None:
@@ -93,6 +94,7 @@ class Liaison:
             self._heading_rad = event.heading_rad
         if math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
             self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), self._clock.monotonic_s()
+            self._time_s = event.time_s
 
     def tell(self, contacts: Iterable[Contact]) -> None:
         """Contacts that are on disk, new or changed."""
@@ -111,7 +113,7 @@ class Liaison:
             self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
             if (plan := self._look_again.insist(now_s)) is not None:
                 self.vehicle.propose(plan)
-            request = self._look_again.request((*self._position_deg, self._heading_rad), now_s)
+            request = self._look_again.request((*self._position_deg, self._heading_rad), self._time_s, now_s)
             if request is not None:
                 ask(request)
         return [*self.vehicle.take_notices(), *self._look_again.take_notices()]

@@ -40,7 +40,8 @@ RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
 _ALIGNMENT: Final = 64
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
-_PLANNING_S: Final = 0.2  # for a plan of the survey to get better
+_PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
+_MOST_PLANNING_S: Final = 1.0  # while pings wait
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 
 
@@ -361,10 +362,12 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
     """Contacts matter more than plans: a planner that fails does not take perception with it."""
     from auv_mcm.plan.propose import propose
 
-    until_s = time.monotonic() + _PLANNING_S
+    busy_s, late_s = time.thread_time() + _PLANNING_S, time.monotonic() + _MOST_PLANNING_S
     try:
         if area is not None:
-            return area.propose(searched.snapshot(), pipeline.contacts, request, lambda: time.monotonic() < until_s)
+            return area.propose(
+                searched.snapshot(), pipeline.contacts, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s
+            )
         return propose(pipeline.contacts, request, config.plan, config.vehicle)
     except Exception as error:
         traceback.print_exc(file=sys.stderr)

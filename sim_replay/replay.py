@@ -20,6 +20,7 @@ from auv_mcm.contacts.export import best_view
 from auv_mcm.contacts.picture import snippet_png
 from auv_mcm.outputs import (
     Tally,
+    area_totals,
     contact_totals,
     make_directory,
     plan_waypoints,
@@ -96,7 +97,8 @@ def replay(
     clearance_map = b"" if clearance is None else clearance_png(clearance)
     write_clearance(folder, clearance, clearance_map)
     searched = search_totals(clearance, contacts)
-    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched}
+    area = area_totals(clearance, config.plan)
+    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched, **area}
     record = MissionRecord(
         name=config.mission or ", ".join(path.stem for path in mission.sizes_bytes),
         logs=tuple(str(path) for path in mission.sizes_bytes),

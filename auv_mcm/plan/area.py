@@ -49,7 +49,8 @@ class AreaState(NamedTuple):
 
     def words(self) -> str:
         """In a few words; what is not reached never reads as if it were."""
-        return f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {self.required:.2f}"
+        told = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {self.required:.2f}"
+        return told + " reached" * self.is_reached
 
 
 def plane_of(clearance: Clearance) -> LocalFrame:

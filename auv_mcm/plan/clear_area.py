@@ -8,7 +8,7 @@ next to nothing by it, are given up.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
 import msgspec
@@ -29,7 +29,7 @@ from auv_mcm.plan.words import area_words
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
 
 MOST_VAIN_PASSES: Final = 2
-TELLING_S: Final = 120.0  # after a leg, at most, until all that it will have shown is told
+TELLING_S: Final = 120.0  # after a leg, at most, until pings come that nothing of it is told after
 _VAIN: Final = 0.1  # of what was expected
 _SAME_PLACE_M: Final = 1.0
 
@@ -41,7 +41,7 @@ def wished(required: float) -> float:
 
 
 class _Flown(NamedTuple):
-    """A survey leg. until_s: time of the last ping when it was over. before: the clearance then."""
+    """A survey leg. until_s: time of the mission when it was over. before: the clearance known then."""
 
     ends_deg: Run
     until_s: float
@@ -88,7 +88,7 @@ class ClearArea:
         if not self._config.vehicle.command:
             return Proposal((), (), state._replace(verdict=_done(area, plan.required_clearance) if state.is_reached else ""))
         limits = self._limits(area.frame, request)
-        self._learn_of(area, request.flown, clearance, limits)
+        self._learn_of(area, request, clearance, limits)
         ground = self._expected(area.ground, limits)
         expected = area_state(area._replace(ground=ground), plan.required_clearance)
         wanted = area.cells & (self._vain < MOST_VAIN_PASSES) & (not expected.is_reached)
@@ -127,11 +127,11 @@ class ClearArea:
             return "no ping has shown how far the sonar reaches"
         return obstacle(pose, limits)
 
-    def _learn_of(self, area: Area, flown: Sequence[Run], clearance: Clearance | None, limits: Limits) -> None:
+    def _learn_of(self, area: Area, request: PlanRequest, clearance: Clearance | None, limits: Limits) -> None:
         """Legs flown since the last request, and what those before them have come to."""
-        self._untold += [_Flown(ends_deg, self._now_s, clearance) for ends_deg in flown]
+        self._untold += [_Flown(ends_deg, request.time_s, clearance) for ends_deg in request.flown]
         if self._previous is not None:
-            gone = [in_plane(ends_deg, area.frame) for ends_deg in flown]
+            gone = [in_plane(ends_deg, area.frame) for ends_deg in request.flown]
             left = tuple(leg for leg in self._previous.legs if not any(_is_same(leg.entry, leg.exit, ends) for ends in gone))
             self._previous = msgspec.structs.replace(self._previous, legs=left)
         told_s = min(self._told_s.values(), default=-math.inf)

@@ -17,7 +17,7 @@ from auv_mcm.config import Config
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.area import AreaState
 from auv_mcm.plan.reinspect import Place, needs_second_look
-from auv_mcm.records import Contact, Notice, Waypoint
+from auv_mcm.records import NAN, Contact, Notice, Waypoint
 
 MOST_VAIN_LOOKS: Final = 2
 MOST_LOOKS: Final = 4
@@ -39,7 +39,7 @@ Run: TypeAlias = tuple[Place, Place]
 
 class PlanRequest(NamedTuple):
     """Where a plan begins, and the contacts (ids) that it leaves out. sailed_m: track commanded so far. flown: survey legs since the last
-    request."""
+    request. time_s: of the newest position, in the time of the mission; perception may be behind it."""
 
     latitude_deg: float
     longitude_deg: float
@@ -47,6 +47,7 @@ class PlanRequest(NamedTuple):
     left_out: frozenset[str]
     sailed_m: float = 0.0
     flown: tuple[Run, ...] = ()
+    time_s: float = NAN
 
 
 class Proposal(NamedTuple):
@@ -160,15 +161,15 @@ class LookAgain:
             if self._along_m >= self._on_leg.length_m - end_m:
                 self._leave_leg(now_s)
 
-    def request(self, pose: tuple[float, float, float], now_s: float) -> PlanRequest | None:
-        """What to plan now, if anything. pose: latitude, longitude (degrees), heading (radians)."""
+    def request(self, pose: tuple[float, float, float], time_s: float, now_s: float) -> PlanRequest | None:
+        """What to plan now, if anything. pose: latitude, longitude (degrees), heading (radians); time_s: of the mission, when it was so."""
         left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
         due = self._changed or left_out != self._left_out or (bool(self.plan) and self._is_old(now_s)) or self._is_survey_due(now_s)
         if not due or self._waiting or self._on_leg is not None or now_s - self._asked_s < _EVERY_S or not all(map(math.isfinite, pose)):
             return None
         self._changed, self._waiting, self._asked_s, self._left_out = False, True, now_s, left_out
         flown, self._flown = tuple(self._flown), []
-        return PlanRequest(*pose, left_out, self._sailed_m, flown)
+        return PlanRequest(*pose, left_out, self._sailed_m, flown, time_s)
 
     def insist(self, now_s: float) -> tuple[Waypoint, ...] | None:
         """What to propose without having planned: the same again while a leg is run that outlasts a plan, () when all track is sailed."""

@@ -107,7 +107,7 @@ class Mission:
             self.searched.add(patch)
             self.planner.add(patch)
         self.coming = [due for due in self.coming if due not in told]
-        request = self.look_again.request((*self.geodetic(self.place_m), self.heading_rad), self.now_s)
+        request = self.look_again.request((*self.geodetic(self.place_m), self.heading_rad), self.now_s, self.now_s)
         if request is None:
             return False
         self.proposals.append(self.propose(request))

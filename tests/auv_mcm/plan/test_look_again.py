@@ -33,7 +33,7 @@ class Mission:
 
     def ask(self, wait_s: float = 0.0) -> PlanRequest | None:
         self.now_s += wait_s
-        return self.look_again.request(HERE, self.now_s)
+        return self.look_again.request(HERE, self.now_s, self.now_s)
 
     def plan(self, wait_s: float = 0.0) -> tuple[Waypoint, ...] | None:
         """What is proposed now, None for nothing new."""
@@ -175,7 +175,7 @@ def test_crossing_a_leg_is_not_flying_it() -> None:
             0.8 * north + 0.2 * north_end + 30.0 * share * (east_end - east) / 50.0,
         )
     assert mission.plan(10.0) is None
-    request = mission.look_again.request(HERE, mission.now_s + 500.0)
+    request = mission.look_again.request(HERE, mission.now_s, mission.now_s + 500.0)
     assert request is not None
     assert not request.left_out  # nothing was flown
     assert request.sailed_m > 100.0
