@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 T = TypeVar("T")
 
-FIRST_SEED: Final = 9300  # nothing of the sea floor was ever fitted or tried on seeds from here on
+FIRST_SEED: Final = 9320  # nothing of the sea floor was ever fitted or tried on seeds from here on
 _SYSTEMS: Final = ("ours", "ours, cell by cell", "Haralick's, smoothed alike")
 
 

@@ -17,11 +17,11 @@ from sim_replay.seabed.samples import COVERS, Samples
 
 Array = NDArray[np.float64]
 
-FIT_SEEDS: Final = range(800, 820)
+FIT_SEEDS: Final = range(800, 850)
 
 _SHRINKAGE: Final = 0.05
 _RIDGE: Final = 1e-3
-_WEIGHT_RIDGE: Final = 1e-3
+_WEIGHT_RIDGE: Final = 3e-5
 _KEPT: Final = 0.999  # of the textures that it was fitted on are not novel
 _ITERATIONS: Final = 500
 
