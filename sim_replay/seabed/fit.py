@@ -21,7 +21,7 @@ FIT_SEEDS: Final = range(800, 850)
 
 _SHRINKAGE: Final = 0.05
 _RIDGE: Final = 1e-3
-_WEIGHT_RIDGE: Final = 3e-5
+WEIGHT_RIDGE: Final = 3e-5
 _KEPT: Final = 0.999  # of the textures that it was fitted on are not novel
 _ITERATIONS: Final = 500
 
@@ -68,7 +68,7 @@ def regression(inputs: Array, kind: NDArray[np.intp], weight: Array) -> Array:
     """(n_terms, n_kinds) weights of the multinomial logistic regression with a small ridge on all but the constant."""
     n_kinds = int(kind.max()) + 1
     truth = np.eye(n_kinds)[kind] * weight[:, np.newaxis]
-    ridge = np.full((inputs.shape[1], 1), _WEIGHT_RIDGE)
+    ridge = np.full((inputs.shape[1], 1), WEIGHT_RIDGE)
     ridge[0] = 0.0
 
     def loss(flat: Array) -> tuple[float, Array]:

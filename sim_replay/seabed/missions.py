@@ -45,7 +45,9 @@ def mission_scene(seed: int) -> Scene:
         Seabed(type="gravel", share=0.08, stones_per_ha=float(rng.uniform(150.0, 500.0)), level_db=float(rng.uniform(-2.0, 2.0))),
         Seabed(type="rock_outcrop", share=0.09, relief_rms_m=float(rng.uniform(0.2, 0.7)), level_db=float(rng.uniform(-2.0, 2.0))),
         # From single boulders to a bottom of nothing but stones.
-        Seabed(type="boulder_field", share=0.14, stones_per_ha=float(800.0 * 22.0 ** rng.uniform()), level_db=float(rng.uniform(-2.0, 2.0))),
+        Seabed(
+            type="boulder_field", share=0.14, stones_per_ha=800.0 * 22.0 ** float(rng.uniform()), level_db=float(rng.uniform(-2.0, 2.0))
+        ),
         Seabed(type="seagrass", share=0.2, relief_rms_m=float(rng.uniform(0.08, 0.16)), level_db=float(rng.uniform(-2.0, 2.0))),
     )
     range_m = float(rng.choice([40.0, 50.0, 60.0]))

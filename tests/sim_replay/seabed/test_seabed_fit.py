@@ -12,7 +12,7 @@ from auv_mcm.records import SEABED_TYPES, VALID
 from auv_mcm.seabed.features import NAMES, measure_texture
 from auv_mcm.seabed.model import kind_indices, odds_of, parse_seabed_model
 from sim_replay.seabed import samples as sampled
-from sim_replay.seabed.fit import alike, fit_model, regression, told_of
+from sim_replay.seabed.fit import WEIGHT_RIDGE, alike, fit_model, regression, told_of
 from sim_replay.seabed.haralick import haralick_features
 from sim_replay.seabed.missions import KIND_OF, mission_scene
 from sim_replay.seabed.samples import COVERS, Samples, kind_of_covers, pooled, samples_of
@@ -67,7 +67,9 @@ def test_the_regression_is_where_its_slope_is_nothing() -> None:
     kind = (inputs[:, 1] + 0.5 * rng.normal(size=400) > 0.0).astype(np.intp)
     weights = regression(inputs, kind, np.ones(400))
     p = 1.0 / (1.0 + np.exp(-(inputs @ (weights[:, 1] - weights[:, 0]))))
-    assert inputs.T @ (p - kind) / 400 + 2e-3 * np.array([0.0, 1.0, 1.0]) * weights[:, 1] == pytest.approx(np.zeros(3), abs=1e-4)
+    assert inputs.T @ (p - kind) / 400 + 2.0 * WEIGHT_RIDGE * np.array([0.0, 1.0, 1.0]) * weights[:, 1] == pytest.approx(
+        np.zeros(3), abs=1e-4
+    )
 
 
 def test_scenes_differ_by_seed_and_hold_every_kind() -> None:
