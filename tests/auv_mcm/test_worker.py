@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
-from auv_mcm.worker import Finished, MakePipeline, Perception, PerceptionError, Ring
+from auv_mcm.worker import Fed, Finished, MakePipeline, Perception, PerceptionError, Ring
 
 
 @given(st.lists(st.integers(0, 400) | st.none(), max_size=60))
@@ -58,6 +58,7 @@ async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes:
         feeding = asyncio.ensure_future(feed())
         received: list[PipelineEvent] = []
         while not isinstance(answer := await perception.answer(), Finished):
+            assert isinstance(answer, Fed)
             received += answer.events
         await feeding
         assert perception.in_flight == 0
@@ -103,7 +104,7 @@ def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
                 await perception.feed(fake.ping(0, port=fake.trace(0, 10_000)))
             await perception.feed(fake.ping(3))
             answer = await perception.answer()
-            assert not isinstance(answer, Finished)
+            assert isinstance(answer, Fed)
             assert len(answer.events) == 2
         finally:
             perception.close()

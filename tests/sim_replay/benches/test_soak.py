@@ -1,0 +1,49 @@
+"""What a soak makes of a run: every counter has a reason or is named, and what died is told with its cause."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim_replay.benches.soak import found_dead, print_counters
+from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.verdict import Evidence
+
+HEALTH = "2026-01-01T00:00:05.000Z INFO health pings=9 queue=0/512 in_flight=0 dropped=0 contacts=1 clutter=2 lag_ms=0.1 ports=sonar:{}"
+
+
+def evidence(lines: list[str], counters: dict[str, int], device: dict[str, int], exit_code: int = 0) -> Evidence:
+    return Evidence(
+        exit_code=exit_code,
+        lines=[Line(0.0, line) for line in lines],
+        reports={"sonar": [Report(0.0, "counters", device)]},
+        summary={"counters": counters},
+        contacts=(),
+        targets=(),
+        replayed=None,
+    )
+
+
+def test_a_counter_without_a_reason_is_named() -> None:
+    run = evidence([], {"ping.received": 9, "nav.surprise": 2}, {})
+    assert print_counters(run) == ["nav.surprise 2"]
+
+
+def test_damage_is_explained_by_bytes_that_the_line_lost_and_by_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    damaged = {"port.sonar.ping_protocol.refused.checksum": 1, "port.sonar.ping_protocol.bytes_skipped": 800}
+    assert len(print_counters(evidence([], damaged, {"port.overrun": 0}))) == 2
+    assert print_counters(evidence([], damaged, {"port.overrun": 300})) == []
+    assert "300  bytes that the line of the fake device 'sonar' lost" in capsys.readouterr().out
+
+
+def test_a_run_that_lived_has_nothing_dead() -> None:
+    assert found_dead(evidence([HEALTH.format("up")], {}, {})) == []
+
+
+def test_what_died_is_told_with_its_cause() -> None:
+    raised = ["Traceback (most recent call last):", '  File "a.py", line 1, in f', "    1 / 0", "ZeroDivisionError: division by zero"]
+    dead = found_dead(evidence([HEALTH.format("down"), *raised], {}, {}, exit_code=4))
+    assert dead == [
+        "the service ended with 4",
+        'ZeroDivisionError: division by zero (File "a.py", line 1, in f)',
+        "at the end these ports were not up: sonar:down",
+    ]
