@@ -105,7 +105,7 @@ class CanDialect:
 
     A grant counts only while the vehicle's status comes, with a counter that goes on, and names the request that is made. A command that
     the vehicle refuses is taken for the end of the grant. Where NMEA 2000 units tell where the vehicle is, a state comes with every
-    position, its other quantities up to 1 s old.
+    position, its other quantities up to 1 s old; the depth stays the controller's.
 
     counters: those of CanReceiver and, in that case, of N2kBus, and vehicle_can.refused.stale (a status that is not newer than the last),
     .commands, .commands_without_grant and .commands_unsayable (dropped), .reports, .reports_repeated, .reports_unsayable,
@@ -157,8 +157,10 @@ class CanDialect:
         match received.record if received is not None else None:
             case VehicleStatus() as status:
                 events += self._status(status, now_s)
-            case StateMessage() as state if not self._units:
-                events.append(_state(state, stamp))
+            case StateMessage() as state:
+                told = _state(state, stamp)
+                # Where units tell the rest, the depth is still the controller's: no unit tells one.
+                events.append(VehicleState(stamp, depth_m=told.depth_m) if self._units else told)
             case ReportAnswer() as answer:
                 events += self._answer(answer)
         return events

@@ -19,6 +19,7 @@ from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, Gi
 from drivers.vehicle.guard import Guard, Refusal
 from drivers.vehicle.guidance import LineOfSight, Track
 from drivers.vehicle.outbox import Outbox
+from drivers.vehicle.runs import ON_LEG, with_points_on_legs
 from drivers.vehicle.seam import (
     Acknowledged,
     Arrived,
@@ -47,8 +48,9 @@ _STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits 
 
 
 class _Plan(NamedTuple):
-    """track: its index counts in waypoints. approved_s: when it was proposed last."""
+    """proposed: as it was given; waypoints: as it is flown; track: its index counts in these. approved_s: when it was proposed last."""
 
+    proposed: tuple[Waypoint, ...]
     waypoints: tuple[Waypoint, ...]
     track: Track
     approved_s: float
@@ -60,7 +62,7 @@ class _Plan(NamedTuple):
     def entry(self, position_deg: tuple[float, float]) -> int:
         """Which way-point to go to first, from a position off the track. A leg that was broken off is flown again from its beginning."""
         first = self.track.index
-        if self.waypoints[first].kind == "leg_exit" and first > 1:
+        while self.waypoints[first].kind in (ON_LEG, "leg_exit") and first > 1:
             first -= 1
         last = next((index for index in range(first, len(self.waypoints)) if self.waypoints[index].kind == "leg_entry"), first)
         return self.track.nearest(position_deg, first, last)
@@ -213,7 +215,7 @@ class Pilot(Generic[W]):
 
         A plan that leaves the fence somewhere is refused as a whole, and takes the place of the one before all the same.
         """
-        if self._plan is not None and plan == self._plan.waypoints:
+        if self._plan is not None and plan == self._plan.proposed:
             self._plan = self._plan._replace(approved_s=now_s)
             return
         self._plan, self._joined = None, False
@@ -225,8 +227,10 @@ class Pilot(Generic[W]):
         if (refusal := self._guard.plan(places_deg[1:], self._config.arrival_radius_m if self._may_steer else 0.0)) is not None:
             self._refused(refusal)
             return
-        cut_radius_m = self._turn_radius_m if self._may_steer else 0.0
-        self._plan = _Plan(plan, Track(places_deg, radius_m=self._config.arrival_radius_m, cut_radius_m=cut_radius_m), now_s)
+        radius_m, cut_radius_m = self._config.arrival_radius_m, self._turn_radius_m if self._may_steer else 0.0
+        flown = plan if self._may_steer else with_points_on_legs(plan, max(self._turn_radius_m, 2.0 * radius_m))
+        places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in flown)
+        self._plan = _Plan(plan, flown, Track(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
 
     def release(self, reason: str, now_s: float) -> None:
         """Control back, the plan dropped, nothing asked for any more: the service stops. What is to be sent is still to be fetched."""

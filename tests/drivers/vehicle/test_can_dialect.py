@@ -371,7 +371,10 @@ def test_nmea_2000_units_can_tell_the_vehicles_state() -> None:
     assert isinstance(event, VehicleState)
     assert math.isnan(event.heading_rad), "too old by now"
     assert event.altitude_m == pytest.approx(5.25)
-    assert bench.say(StateMessage(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0), 2.1) == [], "one of both tells it"
+    [event] = bench.say(StateMessage(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 7.0, 0.0), 2.1)
+    assert isinstance(event, VehicleState)
+    told_by_controller = {name for name, value in event._asdict().items() if isinstance(value, float) and not math.isnan(value)}
+    assert told_by_controller == {"depth_m"}, "one of both tells each quantity"
 
 
 @given(
