@@ -47,6 +47,14 @@ class ContactLegs(NamedTuple):
     stand_off_m: float
 
 
+class _Asked(NamedTuple):
+    contact: Contact
+    look_deg: float
+    look_rad: float  # in the plane
+    east_m: float
+    north_m: float
+
+
 def information_nats(p_mine: float, p_look: float) -> float:
     """Expected drop of the entropy of p_mine by one call, before NEWS."""
     called = p_mine * p_look + (1.0 - p_mine) * FALSE_CALL
@@ -60,24 +68,30 @@ def information_nats(p_mine: float, p_look: float) -> float:
 def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits) -> list[ContactLegs]:
     """Legs past contacts that ask for a look that tells something, in order of id: of each the first direction that the fence allows."""
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
-    found = []
+    asked = []
     for contact in sorted(contacts, key=lambda contact: contact.id):
-        place = contact.latitude_deg, contact.longitude_deg
-        if not contact.next_look_deg or not all(map(math.isfinite, (*place, contact.p_mine, *contact.next_look_deg))):
-            continue
-        east, north, _ = frame.to_enu(*place, 0.0).tolist()
-        for look_deg in contact.next_look_deg:
-            look_rad = _in_plane(math.radians(look_deg), place, (east, north), frame)
-            stand_off_m, p = _stand_off(east, north, look_rad, clearance, model, limits)
-            gain_m2 = NAT_M2 * NEWS * information_nats(min(max(contact.p_mine, 0.0), 1.0), p)
-            if gain_m2 <= _LEAST_M2:
-                continue
-            runs = np.array([_run(east, north, look_rad + turned, stand_off_m, limits) for turned in (0.0, math.pi)])
-            runs = runs[enterable(runs, limits)]
-            if len(runs):
-                found.append(ContactLegs(contact, runs, gain_m2, look_deg % 360.0, stand_off_m))
-                break
-    return found
+        place_deg = contact.latitude_deg, contact.longitude_deg
+        if all(map(math.isfinite, (*place_deg, contact.p_mine, *contact.next_look_deg))):
+            east, north, _ = frame.to_enu(*place_deg, 0.0).tolist()
+            for look_deg in contact.next_look_deg:
+                asked.append(_Asked(contact, look_deg, _in_plane(math.radians(look_deg), place_deg, (east, north), frame), east, north))
+    if not asked:
+        return []
+    stand_off_m, p = _stand_offs(asked, clearance, model, limits)
+    runs = np.array(
+        [
+            [_run(one.east_m, one.north_m, one.look_rad + turned, float(far_m), limits) for turned in (0.0, math.pi)]
+            for one, far_m in zip(asked, stand_off_m, strict=True)
+        ]
+    )
+    fits = enterable(runs.reshape(-1, 2, 3), limits).reshape(-1, 2)
+    found: dict[str, ContactLegs] = {}
+    for number, one in enumerate(asked):
+        gain_m2 = NAT_M2 * NEWS * information_nats(min(max(one.contact.p_mine, 0.0), 1.0), float(p[number]))
+        if gain_m2 > _LEAST_M2 and fits[number].any() and one.contact.id not in found:
+            sides = runs[number][fits[number]]
+            found[one.contact.id] = ContactLegs(one.contact, sides, gain_m2, one.look_deg % 360.0, float(stand_off_m[number]))
+    return list(found.values())
 
 
 def _entropy(p: float) -> float:
@@ -92,28 +106,27 @@ def _in_plane(bearing_rad: float, place_deg: tuple[float, float], place_m: tuple
     return math.atan2(east - place_m[0], north - place_m[1])
 
 
-def _stand_off(east: float, north: float, look_rad: float, clearance: Clearance, model: LookModel, limits: Limits) -> tuple[float, float]:
-    """The middle of the ranges that are about as good as the best one, seen from the worse side, and how good it is."""
+def _stand_offs(asked: list[_Asked], clearance: Clearance, model: LookModel, limits: Limits) -> tuple[Array, Array]:
+    """(n,) the middle of the ranges that are about as good as the best one, seen from the worse side, and how good it is."""
     near_m, far_m = limits.swath
     ground = near_m + (far_m - near_m) * (np.arange(_RANGES) + 0.5) / _RANGES
-    row, column = math.floor(north / clearance.cell_m) - clearance.first_north, math.floor(east / clearance.cell_m) - clearance.first_east
-    known = 0 <= row < clearance.seabed.shape[0] and 0 <= column < clearance.seabed.shape[1]
-    seabed = int(clearance.seabed[row, column]) if known else SEABED_TYPES.index("unknown")
-    ripple = float(clearance.ripple_rad[row, column]) if known else NAN
-    sides = [
-        model.p_look(
-            np.full(_RANGES, seabed, dtype=np.uint8),
-            ground.astype(np.float32),
-            np.full(_RANGES, limits.altitude_m, dtype=np.float32),
-            np.full(_RANGES, (look_rad + turned) % (2.0 * math.pi), dtype=np.float32),
-            np.full(_RANGES, ripple, dtype=np.float32),
-        )
-        for turned in (0.0, math.pi)
-    ]
-    p = np.clip(np.nan_to_num(np.minimum(*sides), nan=0.0), 0.0, HIGHEST_P)
-    good = np.flatnonzero(p >= _AS_GOOD * p.max())
-    best = int(good[len(good) // 2])
-    return float(ground[best]), float(p[best])
+    row = np.array([math.floor(one.north_m / clearance.cell_m) for one in asked]) - clearance.first_north
+    column = np.array([math.floor(one.east_m / clearance.cell_m) for one in asked]) - clearance.first_east
+    n_north, n_east = clearance.seabed.shape
+    known = (row >= 0) & (row < n_north) & (column >= 0) & (column < n_east)
+    seabed = np.full(len(asked), SEABED_TYPES.index("unknown"), dtype=np.uint8)
+    ripple = np.full(len(asked), NAN, dtype=np.float32)
+    seabed[known] = clearance.seabed[row[known], column[known]]
+    ripple[known] = clearance.ripple_rad[row[known], column[known]]
+    look = np.add.outer([one.look_rad for one in asked], [0.0, math.pi]) % (2.0 * math.pi)
+    shape = (len(asked), 2, _RANGES)
+    arguments = (seabed[:, None, None], ground.astype(np.float32), np.float32(limits.altitude_m), look.astype(np.float32)[..., None])
+    kind, range_m, altitude_m, look_rad, ripple_rad = (np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None]))
+    p = np.asarray(model.p_look(kind, range_m, altitude_m, look_rad, ripple_rad), dtype=np.float64).reshape(shape)
+    p = np.clip(np.nan_to_num(p.min(axis=1), nan=0.0), 0.0, HIGHEST_P)
+    good = [np.flatnonzero(of_one >= _AS_GOOD * of_one.max()) for of_one in p]
+    best = np.array([ranges[len(ranges) // 2] for ranges in good])
+    return ground[best], p[np.arange(len(asked)), best]
 
 
 def _run(east: float, north: float, look_rad: float, stand_off_m: float, limits: Limits) -> list[list[float]]:

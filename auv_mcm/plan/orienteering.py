@@ -99,7 +99,7 @@ class Wanting:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         self._need = problem.cells.need.copy()
-        self._towards = problem.cells.towards.copy()
+        self._towards = np.zeros(len(problem.cells.need), dtype=np.uint64)  # looks of the plan alone
         self._seen_again = 1.0 - problem.model.other_look_correlation
         self._seen_alike = 1.0 - problem.model.same_look_correlation
         self._renewed = np.where(problem.cells.looked, self._seen_again, 1.0)

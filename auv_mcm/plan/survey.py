@@ -19,25 +19,20 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import Clearance, LookModel
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
 from auv_mcm.plan.dubins import Pose, sample_path
-from auv_mcm.plan.ladders import laddered_legs
 from auv_mcm.plan.limits import Limits, obstacle
 from auv_mcm.plan.orienteering import (
     ARC_STEP_RAD,
     Problem,
     Turns,
     Wanting,
-    best_route,
     ends_of,
     gain_bound_m2,
     gains_m2,
-    greedy_legs,
-    rough_way_m,
     route_length_m,
     sailable,
-    shifted_legs,
-    trimmed_legs,
 )
 from auv_mcm.plan.reinspect import on_the_globe
+from auv_mcm.plan.search import NEARLY_ALL, searched, wanting_m2_of
 from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
 from auv_mcm.plan.words import area_words, contact_words, survey_words
 from auv_mcm.records import NAN, SEABED_TYPES, Contact, Waypoint
@@ -45,24 +40,8 @@ from auv_mcm.records import NAN, SEABED_TYPES, Contact, Waypoint
 HIGHEST_REQUIRED: Final = 0.999
 BETTER: Final = 1.1  # a new plan has to be to replace one that is being sailed
 _MOST_CELLS: Final = 2000  # planned with; of more, every so manieth stands for its neighbours
-_WITHIN: Final = 0.99  # exponents this near to what is required are there
-_SHIFTS: Final = 3
 _ON_TRACK_RAD: Final = math.radians(15.0)
 _LEAST_STEP_M: Final = 1e-3
-_TAILS: Final = (
-    0.5,
-    0.25,
-    0.12,
-    0.06,
-    0.0,
-)  # of what a metre of track sees at most: what it clears of what ladders leave open; 0: no ladder
-_REBUILT: Final = 3
-_MOST_FITTING: Final = 5
-_MOST_REBUILDS: Final = 60
-_LEAST_BETTER_M2: Final = 1e-6
-_TRACK_M2: Final = (
-    0.02  # of what it sees at most, what a metre of track costs against gains, so that of plans that gain the same the shorter is taken
-)
 _KNOWN_LEGS: Final = 40
 
 
@@ -151,7 +130,7 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
     if not 0.0 < world.required <= HIGHEST_REQUIRED:
         raise ValueError(f"required probability {world.required} is outside (0, {HIGHEST_REQUIRED}]")
     wanted = -math.log1p(-world.required)
-    is_open = world.area & (world.clearance.exponent < _WITHIN * wanted)
+    is_open = world.area & (world.clearance.exponent < NEARLY_ALL * wanted)
     asking = [contact for contact in world.contacts if contact.next_look_deg]
     if not is_open.any() and not asking:
         return Plan(verdict=_done(world))
@@ -170,7 +149,7 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
         return Plan(verdict=verdict)
     if problem.tracks.length_m.min() > limits.budget_m:
         return Plan(verdict=_verdict(problem, [], world, is_open))
-    found, began = _searched(problem, more_time)
+    found, began = searched(problem, more_time)
     prefixes = [began[:n] for n in sorted({0, len(began) // 2, len(began)})]
     bound_m2 = gain_bound_m2(problem, prefixes)
     problem, route = found.problem, found.route
@@ -196,7 +175,6 @@ def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cell
         need=wanted - clearance.exponent[at_cell],
         weight_m2=np.full(len(row), share * clearance.cell_m**2 / wanted),
         looked=clearance.looks[at_cell] > 0,
-        towards=np.zeros(len(row), dtype=np.uint64),
         seabed=clearance.seabed[at_cell],
         ripple_rad=clearance.ripple_rad[at_cell],
         cell_m=clearance.cell_m,
@@ -224,69 +202,6 @@ def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: Look
     )
     gain = np.append(np.zeros(n_survey), np.repeat([look.gain_m2 for look in looks], n_sides))
     return Problem(everything, gain, other_side, cells, model, pose, limits, Turns(pose, limits))
-
-
-class _Found(NamedTuple):
-    problem: Problem  # with the legs that were cut for it
-    route: list[int]
-    worth_m2: float
-
-
-def _searched(problem: Problem, more_time: Callable[[], bool]) -> tuple[_Found, list[int]]:
-    """The best route found, and the legs that it began with.
-
-    Ladders and greed make routes, more or less of one and the other; of the best one some legs in a row are taken out and chosen anew.
-    """
-    every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
-    fresh_m2 = 2.0 * (problem.limits.swath[1] - problem.limits.swath[0])  # that a metre sees at most
-    best: _Found | None = None
-    tried: set[tuple[int, ...]] = set()
-    began: list[int] = []
-    for share in _TAILS:
-        ladder = laddered_legs(problem, 1.0 / (share * fresh_m2), more_time) if share else []
-        legs = greedy_legs(problem, every, ladder, more_time)
-        began = began or legs
-        if tuple(sorted(legs)) not in tried:
-            tried.add(tuple(sorted(legs)))
-            found = _improved(problem, legs, more_time)
-            best = found if best is None or found.worth_m2 > best.worth_m2 else best
-        if not more_time():
-            break
-    assert best is not None
-    for first in range(_MOST_REBUILDS):
-        if not more_time() or len(best.route) <= _REBUILT:
-            break
-        taken_out = {(first * (_REBUILT - 1) + k) % len(best.route) for k in range(_REBUILT)}
-        kept = [way // 2 for place, way in enumerate(best.route) if place not in taken_out]
-        every = np.ones(best.problem.tracks.n_legs, dtype=np.bool_)
-        every[[best.route[place] // 2 for place in taken_out]] = False  # else they would come back
-        found = _improved(best.problem, greedy_legs(best.problem, every, kept, more_time), more_time)
-        best = found if found.worth_m2 > best.worth_m2 + _LEAST_BETTER_M2 else best
-    return best, began
-
-
-def _improved(problem: Problem, legs: list[int], more_time: Callable[[], bool]) -> _Found:
-    problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
-    route = best_route(problem, legs, more_time)
-    found = _Found(problem, route, _worth_m2(problem, route))
-    wanting = Wanting(problem)
-    gain_m2 = wanting.take_all(way // 2 for way in route)
-    if gain_m2 >= _WITHIN * _wanting_m2(problem):
-        return found
-    # Rough ways have misjudged what the track suffices for: there may be some left.
-    for leg in _fitting(problem, route, wanting):
-        if not more_time():
-            break
-        fuller = best_route(problem, [*(way // 2 for way in found.route), leg], more_time)
-        worth_m2 = _worth_m2(problem, fuller)
-        found = _Found(problem, fuller, worth_m2) if worth_m2 > found.worth_m2 else found
-    return found
-
-
-def _worth_m2(problem: Problem, route: list[int]) -> float:
-    near_m, far_m = problem.limits.swath
-    gain = sum(gains_m2(problem, [way // 2 for way in route]))
-    return gain - _TRACK_M2 * 2.0 * (far_m - near_m) * route_length_m(problem, route)
 
 
 def _left_of(previous: Plan | None, pose: Pose) -> list[PlannedLeg]:
@@ -409,7 +324,7 @@ def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[
         )
     renewed = np.where(cells.looked, 1.0 - problem.model.other_look_correlation, 1.0)
     most = np.bincount(tracks.cell, tracks.exponent * renewed[tracks.cell], len(cells.need))
-    never = most < _WITHIN * cells.need
+    never = most < NEARLY_ALL * cells.need
     if never.any():
         wanted = -math.log1p(-world.required)
         n_clear, share = np.count_nonzero(world.area & ~is_open), np.count_nonzero(is_open) / len(cells.need)
@@ -420,28 +335,8 @@ def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[
             f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to {world.required:.2f} by any leg; "
             f"the best that can be reached is {mean:.2f} on average and {float(reach.min()):.2f} in the worst cell"
         )
-    wanting_m2, gain_m2 = _wanting_m2(problem), sum(gains_m2(problem, [way // 2 for way in route]))
+    wanting_m2, gain_m2 = wanting_m2_of(problem), sum(gains_m2(problem, [way // 2 for way in route]))
     further_m = float(np.median(tracks.length_m)) + 2.0 * math.pi * problem.turns.radius_m
-    if gain_m2 < _WITHIN * wanting_m2 and route_length_m(problem, route) + further_m > budget_m:
+    if gain_m2 < NEARLY_ALL * wanting_m2 and route_length_m(problem, route) + further_m > budget_m:
         return f"cannot, because {budget_m:.0f} m of track suffice for {gain_m2 / wanting_m2:.0%} of what is wanting"
     return ""
-
-
-def _wanting_m2(problem: Problem) -> float:
-    """What could be gained by all there is to gain."""
-    one_side = problem.other_side >= np.arange(problem.tracks.n_legs)
-    return float(problem.cells.need @ problem.cells.weight_m2) + float(problem.contact_m2[one_side].sum())
-
-
-def _fitting(problem: Problem, route: list[int], wanting: Wanting) -> list[int]:
-    """The legs that would still gain most per metre and that the rest of the track could suffice for, by rough ways."""
-    tracks = problem.tracks
-    exits = np.array([problem.pose, *(ends_of(tracks, way)[1] for way in route)])
-    entries = np.concatenate([tracks.run[:, 0], tracks.run[:, 1] + np.array([0.0, 0.0, math.pi])])
-    track_m = tracks.length_m + rough_way_m(exits, entries, problem.turns.radius_m)
-    taken = [way // 2 for way in route]
-    fits = track_m <= problem.limits.budget_m - route_length_m(problem, route)
-    fits[taken] = fits[problem.other_side[taken]] = False
-    legs = np.flatnonzero(fits).tolist()
-    gain_m2 = {leg: gain for leg in legs if (gain := wanting.gain_m2(leg)) > _LEAST_BETTER_M2}
-    return sorted(gain_m2, key=lambda leg: (-gain_m2[leg] / track_m[leg], leg))[:_MOST_FITTING]

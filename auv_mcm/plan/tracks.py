@@ -28,7 +28,7 @@ _OWN_HEADING_RAD: Final = math.radians(5.0)  # ripples nearer than this to a hea
 _TURNED_RAD: Final = math.radians(3.0)
 _LINES_PER_SWATH: Final = 8
 _MOST_LINES: Final = 64  # side by side
-_MOST_SAMPLES: Final = 48  # of a line, to find where it is inside the fence
+_MOST_SAMPLES: Final = 32  # of a line, to find where it is inside the fence
 _LEAST_EXPONENT: Final = 1e-4
 _ROUNDING_RAD: Final = 1e-6
 _N_LOOKS: Final = 64  # directions told apart
@@ -48,7 +48,7 @@ _ALIKE: Final = _bits_alike()
 class Cells(NamedTuple):
     """Cells that are not cleared yet, (n,) each. need: miss exponent that is wanting. weight_m2: what a unit of it is worth, as area.
 
-    looked: whether it was looked at before, and thus a further look tells less; towards: uint64, the bits of the directions known of that.
+    looked: whether it was looked at before, and thus a further look tells less.
     """
 
     east_m: Array
@@ -56,7 +56,6 @@ class Cells(NamedTuple):
     need: Array
     weight_m2: Array
     looked: NDArray[np.bool_]
-    towards: NDArray[np.uint64]
     seabed: NDArray[np.uint8]
     ripple_rad: NDArray[np.float32]
     cell_m: float
@@ -191,7 +190,8 @@ class _Legs:
 
     def add(self, lines: _Lines) -> None:
         margin_m = self._limits.settling_m + half_extent_m(self._cells.cell_m, lines.heading_rad)
-        inside = None if self._limits.fence is None or not len(lines.along_m) else _Inside(lines, margin_m, self._limits)
+        unbounded = not len(lines.along_m) or _box_inside(lines, margin_m, self._limits)
+        inside = None if unbounded else _Inside(lines, margin_m, self._limits)
         # Between pieces farther apart than this, another leg may run meanwhile.
         apart_m = 2.0 * margin_m + math.pi * self._limits.turn_radius_m
         for number in range(len(lines.offset_m)):
@@ -253,6 +253,23 @@ class _Legs:
             heading=heading,
         )
         return _only(tracks, enterable(tracks.run, self._limits))
+
+
+def _box_inside(lines: _Lines, margin_m: float, limits: Limits) -> bool:
+    """Whether all of the lines with their turns are inside the fence: by a rectangle around them that no edge crosses or lies within."""
+    fence = limits.fence
+    if fence is None:
+        return True
+    ahead = np.array([math.sin(lines.heading_rad), math.cos(lines.heading_rad)])
+    right = np.array([ahead[1], -ahead[0]])
+    wide_m = 2.0 * limits.turn_radius_m
+    low = np.array([float(lines.along_m.min()) - margin_m - wide_m, float(lines.offset_m[0]) - wide_m])
+    high = np.array([float(lines.along_m.max()) + margin_m + wide_m, float(lines.offset_m[-1]) + wide_m])
+    corners = np.array([along * ahead + across * right for along, across in ((low[0], low[1]), (low[0], high[1]), high, (high[0], low[1]))])
+    places = np.column_stack([fence @ ahead, fence @ right])
+    if ((places > low) & (places < high)).all(axis=1).any():
+        return False
+    return bool(runs_inside(corners, np.roll(corners, -1, axis=0), fence, limits.fence_margin_m).all())
 
 
 class _Inside:

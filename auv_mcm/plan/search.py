@@ -1,0 +1,117 @@
+"""The search for the best route: from ladders and greed, made better by turns as long as there is time."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from auv_mcm.plan.ladders import laddered_legs
+from auv_mcm.plan.orienteering import (
+    MoreTime,
+    Problem,
+    Wanting,
+    best_route,
+    ends_of,
+    gains_m2,
+    greedy_legs,
+    rough_way_m,
+    route_length_m,
+    shifted_legs,
+    trimmed_legs,
+)
+
+NEARLY_ALL: Final = 0.99  # of what is wanting: the rest is rounding of cells
+_SHIFTS: Final = 3
+# Of what a metre of track sees at most: what it clears of what ladders leave open; 0: no ladder.
+_TAILS: Final = (0.5, 0.25, 0.12, 0.06, 0.0)
+_REBUILT: Final = 3
+_MOST_FITTING: Final = 5
+_MOST_REBUILDS: Final = 60
+_LEAST_BETTER_M2: Final = 1e-6
+# Of what it sees at most: what a metre of track costs against gains, so that of plans that gain the same the shorter is taken.
+_TRACK_M2: Final = 0.02
+
+
+class Found(NamedTuple):
+    problem: Problem  # with the legs that were cut for it
+    route: list[int]
+    worth_m2: float
+
+
+def searched(problem: Problem, more_time: MoreTime) -> tuple[Found, list[int]]:
+    """The best route found, and the legs that it began with.
+
+    Ladders and greed make routes, more or less of one and the other; of the best one some legs in a row are taken out and chosen anew.
+    """
+    every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
+    fresh_m2 = 2.0 * (problem.limits.swath[1] - problem.limits.swath[0])  # that a metre sees at most
+    best: Found | None = None
+    tried: set[tuple[int, ...]] = set()
+    began: list[int] = []
+    for share in _TAILS:
+        ladder = laddered_legs(problem, 1.0 / (share * fresh_m2), more_time) if share else []
+        legs = greedy_legs(problem, every, ladder, more_time)
+        began = began or legs
+        if tuple(sorted(legs)) not in tried:
+            tried.add(tuple(sorted(legs)))
+            found = improved(problem, legs, more_time)
+            best = found if best is None or found.worth_m2 > best.worth_m2 else best
+        if not more_time():
+            break
+    assert best is not None
+    for first in range(_MOST_REBUILDS):
+        if not more_time() or len(best.route) <= _REBUILT:
+            break
+        taken_out = {(first * (_REBUILT - 1) + k) % len(best.route) for k in range(_REBUILT)}
+        kept = [way // 2 for place, way in enumerate(best.route) if place not in taken_out]
+        every = np.ones(best.problem.tracks.n_legs, dtype=np.bool_)
+        every[[best.route[place] // 2 for place in taken_out]] = False  # else they would come back
+        found = improved(best.problem, greedy_legs(best.problem, every, kept, more_time), more_time)
+        best = found if found.worth_m2 > best.worth_m2 + _LEAST_BETTER_M2 else best
+    return best, began
+
+
+def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> Found:
+    problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
+    route = best_route(problem, legs, more_time)
+    found = Found(problem, route, _worth_m2(problem, route))
+    wanting = Wanting(problem)
+    gain_m2 = wanting.take_all(way // 2 for way in route)
+    if gain_m2 >= NEARLY_ALL * wanting_m2_of(problem) or (route and not more_time()):
+        return found
+    # Rough ways have misjudged what the track suffices for: there may be some left.
+    for leg in _fitting(problem, route, wanting):
+        if found.route and not more_time():
+            break
+        fuller = best_route(problem, [*(way // 2 for way in found.route), leg], more_time)
+        worth_m2 = _worth_m2(problem, fuller)
+        found = Found(problem, fuller, worth_m2) if worth_m2 > found.worth_m2 else found
+    return found
+
+
+def _worth_m2(problem: Problem, route: list[int]) -> float:
+    near_m, far_m = problem.limits.swath
+    gain = sum(gains_m2(problem, [way // 2 for way in route]))
+    return gain - _TRACK_M2 * 2.0 * (far_m - near_m) * route_length_m(problem, route)
+
+
+def wanting_m2_of(problem: Problem) -> float:
+    """What could be gained by all there is to gain."""
+    one_side = problem.other_side >= np.arange(problem.tracks.n_legs)
+    return float(problem.cells.need @ problem.cells.weight_m2) + float(problem.contact_m2[one_side].sum())
+
+
+def _fitting(problem: Problem, route: list[int], wanting: Wanting) -> list[int]:
+    """The legs that would still gain most per metre and that the rest of the track could suffice for, by rough ways."""
+    tracks = problem.tracks
+    exits = np.array([problem.pose, *(ends_of(tracks, way)[1] for way in route)])
+    entries = np.concatenate([tracks.run[:, 0], tracks.run[:, 1] + np.array([0.0, 0.0, math.pi])])
+    track_m = tracks.length_m + rough_way_m(exits, entries, problem.turns.radius_m)
+    taken = [way // 2 for way in route]
+    fits = track_m <= problem.limits.budget_m - route_length_m(problem, route)
+    fits[taken] = fits[problem.other_side[taken]] = False
+    legs = np.flatnonzero(fits).tolist()
+    gain_m2 = {leg: gain for leg in legs if (gain := wanting.gain_m2(leg)) > _LEAST_BETTER_M2}
+    return sorted(gain_m2, key=lambda leg: (-gain_m2[leg] / track_m[leg], leg))[:_MOST_FITTING]
