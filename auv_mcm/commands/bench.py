@@ -27,6 +27,7 @@ _BENCHES: Final = {
     "seabed": "kinds of sea floor told apart on missions held out",
     "performance": "predicted against realised detection, by sea floor and range",
     "pfa": "false alarms per km² and per decision",
+    "tours": "plans of survey and second looks: how near to the optimum, in what time",
     "adapt": "replanning on the way beside a lawnmower laid beforehand",
     "figure9": "the source paper's examples of classical detection",
 }

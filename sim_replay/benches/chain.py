@@ -16,6 +16,7 @@ auv-mcm bench soak              the service for long: memory, counters, tasks; w
 auv-mcm bench seabed            kinds of sea floor told apart, and what it costs
 auv-mcm bench performance       predicted against realised detection, by sea floor and range
 auv-mcm bench pfa               false alarms per km² and per decision
+auv-mcm bench tours             plans of survey and second looks: how near to the optimum, in what time
 auv-mcm bench adapt             replanning on the way beside a lawnmower laid beforehand, in simulated worlds
 auv-mcm bench figure9           the source paper's examples of classical detection
 
@@ -70,6 +71,7 @@ _ELSEWHERE: Final = {  # modules with add_arguments and run, imported if chosen
     "soak": ("sim_replay.benches.soak", "the service between fake devices for long: memory, counters, tasks; what a kill costs"),
     "performance": ("sim_replay.benches.performance", "predicted against realised detection, by sea floor and range, on missions held out"),
     "pfa": ("sim_replay.benches.pfa", "false alarms per km² and per decision"),
+    "tours": ("sim_replay.benches.tours", "plans of survey and second looks: how near to the optimum, and in what time"),
     "adapt": ("sim_replay.benches.adapt", "whether replanning on the way takes less track than a lawnmower laid beforehand"),
     "figure9": ("sim_replay.benches.figure9", "the source paper's examples of classical detection, flown many times"),
 }
