@@ -45,6 +45,21 @@ class Tables(NamedTuple):
     restart: bool
 
 
+class Field(NamedTuple):
+    """Integral images, and where in them windows may be centred.
+
+    sums, counts: integral images of codes and of valid pixels, uint32 of one shape; corner: index of pixel (0, 0) in them, which leaves
+    as much margin as boxes reach and one row more. usable: (n_rows, n_columns) bool. edges: (n_rows, n_bands + 1) int32 columns at which
+    bands begin, the last one n_columns.
+    """
+
+    sums: NDArray[np.uint32]
+    counts: NDArray[np.uint32]
+    corner: int
+    usable: NDArray[np.bool_]
+    edges: NDArray[np.int32]
+
+
 class Windows(NamedTuple):
     """Windows alive, by band: band k holds [band_stop[k - 1], band_stop[k]). place, score: (n,) int32; band_stop: (n_bands,) int64."""
 
@@ -123,34 +138,21 @@ def integral_numpy(values: NDArray[Any], margins: tuple[int, int, int], beyond: 
     return out
 
 
-def open_windows(
-    sums: NDArray[np.uint32],
-    counts: NDArray[np.uint32],
-    corner: int,
-    usable: NDArray[np.bool_],
-    edges: NDArray[np.int32],
-    tables: Tables,
-    n_groups: int,
-) -> Opened:
-    """Run the first n_groups groups on all windows; with none the windows are only counted.
-
-    sums, counts: integral images of codes and of valid pixels, of one shape; corner: index of pixel (0, 0) in them, which leaves as
-    much margin as boxes reach and one row more. usable: (n_rows, n_columns) bool, where windows may be centred. edges: (n_rows,
-    n_bands + 1) int32 columns at which bands begin, the last one n_columns.
-    """
+def open_windows(field: Field, tables: Tables, n_groups: int) -> Opened:
+    """Run the first n_groups groups on all windows of a field; with none the windows are only counted."""
     function = _c_open()
     if function is None:
-        return open_windows_numpy(sums, counts, corner, usable, edges, tables, n_groups)
-    usable, edges = np.ascontiguousarray(usable), np.ascontiguousarray(edges)
+        return open_windows_numpy(field, tables, n_groups)
+    usable, edges = np.ascontiguousarray(field.usable), np.ascontiguousarray(field.edges)
     n_bands, n_stumps = tables.stumps.shape
     room = int(np.count_nonzero(usable)) + 1
     windows = Windows(np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(n_bands, dtype=np.int64))
     n_alive, n_windows = np.empty(n_groups, dtype=np.int64), np.empty(1, dtype=np.int64)
     function(
         *usable.shape,
-        sums.shape[1],
-        corner,
-        *_pointers(sums, counts, usable),
+        field.sums.shape[1],
+        field.corner,
+        *_pointers(field.sums, field.counts, usable),
         n_bands,
         *_pointers(edges, tables.window, tables.least),
         n_stumps,
@@ -163,16 +165,9 @@ def open_windows(
     return Opened(_first(windows), int(n_windows[0]), n_alive)
 
 
-def open_windows_numpy(
-    sums: NDArray[np.uint32],
-    counts: NDArray[np.uint32],
-    corner: int,
-    usable: NDArray[np.bool_],
-    edges: NDArray[np.int32],
-    tables: Tables,
-    n_groups: int,
-) -> Opened:
+def open_windows_numpy(field: Field, tables: Tables, n_groups: int) -> Opened:
     """open_windows in numpy alone."""
+    sums, counts, corner, usable, edges = field
     n_bands = tables.window.shape[0]
     widths = np.diff(edges, axis=1)
     band = np.repeat(np.tile(np.arange(n_bands, dtype=np.uint8), len(edges)), widths.ravel())[usable.ravel()]
@@ -193,8 +188,11 @@ def open_windows_numpy(
 
 
 def run_groups(sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int) -> tuple[Windows, NDArray[np.int64]]:
-    """Run groups [first, last) on windows, whose places must rise within each band. Returns those alive, their order kept, and how many
-    were after each group, (last - first,)."""
+    """Run groups [first, last) on windows. Returns those alive, their order kept, and how many were after each group, (last - first,).
+
+    Raises ValueError unless places rise within each band and bands hold all windows.
+    """
+    _check_order(windows)
     function = _c_run()
     if function is None:
         return run_groups_numpy(sums, tables, windows, first, last)
@@ -283,6 +281,17 @@ def _box(integral_image: NDArray[np.uint32], place: NDArray[np.int32], offset: N
 def _first(windows: Windows) -> Windows:
     n = windows.band_stop[-1]
     return Windows(windows.place[:n], windows.score[:n], windows.band_stop)
+
+
+def _check_order(windows: Windows) -> None:
+    """The kernel weighs neighbours together, and would look for those that stand behind where there is no room for them."""
+    n, stops = len(windows.place), windows.band_stop
+    if len(windows.score) != n or stops[0] < 0 or (stops[1:] < stops[:-1]).any() or stops[-1] != n:
+        raise ValueError(f"bands that end at {stops.tolist()} do not hold {n} windows with {len(windows.score)} scores")
+    rises = windows.place[1:] > windows.place[:-1]
+    rises[stops[(stops > 0) & (stops < n)] - 1] = True
+    if not rises.all():
+        raise ValueError(f"places must rise within each band; the one of window {int(np.argmin(rises)) + 1} does not")
 
 
 def _same_shape(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> None:

@@ -19,9 +19,9 @@ from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, Box, areas, band_edges, margins_px, pixel_boxes
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
-from auv_mcm.detect.cascade.run import CascadeResult, run_cascade, run_plane, tables_of
+from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane, tables_of
 from auv_mcm.detect.stage import TileDetections, detect_tile
-from auv_mcm.kernels.cascade import open_windows, open_windows_numpy, run_groups, run_groups_numpy
+from auv_mcm.kernels.cascade import Field, open_windows, open_windows_numpy, run_groups, run_groups_numpy
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 
 Codes = NDArray[np.uint16]
@@ -90,7 +90,7 @@ def looked_at(tile: Tile, model: CascadeModel = MODEL) -> TileDetections:
 
 def run(tile: Tile, model: CascadeModel = ALL_PASS) -> CascadeResult:
     with np.errstate(all="raise", under="ignore"):
-        return run_cascade(tile, model, None)
+        return run_plane(core_plane(tile), model, None)
 
 
 def scores(result: CascadeResult, first_row: int = 0) -> dict[tuple[int, int], int]:
@@ -180,8 +180,8 @@ def test_c_and_numpy_agree_on_ties_and_on_the_darkest_and_brightest_codes(seed: 
     plane, model = make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35), drawn_model(seed, largest=largest)
     tables = tables_of(model, 0.3, 0.35, plane.sums.shape[1])
     corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
-    arguments = (plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35), tables)
-    (windows, n_windows, _), twin = open_windows(*arguments, 1), open_windows_numpy(*arguments, 1)
+    field = Field(plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35))
+    (windows, n_windows, _), twin = open_windows(field, tables, 1), open_windows_numpy(field, tables, 1)
     assert n_windows == twin.n_windows
     for one, other in zip(windows, twin.windows, strict=True):
         np.testing.assert_array_equal(one, other)

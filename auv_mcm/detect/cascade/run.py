@@ -18,7 +18,7 @@ from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, areas, band_edges, ban
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, Plane, plane_of_tile
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.errors import UsageError
-from auv_mcm.kernels.cascade import STUMP, Tables, Windows, corners, open_windows, rank, run_groups
+from auv_mcm.kernels.cascade import STUMP, Field, Tables, Windows, corners, open_windows, rank, run_groups
 from auv_mcm.records import Tile
 
 OPENING_STUMPS: Final = 16
@@ -47,23 +47,18 @@ class CascadeResult(NamedTuple):
     n_alive: tuple[int, ...]
 
 
-def run_cascade(tile: Tile, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
-    """Run a model over a tile's core and MARGIN_M around it; max_evaluations: the budget, None for none.
-
-    A window is centred on each pixel that is VALID and not LOW_RESOLUTION and has at least 0.6 of the window around it valid.
-    Raises UsageError if the tile's pixels are too fine for exact sums.
-    """
-    return run_plane(core_plane(tile), model, max_evaluations)
-
-
 def core_plane(tile: Tile) -> Plane:
-    """A tile's plane with windows in its core and MARGIN_M around it."""
+    """A tile's plane with windows in its core and MARGIN_M around it, centred on pixels that are VALID and not LOW_RESOLUTION."""
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
     return plane_of_tile(tile, slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])))
 
 
 def run_plane(plane: Plane, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
-    """Run a model over a plane; windows are centred where it is usable. Otherwise as run_cascade."""
+    """Run a model over a plane; max_evaluations: the budget, None for none.
+
+    A window is centred on each pixel where the plane is usable that has at least 0.6 of the window around it valid.
+    Raises UsageError if the plane's pixels are too fine for exact sums.
+    """
     run = _Run(plane, model, max_evaluations)
     n_windows, opened, n_cut = run.open()
     finished, n_late = run.finish(opened)
@@ -208,7 +203,7 @@ class _Run:
 
     def _opened(self, n_groups: int) -> tuple[int, Windows]:
         plane = self._plane
-        opened = open_windows(plane.sums, plane.counts, self.corner, plane.usable, self._edges, self._tables, n_groups)
+        opened = open_windows(Field(plane.sums, plane.counts, self.corner, plane.usable, self._edges), self._tables, n_groups)
         self._account(opened.n_windows, 0, opened.n_alive)
         return opened.n_windows, opened.windows
 

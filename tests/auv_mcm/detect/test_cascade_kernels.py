@@ -14,7 +14,9 @@ from auv_mcm import kernels
 from auv_mcm.detect.cascade.bands import band_edges
 from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.kernels.cascade import (
+    Field,
     Opened,
+    Tables,
     Windows,
     encode,
     encode_numpy,
@@ -38,22 +40,19 @@ def assert_same(one: Windows, other: Windows) -> None:
         np.testing.assert_array_equal(a, b, strict=True)
 
 
-def opened_both_ways(seed: int, n_groups: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Opened, Opened]:
+def draw_field(seed: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Field, Tables]:
     plane, model = draw_ground(seed, *shape).plane(), draw_model(seed, kind=kind)
     tables = tables_of(model, ROW_M, COLUMN_M, plane.sums.shape[1])
+    corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
     edges = band_edges(plane.first_return_m, plane.n_columns, COLUMN_M)
-    arguments = (
-        plane.sums,
-        plane.counts,
-        plane.margin_rows * plane.sums.shape[1] + plane.margin_near,
-        plane.usable,
-        edges,
-        tables,
-        n_groups,
-    )
-    one, other = open_windows(*arguments), open_windows_numpy(*arguments)
+    return Field(plane.sums, plane.counts, corner, plane.usable, edges), tables
+
+
+def opened_both_ways(seed: int, n_groups: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Opened, Opened]:
+    field, tables = draw_field(seed, shape, kind)
+    one, other = open_windows(field, tables, n_groups), open_windows_numpy(field, tables, n_groups)
     for first in range(n_groups, 5):
-        ran = (f(plane.sums, tables, one.windows, first, 5) for f in (run_groups, run_groups_numpy))
+        ran = (f(field.sums, tables, one.windows, first, 5) for f in (run_groups, run_groups_numpy))
         (left, n_left), (right, n_right) = ran
         assert_same(left, right)
         np.testing.assert_array_equal(n_left, n_right, strict=True)
@@ -76,6 +75,25 @@ def test_c_and_numpy_agree_on_tiles_of_many_blocks(shape: tuple[int, int]) -> No
     one, other = opened_both_ways(2, 3, shape)
     assert_same(one.windows, other.windows)
     assert one.n_windows == other.n_windows > 1000
+
+
+def test_windows_out_of_order_are_refused_before_the_kernel_sees_them() -> None:
+    field, tables = draw_field(2, (20, 60))
+    tables = tables._replace(groups=np.stack((tables.groups[:, 0], np.full_like(tables.groups[:, 1], -(2**31))), axis=1))
+    windows = open_windows(field, tables, 1).windows
+    first, second = windows.band_stop[windows.band_stop > 0][:2]
+    assert 1 < first < second
+    # A later band begins again where it likes, on nearer rows too.
+    assert windows.place[first] < windows.place[first - 1]
+    assert_same(run_groups(field.sums, tables, windows, 1, 1)[0], windows)
+    twice = windows.place.copy()
+    twice[1] = twice[0]
+    for place in (windows.place[::-1].copy(), np.roll(windows.place, 1), twice):
+        with pytest.raises(ValueError, match="must rise within each band; the one of window"):
+            run_groups(field.sums, tables, windows._replace(place=place), 1, 2)
+    for stops in (windows.band_stop - 1, windows.band_stop + 1, windows.band_stop[::-1].copy()):
+        with pytest.raises(ValueError, match="do not hold"):
+            run_groups(field.sums, tables, windows._replace(band_stop=stops), 1, 2)
 
 
 @needs_c

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.detect.cascade.bands import REFERENCE_HEIGHT_M
-from auv_mcm.detect.cascade.run import CascadeResult, opening_groups, run_cascade, run_plane
+from auv_mcm.detect.cascade.run import CascadeResult, core_plane, opening_groups, run_plane
 from auv_mcm.errors import UsageError
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, PoseTrack, Tile
 
@@ -153,7 +153,7 @@ def test_a_tile_without_pixels_holds_nothing(shape: tuple[int, int]) -> None:
 
 def test_a_tile_without_echoes_costs_nothing() -> None:
     shape = (20, 40)
-    result = run_cascade(make_tile(np.zeros(shape), np.zeros(shape), np.full(20, NAN)), draw_model(1), None)
+    result = run_plane(core_plane(make_tile(np.zeros(shape), np.zeros(shape), np.full(20, NAN))), draw_model(1), None)
     assert (len(result.rows), result.n_windows, result.n_evaluations, result.evaluated_fraction) == (0, 0, 0, 1.0)
 
 
@@ -167,8 +167,8 @@ def test_strange_intensities_neither_warn_nor_stay() -> None:
     meant = np.nan_to_num(np.clip(intensity, 0.0, 16.0), nan=1.0)
     mask = np.full(intensity.shape, VALID)
     model = draw_model(4)
-    result = run_cascade(make_tile(intensity, mask, np.full(30, 5.0)), model, None)
-    known = run_cascade(make_tile(meant, np.where(np.isnan(intensity), 0, mask), np.full(30, 5.0)), model, None)
+    result = run_plane(core_plane(make_tile(intensity, mask, np.full(30, 5.0))), model, None)
+    known = run_plane(core_plane(make_tile(meant, np.where(np.isnan(intensity), 0, mask), np.full(30, 5.0))), model, None)
     assert same(result, known)
     assert not np.isnan(intensity[result.rows, result.columns]).any()
 
@@ -179,7 +179,7 @@ def test_windows_stand_in_the_core_and_a_metre_around_it_where_resolution_is_goo
     mask[:, :12] |= LOW_RESOLUTION
     mask[:, 30] = 0
     tile = make_tile(np.ones(shape), mask, np.full(40, 6.0), slice(15, 25))
-    result = run_cascade(tile, draw_model(1, reject=-(10**6)), None)
+    result = run_plane(core_plane(tile), draw_model(1, reject=-(10**6)), None)
     margin = round(1.0 / ROW_M) + 1
     assert set(result.rows.tolist()) == set(range(15 - margin, 25 + margin))
     assert result.columns.min() == 12
