@@ -90,8 +90,7 @@ class ClearArea:
         limits = self._limits(area.frame, request)
         self._learn_of(area, request, clearance, limits)
         ground = self._expected(area.ground, limits)
-        expected = area_state(area._replace(ground=ground), plan.required_clearance)
-        wanted = area.cells & (self._vain < MOST_VAIN_PASSES) & (not expected.is_reached)
+        wanted = area.cells & (self._vain < MOST_VAIN_PASSES) & (not state.is_reached)
         if not wanted.any():
             verdict = "" if self._untold else self._given_up(area)
             verdict = _done(area, plan.required_clearance) if state.is_reached else verdict

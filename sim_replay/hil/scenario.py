@@ -58,7 +58,7 @@ class CounterRule(_Count, frozen=True, kw_only=True, tag="counter"):
 
 
 class SummaryRule(_Count, frozen=True, kw_only=True, tag="summary"):
-    """A number of summary.json, e.g. pings."""
+    """A number of summary.json, e.g. pings; of one that stands in another, keys from outside in, e.g. area.p_detected_mean."""
 
     key: str
 

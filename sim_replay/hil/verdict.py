@@ -114,7 +114,9 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             value = float(sum(count for name, count in counters.items() if fnmatchcase(name, rule.name)))
             return _limited(rule, value, rule.name, is_known=bool(evidence.summary))
         case SummaryRule():
-            told = evidence.summary.get(rule.key)
+            told: Any = evidence.summary
+            for part in rule.key.split("."):
+                told = told.get(part) if isinstance(told, Mapping) else None
             if not isinstance(told, int | float):
                 return _limited(rule, math.nan, rule.key, is_known=False)
             return _limited(rule, float(told), rule.key)

@@ -43,7 +43,7 @@ def evidence(**changes: Any) -> Evidence:
                 Report(9.0, "counters", {"device.skipped": 2}),
             ]
         },
-        summary={"pings": 148, "counters": {"port.a.refused.length": 2, "port.a.refused.checksum": 3, "ping.gap": 1}},
+        summary={"pings": 148, "area": {"km2": 0.5}, "counters": {"port.a.refused.length": 2, "port.a.refused.checksum": 3, "ping.gap": 1}},
         contacts=[placed(0.0), placed(10.2, 0.6), placed(20.0, 0.01, "clutter")],
         targets=[placed(0.5), placed(10.0)],
         replayed=[placed(0.1), placed(10.0, 0.7)],
@@ -74,6 +74,8 @@ def test_without_a_summary_nothing_about_its_numbers_holds() -> None:
     assert not passes(SummaryRule(key="pings", at_most=1000), summary={})
     assert not passes(SummaryRule(key="unheard_of", at_least=-1e9))
     assert passes(SummaryRule(key="pings", at_least=148, at_most=148))
+    assert passes(SummaryRule(key="area.km2", at_least=0.5, at_most=0.5))
+    assert not passes(SummaryRule(key="area.km2.more", at_least=-1e9))
 
 
 def test_notices_and_lines_are_counted_within_their_time() -> None:
