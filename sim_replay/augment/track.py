@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeAlias
 
@@ -72,17 +73,16 @@ class Track(NamedTuple):
         return float(self.east_m[ping]) + across * math.cos(heading), float(self.north_m[ping]) - across * math.sin(heading)
 
     def draw(self, random: np.random.Generator, sides: Sequence[Side], low_m: float, high_m: float) -> tuple[int, Side, float]:
-        """A ping, side and ground range, even over the sea floor seen. Raises BadInputError if none is between the ranges."""
+        """A ping, side and ground range, even over the sea floor seen between two ranges, high_m inf for all. Raises BadInputError if none is."""
         step = np.minimum(np.diff(self.along_m, prepend=self.along_m[0]), 5.0)
         rows = [SIDES.index(side) for side in sides]
         near, far = np.maximum(self.nearest_m[rows], low_m), np.minimum(self.farthest_m[rows], high_m)
         good = np.array([not reason for reason in self.why])
         area = np.cumsum(np.where(good, np.nan_to_num(np.maximum(far - near, 0.0)) * step, 0.0).ravel())
         if area[-1] <= 0.0:
-            raise BadInputError(
-                f"no sea floor between ground ranges {low_m:g} and {high_m:g} m is shown well enough to put objects on it. "
-                "Give another range or log"
-            )
+            where = f"between ground ranges {low_m:g} and {high_m:g} m" if math.isfinite(high_m) else "of the log"
+            because = "" if good.any() else f"; mostly because: {Counter(self.why).most_common(1)[0][0]}"
+            raise BadInputError(f"no sea floor {where} is shown well enough to put objects on it{because}. Give another range or log")
         row, ping = divmod(int(np.searchsorted(area, random.uniform(0.0, area[-1]), side="right").clip(0, area.size - 1)), near.shape[1])
         return ping, sides[row], float(random.uniform(near[row, ping], far[row, ping]))
 

@@ -133,6 +133,12 @@ def test_ranges_that_are_never_seen_are_refused(track: Track) -> None:
         placed("scatter: [{kinds: [box], count: 1, ground_range_m: [100, 200]}]", track)
 
 
+def test_a_log_too_short_to_put_anything_on_says_so_and_not_between_which_ranges(track: Track) -> None:
+    short = track._replace(why=("too close to the start or end of the recording",) * N_PINGS)
+    with pytest.raises(BadInputError, match=r"no sea floor of the log is shown .*; mostly because: too close to the start or end"):
+        placed("scatter: [{kinds: [box], count: 1}]", short)
+
+
 def test_looks_find_the_ping_that_a_place_was_made_from(track: Track) -> None:
     for side in SIDES:
         east_m, north_m = track.plane_place(70, side, 9.0)
