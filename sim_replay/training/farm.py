@@ -13,7 +13,7 @@ import time
 import uuid
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
@@ -48,7 +48,7 @@ class Farm(NamedTuple):
 
 def run_tasks(
     function: Callable[[Task], Result], tasks: Sequence[Task], farm: Farm, progress: Callable[[int], None] = lambda done: None
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """What `function`, of a module's top level, returns for each task, in the order of `tasks`.
 
     Results come one by one, and no more tasks are begun than keep the workers busy until the next is taken, so that few results are in
@@ -68,14 +68,14 @@ def run_tasks(
     return _counted(results, progress)
 
 
-def _counted(results: Iterator[Result], progress: Callable[[int], None]) -> Iterator[Result]:
-    with closing(results):  # type: ignore[type-var]  # all three are generators
+def _counted(results: Generator[Result, None, None], progress: Callable[[int], None]) -> Generator[Result, None, None]:
+    with closing(results):
         for done, result in enumerate(results, 1):
             progress(done)
             yield result
 
 
-def _in_processes(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[Result]:
+def _in_processes(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Generator[Result, None, None]:
     waiting = iter(tasks)
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
@@ -90,7 +90,7 @@ def _in_processes(function: Callable[[Task], Result], tasks: Sequence[Task], wor
         pool.shutdown(cancel_futures=True)
 
 
-def _on_cluster(function: Callable[[Task], Result], tasks: Sequence[Task], scheduler: str) -> Iterator[Result]:
+def _on_cluster(function: Callable[[Task], Result], tasks: Sequence[Task], scheduler: str) -> Generator[Result, None, None]:
     killed_worker = _distributed(scheduler).KilledWorker
     run = uuid.uuid4().hex  # keeps tasks of different runs apart on the scheduler
     waiting = enumerate(tasks)

@@ -55,7 +55,7 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    pytest.importorskip("distributed")
+    pytest.importorskip("distributed", reason="distributed, which runs clusters, is not installed")
     with ExitStack() as stack:
         yield Cluster(tmp_path, stack)
 
@@ -108,7 +108,7 @@ def test_what_is_no_farm_is_refused_at_once(farm: Farm, message: str) -> None:
 
 
 def test_a_scheduler_that_does_not_answer_is_told_with_what_to_do() -> None:
-    pytest.importorskip("distributed")
+    pytest.importorskip("distributed", reason="distributed, which runs clusters, is not installed")
     with socket.socket() as taken:  # bound, but nobody listens
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
@@ -125,7 +125,7 @@ def test_a_cluster_of_two_gives_the_same_results_in_order_and_raises_what_a_task
         list(run_tasks(int, ["1", "three"], farm))
     results = run_tasks(neg, list(range(20)), farm)
     assert next(results) == 0
-    results.close()  # type: ignore[attr-defined]  # giving up half way must leave nothing behind
+    results.close()  # giving up half way must leave nothing behind
     assert list(run_tasks(neg, [1], farm)) == [-1]
 
 
