@@ -18,7 +18,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.fusion import NEWS
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
 from auv_mcm.plan.limits import Limits
@@ -67,6 +66,8 @@ def information_nats(p_mine: float, p_look: float) -> float:
 
 def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits) -> list[ContactLegs]:
     """Legs past contacts that ask for a look that tells something, in order of id: of each the first direction that the fence allows."""
+    from auv_mcm.classify.fusion import NEWS  # brings OpenCV with it
+
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
     asked = []
     for contact in sorted(contacts, key=lambda contact: contact.id):
