@@ -179,3 +179,31 @@ def test_crossing_a_leg_is_not_flying_it() -> None:
     assert request is not None
     assert not request.left_out  # nothing was flown
     assert request.sailed_m > 100.0
+
+
+def test_a_leg_that_takes_longer_than_a_plan_lasts_is_asked_for_once_more_without_planning() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    mission.be_at(0.0, 0.0)
+    plan = mission.plan()
+    mission.fly(*legs(plan)[0], upto=0.4)
+    assert mission.look_again.insist(mission.now_s) is None
+    mission.now_s += 0.6 * CONFIG.vehicle.plan_valid_s
+    assert mission.ask() is None
+    assert mission.look_again.insist(mission.now_s) == plan
+    assert mission.look_again.insist(mission.now_s) is None
+
+
+def test_when_all_track_is_sailed_the_plan_is_withdrawn_which_is_told_once() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    short = msgspec.structs.replace(CONFIG, plan=msgspec.structs.replace(CONFIG.plan, max_track_m=100.0))
+    mission.look_again = LookAgain(short)
+    mission.look_again.learn(mission.contacts["C00001"])
+    mission.be_at(0.0, 0.0)
+    assert mission.plan()
+    for north_m in np.arange(0.0, 120.0, 2.0):
+        mission.be_at(0.0, float(north_m))
+    assert mission.look_again.insist(mission.now_s) == ()
+    assert mission.look_again.insist(mission.now_s) is None
+    request = mission.ask(60.0)
+    assert request is None or propose(mission.contacts.values(), request, short.plan, short.vehicle).waypoints == ()
+    assert [notice.code for notice in mission.look_again.take_notices()] == ["track_spent"]
