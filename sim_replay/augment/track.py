@@ -73,7 +73,10 @@ class Track(NamedTuple):
         return float(self.east_m[ping]) + across * math.cos(heading), float(self.north_m[ping]) - across * math.sin(heading)
 
     def draw(self, random: np.random.Generator, sides: Sequence[Side], low_m: float, high_m: float) -> tuple[int, Side, float]:
-        """A ping, side and ground range, even over the sea floor seen between two ranges, high_m inf for all. Raises BadInputError if none is."""
+        """A ping, side and ground range, even over the sea floor seen between two ranges; high_m may be inf.
+
+        Raises BadInputError if none is seen there.
+        """
         step = np.minimum(np.diff(self.along_m, prepend=self.along_m[0]), 5.0)
         rows = [SIDES.index(side) for side in sides]
         near, far = np.maximum(self.nearest_m[rows], low_m), np.minimum(self.farthest_m[rows], high_m)
