@@ -115,7 +115,6 @@ class ClearArea:
             altitude_m=vehicle.altitude_m,
             min_altitude_m=vehicle.min_altitude_m,
             swath=(near_m, far_m),
-            speed_mps=vehicle.speed_mps,
             settling_m=max(SETTLING_RADII * config.plan.turn_radius_m, vehicle.arrival_radius_m + LEAVES_LEG_M),
             fence_margin_m=vehicle.fence_margin_m + vehicle.arrival_radius_m,
         )

@@ -26,7 +26,6 @@ class Limits(NamedTuple):
     altitude_m: float
     min_altitude_m: float
     swath: tuple[float, float]
-    speed_mps: float = 2.0
     settling_m: float = 10.0
     fence_margin_m: float = 0.0
 

@@ -125,7 +125,6 @@ def limits_of(scene: Scene, order: Order, config: WaterfallConfig | None = None)
         altitude_m=track.altitude_m,
         min_altitude_m=0.5 * track.altitude_m,
         swath=(track.altitude_m / math.tan(math.radians(seen.max_grazing_deg)), swath_m(scene)),
-        speed_mps=speed,
     )
 
 
