@@ -16,9 +16,7 @@ from auv_mcm.records import SEABED_TYPES, Contact, SeabedType
 
 CELL_M = 4.0
 ORIGIN = (43.0, 5.0)
-LIMITS = Limits(
-    turn_radius_m=10.0, budget_m=8000.0, fence=None, altitude_m=5.0, min_altitude_m=2.0, swath=(6.0, 50.0), speed_mps=2.0, settling_m=10.0
-)
+LIMITS = Limits(turn_radius_m=10.0, budget_m=8000.0, fence=None, altitude_m=5.0, min_altitude_m=2.0, swath=(6.0, 50.0), settling_m=10.0)
 
 
 class Sonar(NamedTuple):
