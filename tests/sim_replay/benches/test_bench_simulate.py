@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_figures_come_for_every_step() -> None:
-    command = [sys.executable, "-m", "sim_replay.benches.chain", "simulate", "--repeat", "1", "--minutes", "0.05"]
+    command = [sys.executable, "-m", "auv_mcm", "bench", "simulate", "--repeat", "1", "--minutes", "0.05"]
     told = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
     for step in ("numpy: rays", "numpy: rays, speckle, 16-bit recorder", "numpy: 5 rays per ping", "sea floor from scratch"):
         (cost_ms,) = re.findall(rf"^ +{re.escape(step)} +([\d.]+)", told, re.MULTILINE)

@@ -1,0 +1,33 @@
+"""The log that a bench of the chain runs over."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from sim_replay.benches.arguments import count
+
+_SCENE: Final = "demo"
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("log", nargs="?", type=Path, help=f"an XTF log; without it the scene '{_SCENE}' is flown")
+    parser.add_argument("--repeat", type=count, default=5, help="repetitions (default 5)")
+
+
+@contextmanager
+def given_or_flown(log: Path | None) -> Iterator[tuple[Path, Path]]:
+    """The log given, or one of a simulated mission, and a folder for further files that is gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
+        yield log or _flown(Path(folder)), Path(folder)
+
+
+def _flown(folder: Path) -> Path:
+    from sim_replay.simulate import simulate
+    from sim_replay.simulator.scene_file import read_scene
+
+    return simulate(read_scene(_SCENE), folder).log
