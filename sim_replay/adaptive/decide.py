@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clear_area import wished
 from auv_mcm.plan.clearance import LookModel
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import Plan, World, replan
@@ -18,12 +19,6 @@ from sim_replay.simulator.plan import Leg
 
 _STEPS: Final = 300  # of the planner's search: counted, so that the same mission gives the same plans on any machine
 _FENCE_MARGIN_M: Final = 5.0
-
-
-def wished(required: float) -> float:
-    """What each cell is wished to come to for a mean over the area of `required`: half as many missed, so that hard sea floor may stay
-    below where easy sea floor is above."""
-    return 1.0 - 0.5 * (1.0 - required)
 
 
 def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalFrame) -> Decide:
