@@ -1,4 +1,4 @@
-"""One order flown twice in the same world: replanned on the way, and as a lawnmower laid beforehand; both scored alike."""
+"""One order flown in the same world replanned on the way, and as lawnmowers laid beforehand; all scored alike."""
 
 from __future__ import annotations
 
@@ -64,57 +64,63 @@ class Arm(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):
-    """planned_m, expected: of the lawnmower that was flown, on the worst sea floor. average_planned_m: of one for the average sea floor."""
+    """worst, average: lawnmowers laid for the worst sea floor and for the average one; *_planned_m, *_expected: what was planned."""
 
     seed: int
     area_km2: float
     required: float
     adaptive: Arm
-    fixed: Arm
-    planned_m: float
-    expected: float
+    worst: Arm
+    average: Arm
+    worst_planned_m: float
+    worst_expected: float
     average_planned_m: float
+    average_expected: float
 
 
 def compare(seed: int) -> Compared:
-    """Fly and score the world of a seed both ways, with what ships."""
+    """Fly and score the world of a seed all ways, with what ships."""
     order, model = usual_order(), shipped_performance()
-    flights = fly_both(seed, order, model)
+    flights = fly_all(seed, order, model)
     return Compared(
         seed=seed,
         area_km2=order.side_m**2 / 1e6,
         required=order.required,
         adaptive=_arm(flights.adaptive, order),
-        fixed=_arm(flights.fixed, order),
-        planned_m=flights.worst.length_m,
-        expected=flights.worst.expected,
-        average_planned_m=flights.average.length_m,
+        worst=_arm(flights.worst, order),
+        average=_arm(flights.average, order),
+        worst_planned_m=flights.for_worst.length_m,
+        worst_expected=flights.for_worst.expected,
+        average_planned_m=flights.for_average.length_m,
+        average_expected=flights.for_average.expected,
     )
 
 
 class Flights(NamedTuple):
-    """worst: the lawnmower flown as `fixed`, for the worst sea floor; average: one for the average sea floor, not flown."""
+    """for_worst, for_average: the lawnmowers that were flown as `worst` and `average`."""
 
     adaptive: Flight
-    fixed: Flight
-    worst: Lawnmower
-    average: Lawnmower
+    worst: Flight
+    average: Flight
+    for_worst: Lawnmower
+    for_average: Lawnmower
 
 
-def fly_both(seed: int, order: Order, model: LookModel) -> Flights:
+def fly_all(seed: int, order: Order, model: LookModel) -> Flights:
     """Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with."""
     scene = drawn_scene(seed, order.side_m)
     limits, config = limits_of(scene, order), config_for(scene)
     first = planned_legs(scene.track.plan)[0]
     start = Pose(first.east_m, first.north_m, first.direction_rad)
-    average, worst = (
+    for_average, for_worst = (
         shortest_lawnmower(order.side_m, order.required, assumed, model, limits, start)
         for assumed in (AVERAGE, {worst_seabed(model, limits): 1.0})
     )
-    if average is None or worst is None:
+    if for_average is None or for_worst is None:
         raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
     adaptive = fly_adaptive(scene, order, by_replanning(order, model, limits, local_frame(scene.origin)), limits, model, config)
-    return Flights(adaptive, fly_fixed(scene, order, worst.legs, model, config), worst, average)
+    worst, average = (fly_fixed(scene, order, lawnmower.legs, model, config) for lawnmower in (for_worst, for_average))
+    return Flights(adaptive, worst, average, for_worst, for_average)
 
 
 def _arm(flight: Flight, order: Order) -> Arm:

@@ -1,9 +1,9 @@
-"""Many comparisons as one table: means of both ways, and their difference mission by mission with a 95 % interval."""
+"""Many comparisons as a table per rival: means of both ways, and their difference mission by mission with a 95 % interval."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from sim_replay.adaptive.compare import Arm, Compared
 
 Array = NDArray[np.float64]
 
+Rival: TypeAlias = Literal["worst", "average"]
+RIVALS: Final[tuple[Rival, ...]] = get_args(Rival)
+"""Lawnmowers laid for the worst sea floor and for the average one."""
 HEADER: Final = ("", "missions", "replanned", "lawnmower", "difference (95 %)")
 _RESAMPLES: Final = 4000
 _SEED: Final = 1
@@ -41,18 +44,22 @@ def paired(adaptive: Array, fixed: Array, of: Array) -> Paired:
     return Paired(float(adaptive.sum()) / total, float(fixed.sum()) / total, low, high)
 
 
-def rows(missions: Sequence[Compared]) -> list[list[str]]:
-    """Lines of the table under HEADER."""
+def rows(missions: Sequence[Compared], rival: Rival) -> list[list[str]]:
+    """Lines of the table under HEADER, beside one of the lawnmowers."""
+
+    def fixed_of(mission: Compared) -> Arm:
+        return mission.worst if rival == "worst" else mission.average
+
     ones = np.ones(len(missions))
     area = np.array([mission.area_km2 for mission in missions])
     targets = np.array([float(mission.adaptive.n_targets) for mission in missions])
-    both = [mission for mission in missions if mission.adaptive.reached_m is not None and mission.fixed.reached_m is not None]
+    both = [mission for mission in missions if mission.adaptive.reached_m is not None and fixed_of(mission).reached_m is not None]
 
     def row(title: str, value: Callable[[Arm], float], of: Array, form: str, some: Sequence[Compared] = missions) -> list[str]:
         if not some:
             return [title, "0", "-", "-", "-"]
         adaptive, fixed = (
-            np.array([float(value(arm)) for arm in arms]) for arms in zip(*((m.adaptive, m.fixed) for m in some), strict=True)
+            np.array([float(value(arm)) for arm in arms]) for arms in zip(*((m.adaptive, fixed_of(m)) for m in some), strict=True)
         )
         told = paired(adaptive, fixed, of)
         sign = form.replace(":", ":+")
@@ -77,12 +84,8 @@ def rows(missions: Sequence[Compared]) -> list[list[str]]:
     ]
 
 
-def planned_words(missions: Sequence[Compared]) -> str:
-    """What the lawnmowers were planned to be."""
-    planned_m, expected, average_m = (
-        float(np.mean(values)) for values in zip(*((m.planned_m, m.expected, m.average_planned_m) for m in missions), strict=True)
-    )
-    return (
-        f"lawnmower flown: {planned_m:.0f} m planned, clearance expected on the worst sea floor {expected:.3f}; for the average sea floor "
-        f"{average_m:.0f} m would have been planned"
-    )
+def planned_words(missions: Sequence[Compared], rival: Rival) -> str:
+    """What the lawnmowers of one kind were planned to be."""
+    told = [(m.worst_planned_m, m.worst_expected) if rival == "worst" else (m.average_planned_m, m.average_expected) for m in missions]
+    planned_m, expected = np.mean(told, axis=0).tolist()
+    return f"beside the lawnmower laid for the {rival} sea floor: {planned_m:.0f} m planned, clearance expected there {expected:.3f}"

@@ -30,16 +30,18 @@ def arm(track_m: float, n_found: int, reached_m: float | None) -> Arm:
     )
 
 
-def mission(seed: int, adaptive: Arm, fixed: Arm) -> Compared:
+def mission(seed: int, adaptive: Arm, worst: Arm, average: Arm) -> Compared:
     return Compared(
         seed=seed,
         area_km2=0.01,
         required=0.7,
         adaptive=adaptive,
-        fixed=fixed,
-        planned_m=2000.0,
-        expected=0.72,
+        worst=worst,
+        average=average,
+        worst_planned_m=2000.0,
+        worst_expected=0.72,
         average_planned_m=1000.0,
+        average_expected=0.71,
     )
 
 
@@ -61,14 +63,27 @@ def test_the_interval_covers_the_true_difference_about_as_often_as_it_says() -> 
 
 
 def test_tracks_until_reached_are_compared_only_where_both_reached() -> None:
-    missions = [mission(1, arm(800.0, 8, 700.0), arm(2000.0, 9, 1000.0)), mission(2, arm(900.0, 7, 880.0), arm(2000.0, 6, None))]
-    table = {row[0]: row[1:] for row in rows(missions)}
+    average = arm(1000.0, 5, None)
+    missions = [
+        mission(1, arm(800.0, 8, 700.0), arm(2000.0, 9, 1000.0), average),
+        mission(2, arm(900.0, 7, 880.0), arm(2000.0, 6, None), average),
+    ]
+    table = {row[0]: row[1:] for row in rows(missions, "worst")}
     assert all(len(row) == len(HEADER) - 1 for row in table.values())
     assert table["track flown, m"][:3] == ["2", "850", "2000"]
     assert table["track until reached where both did, m"][:3] == ["1", "700", "1000"]
     assert table["share that reached the order"][1:3] == ["1.00", "0.50"]
     assert table["Pd when reached, mine-like"][1:3] == ["0.750", "0.750"]
-    assert "2000 m planned" in planned_words(missions)
+    assert "2000 m planned" in planned_words(missions, "worst")
+
+
+def test_a_lawnmower_that_never_reached_is_told_as_such() -> None:
+    missions = [mission(1, arm(800.0, 8, 700.0), arm(2000.0, 9, 1000.0), arm(1000.0, 5, None))]
+    table = {row[0]: row[1:] for row in rows(missions, "average")}
+    assert table["share that reached the order"][1:3] == ["1.00", "0.00"]
+    assert table["track until reached where both did, m"] == ["0", "-", "-", "-"]
+    assert table["track flown, m"][1:3] == ["800", "1000"]
+    assert "1000 m planned" in planned_words(missions, "average")
 
 
 def test_worlds_come_from_their_seed_alone_and_hold_all_objects_inside_the_area() -> None:
