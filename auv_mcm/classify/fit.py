@@ -69,12 +69,10 @@ class Optimum(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Highlight(msgspec.Struct, frozen=True, kw_only=True):
-    """Along-track length and mean extent in range, m, of a highlight: as the solid has it and as measured about it without the solid's
-    ends. n_samples: independent ones in the solid's."""
+    """Mean extent in range, m, of a highlight: as the solid has it and as measured about it without the solid's ends.
+    n_samples: independent ones in the solid's."""
 
-    model_along_m: float
     model_across_m: float
-    observed_along_m: float
     observed_across_m: float
     n_samples: float
 
@@ -330,12 +328,8 @@ def _highlight(ends: Array, mean: Array, image: RowSums) -> Highlight:
     """ends: (n_rows, 3) columns of the solid; mean: of highlight, shadow and floor."""
     rows = np.flatnonzero(ends[:, 1] > ends[:, 0])
     if rows.size == 0:
-        return Highlight(model_along_m=0.0, model_across_m=0.0, observed_along_m=0.0, observed_across_m=0.0, n_samples=0.0)
+        return Highlight(model_across_m=0.0, observed_across_m=0.0, n_samples=0.0)
     bright = math.sqrt(mean[0] * mean[2])
-    # Rows beyond the solid are looked at where its nearest row has the highlight.
-    nearest = np.clip(np.arange(len(ends)), rows[0], rows[-1])
-    count, total = (np.diff(up_to(sums, ends[nearest, :2]), axis=1)[:, 0] for sums in (image.counts, image.echoes))
-    along = _run(total > bright * np.maximum(count, 1e-9), (rows[0] + rows[-1]) // 2)
     reach = np.arange(-20, 61)
     edges = np.clip(ends[rows, :1] + 0.5 * reach, 0.0, image.echoes.shape[1] - 1.0)
     count, total = (np.diff(up_to(sums[rows], edges), axis=1).sum(axis=0) for sums in (image.counts, image.echoes))
@@ -344,9 +338,7 @@ def _highlight(ends: Array, mean: Array, image: RowSums) -> Highlight:
     across = _run(total > bright * np.maximum(count, 1e-9), min(middle, count.size - 1))
     seen = np.diff(up_to(image.counts[rows], ends[rows, :2]), axis=1).sum()
     return Highlight(
-        model_along_m=rows.size * image.row_spacing_m,
         model_across_m=float(width.mean()) * image.column_spacing_m,
-        observed_along_m=along * image.row_spacing_m,
         observed_across_m=0.5 * across * image.column_spacing_m,
         n_samples=float(seen) * image.samples_per_pixel,
     )

@@ -42,7 +42,7 @@ def fit_of(cost: float, plausibility: float = 1.0, altitude_ratio: float = 1.0, 
         ends=((0.0, 0.0, 0.0),),
         plausibility=plausibility,
         contrast=(4.0, 0.2),
-        highlight=Highlight(model_along_m=0.8, model_across_m=0.2, observed_along_m=0.8, observed_across_m=0.2, n_samples=20.0),
+        highlight=Highlight(model_across_m=0.2, observed_across_m=0.2, n_samples=20.0),
         refined=True,
         flags=flags,
     )
