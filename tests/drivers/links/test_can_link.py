@@ -6,8 +6,10 @@ import asyncio
 import errno
 import socket
 from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import pytest
@@ -25,15 +27,32 @@ POSITION = CanFrame(0x09F80103, bytes.fromhex("406dab1cc0b9da06"))
 DEPTH = CanFrame(0x0DF50B03, bytes.fromhex("00d2040000000000"))
 
 
+class Plugged(NamedTuple):
+    port: FakePort
+    adapter: FakeSlcanAdapter
+    link: Link[CanFrame]
+    watch: Watch[CanFrame]
+
+
+@asynccontextmanager
+async def plugged_adapter(
+    folder: Path, options: str = "", bitrate: int = 250000, on_frame: Callable[[CanFrame], None] | None = None
+) -> AsyncIterator[Plugged]:
+    """An adapter on a bus of `bitrate`, which the link to it takes for one of 250000 bit/s, and opened."""
+    port = FakePort(folder / "tty", 115200)
+    adapter = FakeSlcanAdapter(port, bitrate, on_frame)
+    port.plug()
+    link, watch = watched_can(f"slcan://{port.path}?bitrate=250000{options}")
+    async with running(link):
+        await until(lambda: adapter.is_open)
+        yield Plugged(port, adapter, link, watch)
+    port.unplug()
+
+
 def test_an_adapter_is_opened_at_the_bit_rate_and_frames_pass_both_ways(tmp_path: Path) -> None:
     async def scenario() -> None:
         taken: list[CanFrame] = []
-        port = FakePort(tmp_path / "tty", 115200)
-        adapter = FakeSlcanAdapter(port, 250000, taken.append)
-        port.plug()
-        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000")
-        async with running(link):
-            await until(lambda: adapter.is_open)
+        async with plugged_adapter(tmp_path, on_frame=taken.append) as (_, adapter, link, watch):
             await adapter.send(POSITION)
             await adapter.send(DEPTH)
             await until(lambda: watch.items == [POSITION, DEPTH])
@@ -43,18 +62,13 @@ def test_an_adapter_is_opened_at_the_bit_rate_and_frames_pass_both_ways(tmp_path
             assert link.counters["slcan.refused.unsendable"] == 1
             await until(lambda: link.counters["slcan.answers"] == 6)
         assert link.counters["slcan.refusals"] == 1, "closing what was not open"
-        port.unplug()
 
     asyncio.run(scenario())
 
 
 def test_an_unplugged_adapter_is_opened_again_when_it_is_back(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", 115200)
-        adapter = FakeSlcanAdapter(port, 250000)
-        port.plug()
-        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000")
-        async with running(link):
+        async with plugged_adapter(tmp_path) as (port, adapter, link, watch):
             for n in range(2):
                 await until(lambda: adapter.is_open)
                 await adapter.send(CanFrame(n, b""))
@@ -64,45 +78,32 @@ def test_an_unplugged_adapter_is_opened_again_when_it_is_back(tmp_path: Path) ->
                 await until(lambda: link.state == "down")
                 assert not link.write(POSITION)
                 port.plug()
-        port.unplug()
 
     asyncio.run(scenario())
 
 
 def test_an_adapter_that_lost_power_behind_its_port_is_opened_again(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", 115200)
-        adapter = FakeSlcanAdapter(port, 250000)
-        port.plug()
-        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
-        async with running(link):
-            await until(lambda: adapter.is_open)
+        async with plugged_adapter(tmp_path, "&silent_s=0.1") as (_, adapter, _, watch):
             await adapter.send(POSITION)
             await until(lambda: watch.items)
             adapter.power_cycle()
             await until(lambda: adapter.is_open)
             await adapter.send(DEPTH)
             await until(lambda: watch.items == [POSITION, DEPTH])
-        port.unplug()
 
     asyncio.run(scenario())
 
 
 def test_a_wrong_bit_rate_and_a_dead_adapter_are_told_apart(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", 115200)
-        adapter = FakeSlcanAdapter(port, 500000)
-        port.plug()
-        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
-        async with running(link):
-            await until(lambda: adapter.is_open)
+        async with plugged_adapter(tmp_path, "&silent_s=0.1", bitrate=500000) as (port, adapter, link, watch):
             await adapter.send(POSITION)
             await until(lambda: link.state == "silent")
             assert "The adapter answers: check that the bus has 250000 bit/s" in watch.reason
             port.stalled = True
             await until(lambda: "The adapter does not answer either" in watch.reason)
         assert not watch.items
-        port.unplug()
 
     asyncio.run(scenario())
 
@@ -125,19 +126,13 @@ def test_bytes_that_are_no_frames_are_told_as_such(tmp_path: Path) -> None:
 
 def test_one_bad_byte_costs_one_frame(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", 115200)
-        adapter = FakeSlcanAdapter(port, 250000)
-        port.plug()
-        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000")
-        async with running(link):
-            await until(lambda: adapter.is_open)
+        async with plugged_adapter(tmp_path) as (port, _, link, watch):
             for n in range(13):
                 text = encode(CanFrame(n, b"\x00"))
                 await port.send(text.replace(b"T", b"\xc3") if n == 2 else text)
             await until(lambda: len(watch.items) == 12)
             assert [frame.can_id for frame in watch.items] == [0, 1, *range(3, 13)]
         assert link.counters["slcan.refused.line"] == 1
-        port.unplug()
 
     asyncio.run(scenario())
 
