@@ -9,6 +9,7 @@ import fcntl
 import os
 import termios
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,18 @@ BAUD = 4000000
 
 def link_at(path: Path, options: str = "") -> tuple[Link[bytes], Watch[bytes]]:
     return watched_bytes(f"serial://{path}?baud={BAUD}{options}")
+
+
+@contextlib.asynccontextmanager
+async def plugged(folder: Path, options: str = "") -> AsyncIterator[tuple[FakePort, Link[bytes], Watch[bytes]]]:
+    """A device that is plugged in, and a link to it that is up."""
+    port = FakePort(folder / "tty", BAUD)
+    port.plug()
+    link, watch = link_at(port.path, options)
+    async with running(link):
+        await until(lambda: link.state == "up")
+        yield port, link, watch
+    port.unplug()
 
 
 def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Path) -> None:
@@ -85,11 +98,7 @@ def test_an_unplugged_device_is_told_at_once_and_served_again_when_it_is_back(tm
 
 def test_an_unplugged_device_is_told_once_and_again_only_if_what_comes_back_cannot_be_opened(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
-        link, watch = link_at(port.path)
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with plugged(tmp_path) as (port, link, watch):
             port.unplug()
             await until(lambda: link.state == "down")
             await asyncio.sleep(0.2)
@@ -100,18 +109,13 @@ def test_an_unplugged_device_is_told_once_and_again_only_if_what_comes_back_cann
             port.path.unlink()
             port.plug()
             await until(lambda: link.state == "up")
-        port.unplug()
 
     asyncio.run(scenario())
 
 
 def test_a_link_without_its_device_costs_next_to_nothing(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
-        link, _ = link_at(port.path)
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with plugged(tmp_path) as (port, link, _):
             port.unplug()
             await until(lambda: link.state == "down")
             before_s = time.process_time()
@@ -125,11 +129,7 @@ def test_a_link_without_its_device_costs_next_to_nothing(tmp_path: Path) -> None
 
 def test_a_cable_that_fails_without_a_word_is_told_as_silent(tmp_path: Path) -> None:
     async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
-        link, watch = link_at(port.path, "&silent_s=0.05")
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with plugged(tmp_path, "&silent_s=0.05") as (port, link, watch):
             port.stalled = True
             await port.send(b"lost")
             await until(lambda: link.state == "silent")
@@ -141,7 +141,6 @@ def test_a_cable_that_fails_without_a_word_is_told_as_silent(tmp_path: Path) -> 
             await until(lambda: watch.items)
         assert watch.states[:3] == ["up", "silent", "up"], "told once however long it lasts"
         assert link.counters["link.opened"] == 1
-        port.unplug()
 
     asyncio.run(scenario())
 
