@@ -1,8 +1,9 @@
 """The ledger of contacts: which detections are views of the same object, and what they say together.
 
 Two detections of one passage are two objects: suppression has already merged echoes of one, and nothing lies to port and to
-starboard at once. A detection of another passage joins the contact it fits by Mahalanobis distance of positions, one-to-one over
-what arrives together, or opens a new one.
+starboard at once. A detection of another passage joins a contact within the gate of Mahalanobis distance, one-to-one over what arrives
+together, or opens a new one. Of several contacts it joins the one that it fits best by place and by kind: the two ends of a cylinder may
+have made a likely mine and a speck beside it, and what now looks like a mine is another view of the former.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from auv_mcm.records import Contact, ContactClass, Detection
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)
 _IMPOSSIBLE: Final = 1e6
+_LEAST_SAME_KIND: Final = 1e-3  # probability, however much two views differ: one of them may be of the end that tells nothing
 _LEAST_COVARIANCE_M2: Final = 1e-4 * np.eye(2)  # no centroid is known better than to a centimetre, whatever the errors configured
 
 
@@ -84,6 +86,7 @@ class Ledger:
         if not self._contacts:
             return [None] * len(detections)
         cost = np.full((len(detections), len(self._contacts)), _IMPOSSIBLE)
+        unlike = np.full(cost.shape, _IMPOSSIBLE)
         for row, (detection, place) in enumerate(zip(detections, self._east_north(detections), strict=True)):
             offset = self._positions_m - place
             near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m)
@@ -95,6 +98,9 @@ class Ledger:
                 distance2 = float(offset[column] @ np.linalg.solve(spread, offset[column]))
                 if distance2 <= self._config.gate_chi2:
                     cost[row, column] = distance2
+                    unlike[row, column] = _unlike(detection.p_mine, contact.p_mine)
+        # Beside the likest in reach, so that a detection joins an unlike one where there is no other.
+        cost = np.where(unlike < _IMPOSSIBLE, cost + unlike - unlike.min(axis=1, keepdims=True), _IMPOSSIBLE)
         possible = np.flatnonzero((cost < _IMPOSSIBLE).any(axis=0))
         matches: list[int | None] = [None] * len(detections)
         if possible.size == 0:
@@ -107,6 +113,11 @@ class Ledger:
             if column < possible.size:
                 matches[int(row)] = int(possible[column])
         return matches
+
+
+def _unlike(p: float, q: float) -> float:
+    """What two views of one thing cost beside their distance: twice the negative logarithm of both being a mine or neither."""
+    return -2.0 * math.log(max(p * q + (1.0 - p) * (1.0 - q), _LEAST_SAME_KIND))
 
 
 def _passages(detections: list[Detection]) -> list[list[Detection]]:

@@ -151,7 +151,8 @@ def test_what_is_wrong_is_told_and_that_it_is_well_again(tmp_path: Path) -> None
         if ports.vehicle.said[-1:] == [("normal", "")] and not ports.wrong:
             ports.wrong = ["port sonar is down"]
             return next(steps) == 1
-        if ports.vehicle.said[-1:] == [("fault", "port sonar is down")]:
+        # A slow computer may have no position yet as well, which it gets in time.
+        if ports.vehicle.said[-1:] and ports.vehicle.said[-1][1].startswith("port sonar is down"):
             ports.wrong = []
         return False
 

@@ -110,6 +110,24 @@ def test_the_same_leg_again_is_another_look() -> None:
     assert [len(c.views) for c in book.contacts] == [2]
 
 
+@pytest.mark.parametrize(("nearer_p", "farther_p", "joined"), [(0.0002, 0.6, "farther"), (0.6, 0.0002, "nearer"), (0.5, 0.5, "nearer")])
+def test_of_two_contacts_in_reach_a_likely_mine_is_a_view_of_the_likelier(nearer_p: float, farther_p: float, joined: str) -> None:
+    """The ends of a cylinder, seen as two things on one passage; from the other side it is one."""
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, p_mine=nearer_p, score=1.0), view(1.7, 0.0, 100.2, p_mine=farther_p, score=2.0)])
+    book.add([view(0.4, 0.0, 900.0, p_mine=0.97, score=3.0, **SECOND_LEG)])
+    assert objects_in(book.contacts) == ([{1.0}, {2.0, 3.0}] if joined == "farther" else [{1.0, 3.0}, {2.0}])
+
+
+@settings(max_examples=40, deadline=None)
+@given(first_p=st.floats(0.0, 1.0), second_p=st.floats(0.0, 1.0), apart_m=st.floats(0.0, 3.9))
+def test_kinds_never_keep_apart_what_place_alone_would_join(first_p: float, second_p: float, apart_m: float) -> None:
+    book = ledger()
+    book.add([view(0.0, 0.0, 100.0, p_mine=first_p)])
+    book.add([view(apart_m, 0.0, 900.0, p_mine=second_p, **SECOND_LEG)])
+    assert [len(contact.views) for contact in book.contacts] == [2]
+
+
 def test_views_too_far_apart_open_a_new_contact() -> None:
     config = ContactsConfig()
     far = ledger()
