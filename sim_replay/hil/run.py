@@ -42,6 +42,7 @@ SERVICE_LOG: Final = "service.log"
 _READY_S: Final = 60.0  # for a process to come up on a computer that has much else to do
 _SETTLE_S: Final = 0.5  # for the service to open its ports
 _GRACE_S: Final = 5.0
+_ALONE_S: Final = 4.0  # of a vehicle after the service's end, to see that it goes on by itself
 _TAIL_LINES: Final = 5
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -120,6 +121,8 @@ class _Run:
             if self._scenario.kill is not None:
                 killed_s = await self._killed(service, processes[0], self._scenario.kill, start_s)
             exit_code = await self._served(service, processes[:-1], start_s)
+            if self._scenario.vehicle is not None:
+                await asyncio.sleep(_ALONE_S)
         finally:
             await asyncio.gather(*(process.end() for process in processes))
         lines = [Line(at_s - start_s, text) for at_s, text in service.lines]
