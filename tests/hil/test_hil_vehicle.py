@@ -34,12 +34,19 @@ def was_too_slow(verdicts: Verdicts) -> bool:
     return any("kept up" in verdict["test"] for verdict in verdicts)
 
 
+def is_left_to_chance(verdicts: Verdicts) -> bool:
+    """Whether all that was not met is that the second look told more: where from it is had differs with the load of the computer, and a
+    cylinder seen along its axis may look like two things."""
+    return all("clearer" in verdict["test"] for verdict in verdicts)
+
+
 @pytest.mark.parametrize("names", [("vehicle_imc", "vehicle_bluefin"), ("vehicle_can", "vehicle_service_killed")])
 def test_a_contact_is_looked_at_again_and_the_vehicle_given_back(names: tuple[str, ...], tmp_path: Path) -> None:
     left = names
     for attempt in range(ATTEMPTS):
         failed = failures(tmp_path / str(attempt), left)
-        assert all(map(was_too_slow, failed.values())), failed
+        again = attempt + 1 < ATTEMPTS
+        assert all(was_too_slow(verdicts) or (again and is_left_to_chance(verdicts)) for verdicts in failed.values()), failed
         left = tuple(failed)
         if not left:
             return
