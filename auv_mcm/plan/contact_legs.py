@@ -5,7 +5,7 @@ entropy of p_mine by such a call is what it tells; since a further view of one o
 of it counts.
 
 Entropy is the currency that contacts and unsearched sea floor share. Mines that lie at random with density q per square metre give
-q (1 - ln q) nats of not knowing where, per square metre (the entropy of a sparse Poisson process told to the square metre). At the prior's
+q (1 - ln q) nats of not knowing where, per square metre (the entropy of a sparse Poisson process told to the square metre). At the
 mean density this makes a nat at a contact worth NAT_M2 square metres searched.
 """
 
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.residual import Prior
 from auv_mcm.plan.tracks import RIGHT, enterable
 from auv_mcm.records import NAN, SEABED_TYPES, Contact
 
@@ -29,7 +28,7 @@ Array = NDArray[np.float64]
 
 FALSE_CALL: Final = 0.1
 LOOK_RUN_M: Final = 30.0  # straight, with the contact abeam of its middle, beside the settling
-_MINES_M2: Final = Prior().shape / Prior().rate_km2 * 1e-6
+_MINES_M2: Final = 5e-6  # density that plans are weighed by
 NAT_M2: Final = 1.0 / (_MINES_M2 * (1.0 - math.log(_MINES_M2)))
 _RANGES: Final = 16
 _AS_GOOD: Final = 0.98

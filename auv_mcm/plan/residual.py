@@ -17,15 +17,19 @@ _MOST_MINES: Final = 1_000_000
 
 
 class Prior(NamedTuple):
-    """What is known of the density before the search: Gamma with mean shape / rate_km2 mines per km². The default knows next to nothing:
-    one mine per km² would surprise as little as none or ten."""
+    """What is known of the density before the search: Gamma, worth as much as shape mines found in rate_km2 searched for sure.
+
+    The default is Jeffreys' prior, which leaves the density to what was found: any area worth a rate would outweigh a small search, and
+    understate what that has left.
+    """
 
     shape: float = 0.5
-    rate_km2: float = 0.1
+    rate_km2: float = 0.0
 
 
 class Remaining(NamedTuple):
-    """Mines not found. expected: mean. high: no more than these with the asked probability. p_none: that there is none."""
+    """Mines not found. expected: mean, infinite where nothing was searched and nothing known. high: no more than these with the asked
+    probability, at most a million. p_none: that there is none."""
 
     expected: float
     high: int
@@ -45,15 +49,25 @@ def remaining_mines(
     p = np.asarray(p_detected, dtype=np.float64)
     if not (np.isfinite(p).all() and (p >= 0.0).all() and (p <= 1.0).all()):
         raise ValueError("p_detected holds a value that is no probability")
-    if not (n_found >= 0.0 and math.isfinite(n_found) and cell_m2 > 0.0 and 0.0 < confidence < 1.0 and min(prior) > 0.0):
+    if not (
+        n_found >= 0.0
+        and math.isfinite(n_found)
+        and cell_m2 > 0.0
+        and 0.0 < confidence < 1.0
+        and prior.shape > 0.0
+        and 0.0 <= prior.rate_km2 < math.inf
+    ):
         raise ValueError(f"n_found {n_found}, cell_m2 {cell_m2}, confidence {confidence} or prior {prior} is out of range")
     searched_km2 = float(p.sum()) * cell_m2 * 1e-6
     missed_km2 = float((1.0 - p).sum()) * cell_m2 * 1e-6
     shape, rate = prior.shape + n_found, prior.rate_km2 + searched_km2
+    if rate == 0.0 and missed_km2 > 0.0:
+        return Remaining(math.inf, _MOST_MINES, 0.0)
     # Poisson with mean missed_km2 * density: negative binomial with odds missed_km2 / rate.
-    log_none = -shape * math.log1p(missed_km2 / rate)
+    log_none = -shape * math.log1p(missed_km2 / rate) if missed_km2 > 0.0 else 0.0
     log_share = -math.log1p(rate / missed_km2) if missed_km2 > 0.0 else -math.inf
-    return Remaining(missed_km2 * shape / rate, _quantile(shape, log_none, log_share, confidence), math.exp(log_none))
+    expected = missed_km2 * shape / rate if missed_km2 > 0.0 else 0.0
+    return Remaining(expected, _quantile(shape, log_none, log_share, confidence), math.exp(log_none))
 
 
 def sweep_width_m(ground_range_m: NDArray[np.float64], p_look: NDArray[np.float64]) -> float:

@@ -52,6 +52,20 @@ def test_a_whole_search_leaves_nothing() -> None:
     assert told == (0.0, 0, 1.0)
 
 
+def test_a_small_search_that_found_much_has_left_much() -> None:
+    """Five mines where each is found with 0.4 leave seven and a half behind, however small the area."""
+    for n_cells in (100, 10_000):
+        told = remaining_mines(5, np.full(n_cells, 0.4), CELL_M2)
+        assert told.expected == pytest.approx(5.5 * 0.6 / 0.4)
+        assert told.high > 7
+
+
+def test_no_search_and_no_knowledge_leave_anything_possible() -> None:
+    told = remaining_mines(0, np.zeros(100), CELL_M2)
+    assert math.isinf(told.expected)
+    assert told.p_none == 0.0
+
+
 def test_no_search_leaves_what_was_expected_before() -> None:
     told = remaining_mines(0, np.zeros(10_000), CELL_M2, Prior(3.0, 1.5))
     assert told.expected == pytest.approx(2.0)
