@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from auv_mcm.errors import HardwareError
 from drivers.links.can_frame import CanFrame
+from drivers.links.gather import GATHER_S
 
 _MAX_PER_READ: Final = 256
 _ERROR_BUS_OFF: Final = 0x40  # in the identifier of an error frame, linux/can/error.h
@@ -24,6 +25,7 @@ class CanBusPort:
 
     def __init__(self, bus: Any, place: str, counters: Counter[str]) -> None:
         self.has_unsent = False
+        self.pause_s = GATHER_S
         self.note = ""
         self._bus = bus
         self._place = place

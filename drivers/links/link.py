@@ -29,11 +29,15 @@ _LOOKS_PER_SILENCE: Final = 4
 class Port(Protocol[T]):
     """An open wire that carries T: bytes or CAN frames. Nothing here blocks; what fails raises HardwareError and nothing else.
 
-    note: what a person should know of how it opened, "" for nothing.
+    note: what a person should know of how it opened, "" for nothing. pause_s: after a read that brought something, how long to let more
+    come before the next one; 0: not at all.
     """
 
     @property
     def note(self) -> str: ...
+
+    @property
+    def pause_s(self) -> float: ...
 
     @property
     def has_unsent(self) -> bool:
@@ -98,6 +102,7 @@ class Link(Generic[T]):
         self._port: Port[T] | None = None
         self._gone = asyncio.Event()
         self._writer_waits = False
+        self._next_read: asyncio.TimerHandle | None = None  # while bytes gather, else the port is listened to
         self._silent_due_s = 0.0
         self._heard = False
 
@@ -168,8 +173,8 @@ class Link(Generic[T]):
         try:
             while not self._gone.is_set():
                 await asyncio.wait([gone], timeout=pause_s)
-                if polled:
-                    self._readable()
+                if polled and self._port is not None:
+                    self._read(self._port)
                 self._look_for_silence()
         finally:
             gone.cancel()
@@ -189,17 +194,33 @@ class Link(Generic[T]):
             self._tell("silent", f"{self.place}: nothing received for {self._silent_after_s:g} s. {advice}")
 
     def _readable(self) -> None:
+        """Read, then by the clock as long as something comes; listen again when nothing did, or so much that more waits already."""
         port = self._port
         if port is None:
             return
+        came = self._read(port)
+        if port is not self._port:
+            return
+        pause_s = port.pause_s if came else 0.0
+        if pause_s > 0.0:
+            loop = asyncio.get_running_loop()
+            if self._next_read is None:
+                loop.remove_reader(port.fileno())
+            self._next_read = loop.call_later(pause_s, self._readable)
+        elif self._next_read is not None:
+            self._next_read = None
+            asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
+
+    def _read(self, port: Port[T]) -> bool:
+        """Hand on what has come; did anything?"""
         self.counters["link.reads"] += 1
         try:
             items = port.read()
         except HardwareError as error:
             self._lose(str(error))
-            return
+            return False
         if not items:
-            return
+            return False
         now_s = self._clock.monotonic_s()
         stamp = Stamp(mono_ns=round(now_s * 1e9), utc_ns=round(self._clock.utc_s() * 1e9))
         self._silent_due_s = now_s + self._silent_after_s
@@ -208,6 +229,7 @@ class Link(Generic[T]):
             self._tell("up", f"{self.place} is heard again")
         for item in items:
             self._call(self._on_data, item, stamp)
+        return True
 
     def _writable(self) -> None:
         port = self._port
@@ -239,6 +261,9 @@ class Link(Generic[T]):
     def _detach(self) -> None:
         """Stop listening at once: a wire that hung up is readable for ever."""
         port, self._port, self._writer_waits = self._port, None, False
+        if self._next_read is not None:
+            self._next_read.cancel()
+            self._next_read = None
         if port is not None and port.fileno() >= 0:
             loop = asyncio.get_running_loop()
             loop.remove_reader(port.fileno())

@@ -53,6 +53,7 @@ class PulsePort:
         """fetch: the newest edge; raises OSError."""
         self.note = ""
         self.has_unsent = False
+        self.pause_s = 0.0
         self.close = close
         self._fetch = fetch
         self._place = place

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import Any
 
 from auv_mcm.errors import HardwareError
+from drivers.links.gather import gather_s
 from drivers.links.stream import StreamPort
 
 
@@ -27,7 +28,7 @@ async def open_serial(path: str, baud: int, counters: Counter[str]) -> StreamPor
     def on_silence() -> str:
         return f"Check the cable, the device's power, and that it is set to {baud} baud."
 
-    return StreamPort(opened.fd, opened.close, lost, on_silence, counters)
+    return StreamPort(opened.fd, opened.close, lost, on_silence, gather_s(baud), counters)
 
 
 def _open(path: str, baud: int) -> Any:

@@ -123,6 +123,10 @@ class SlcanPort:
     def has_unsent(self) -> bool:
         return self._stream.has_unsent
 
+    @property
+    def pause_s(self) -> float:
+        return self._stream.pause_s
+
     def read(self) -> list[CanFrame]:
         return [frame for data in self._stream.read() for frame in self._parser.feed(data)]
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from auv_mcm.errors import HardwareError
+from drivers.links.gather import PLENTY_BYTES
 
 READ_BYTES: Final = 1 << 16
 MAX_QUEUED_BYTES: Final = 1 << 16
@@ -17,7 +18,7 @@ class StreamPort:
     """A Port of bytes on a non-blocking descriptor.
 
     close: called once. lost: makes the message for a failed read or write, given the error, None when the other end hung up.
-    on_silence: see Port. counters: link.bytes_in, link.bytes_out.
+    on_silence: see Port. gather_s: how long bytes may gather before they are read. counters: link.bytes_in, link.bytes_out.
     """
 
     def __init__(
@@ -26,13 +27,16 @@ class StreamPort:
         close: Callable[[], None],
         lost: Callable[[OSError | None], str],
         on_silence: Callable[[], str],
+        gather_s: float,
         counters: Counter[str],
     ) -> None:
         self.note = ""
+        self.pause_s = gather_s
         self.close = close
         self.on_silence = on_silence
         self._descriptor = descriptor
         self._lost = lost
+        self._gather_s = gather_s
         self._counters = counters
         self._unsent = bytearray()
 
@@ -53,6 +57,7 @@ class StreamPort:
         if not data:
             raise HardwareError(self._lost(None))
         self._counters["link.bytes_in"] += len(data)
+        self.pause_s = self._gather_s if len(data) < PLENTY_BYTES else 0.0
         return [data]
 
     def write(self, item: bytes) -> bool:

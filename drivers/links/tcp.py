@@ -8,6 +8,7 @@ from collections import Counter
 from typing import Any, Final
 
 from auv_mcm.errors import HardwareError
+from drivers.links.gather import GATHER_S
 from drivers.links.stream import StreamPort
 
 CONNECT_S: Final = 5.0
@@ -56,7 +57,7 @@ def _port(connection: socket.socket, place: str, counters: Counter[str]) -> Stre
     def on_silence() -> str:
         raise HardwareError(f"{place}: nothing received, so the connection is taken for dead. Check that the device is running and sends.")
 
-    return StreamPort(connection.fileno(), connection.close, lost, on_silence, counters)
+    return StreamPort(connection.fileno(), connection.close, lost, on_silence, GATHER_S, counters)
 
 
 async def addresses_of(host: str, port: int, kind: socket.SocketKind, place: str, family: int = 0) -> list[tuple[int, tuple[Any, ...]]]:

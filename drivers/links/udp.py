@@ -24,6 +24,7 @@ class UdpPort:
 
     def __init__(self, bound: socket.socket, place: str, peer: tuple[str, int], counters: Counter[str]) -> None:
         self.has_unsent = False
+        self.pause_s = 0.0  # datagrams were gathered by who sent them
         self.note = ""
         self.close = bound.close
         self._socket = bound

@@ -35,6 +35,7 @@ class Wire:
     def __init__(self) -> None:
         self.note = ""
         self.has_unsent = False
+        self.pause_s = 0.0
         self.plugged = True
         self.written: list[bytes] = []
         self._waiting: deque[bytes] = deque()

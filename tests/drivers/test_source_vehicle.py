@@ -56,6 +56,7 @@ class Wire:
     def __init__(self, controller: FakeController[Any]) -> None:
         self.note = ""
         self.has_unsent = False
+        self.pause_s = 0.0
         self.plugged = True
         self.controller = controller
         self._waiting: deque[Any] = deque()
