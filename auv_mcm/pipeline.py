@@ -22,7 +22,7 @@ import numpy as np
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
 from auv_mcm.config import Config
-from auv_mcm.contacts.ledger import Ledger
+from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
@@ -56,6 +56,7 @@ class Pipeline:
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
     when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `detect` and
     `look` take the place of detection in a tile and of the close look at a detection, to compare with others or to learn from what is seen.
+    kept: where contacts are kept, in memory if None; they are the same wherever that is.
 
     The trained cascade that `config.detect.model` names is read here, once. Raises BadInputError if it cannot be.
     """
@@ -69,6 +70,7 @@ class Pipeline:
         timer: Callable[[], float] | None = None,
         detect: Callable[[Tile], TileDetections] | None = None,
         look: Callable[[Detection], Detection] | None = None,
+        kept: Contacts | None = None,
     ) -> None:
         self._config = config
         self._exhaustive = exhaustive
@@ -87,7 +89,7 @@ class Pipeline:
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
-        self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0)
+        self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         self._seabed = shipped_seabed_model()
         self._grid: Grid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -101,6 +103,10 @@ class Pipeline:
     def counters(self) -> Counter[str]:
         """Everything refused, skipped or degraded so far, by dotted name; only what happened at least once."""
         return +(self._counts + self._intake.navigation_counters)
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        """Contacts at least so likely to be mines that say from where another look would tell more."""
+        return self._ledger.asking(min_p_mine)
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         """Take one event; return what became final because of it."""

@@ -268,6 +268,18 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     next_look_deg: tuple[float, ...] = ()
 
 
+def contact_id(number: int) -> str:
+    """The id of a mission's contact, numbered from 1 in the order of first views."""
+    return f"C{number:05d}"
+
+
+def contact_number(contact_id: str) -> int:
+    """The number in an id. Raises ValueError for an id that is not C and a number."""
+    if not contact_id.startswith("C"):
+        raise ValueError(f"'{contact_id}' is no id of a contact: it is not C and a number")
+    return int(contact_id[1:])
+
+
 SeabedType: TypeAlias = Literal["flat", "ripple", "rough", "vegetation", "unknown"]
 SEABED_TYPES: Final[tuple[SeabedType, ...]] = get_args(SeabedType)
 """`rough` is rock, stones and coarse ground; `unknown` is unlike all that was learnt."""

@@ -8,9 +8,10 @@ have made a likely mine and a speck beside it, and what now looks like a mine is
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,31 +20,47 @@ from auv_mcm.classify.dimensions import Dimensions, dimensions
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.config import ContactsConfig
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.records import Contact, ContactClass, Detection
+from auv_mcm.records import Contact, ContactClass, Detection, contact_id
 
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)
 _IMPOSSIBLE: Final = 1e6
 _LEAST_SAME_KIND: Final = 1e-3  # probability, however much two views differ: one of them may be of the end that tells nothing
 _LEAST_COVARIANCE_M2: Final = 1e-4 * np.eye(2)  # no centroid is known better than to a centimetre, whatever the errors configured
+_SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
+
+
+class Contacts(Protocol):
+    """Where contacts are: a list, or a shelf on disk. Reading may raise OSError, writing must not."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, number: int, /) -> Contact: ...
+    def __setitem__(self, number: int, contact: Contact, /) -> None: ...
+    def append(self, contact: Contact, /) -> None: ...
 
 
 class Ledger:
     """Contacts of one mission, in order of first view.
 
-    prior: log-odds of a mine that every detection's p_mine contains.
+    prior: log-odds of a mine that every detection's p_mine contains. kept: where contacts go, empty; a list if None.
     """
 
-    def __init__(self, config: ContactsConfig, prior: float = 0.0) -> None:
+    def __init__(self, config: ContactsConfig, prior: float = 0.0, kept: Contacts | None = None) -> None:
         self._config = config
         self._prior = prior
-        self._contacts: list[Contact] = []
+        self._kept: Contacts = [] if kept is None else kept
         self._frame: LocalFrame | None = None
-        self._positions_m = np.empty((0, 2))
+        self._positions_m = np.empty((0, 2))  # (at least as many as contacts, 2)
+        self._asking_p = np.empty(0)  # p_mine of contacts that ask for another look, NaN of the others
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        return tuple(self._contacts)
+        """All that can be read."""
+        return tuple(self._read(range(len(self._kept))).values())
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        """Contacts at least so likely to be mines that say from where another look would tell more."""
+        return tuple(self._read(np.flatnonzero(self._asking_p[: len(self._kept)] >= min_p_mine).tolist()).values())
 
     def add(self, detections: list[Detection]) -> list[Contact]:
         """Take the detections that became final together, in any order; return the contacts opened or changed, by id."""
@@ -52,27 +69,30 @@ class Ledger:
         if self._frame is None:
             first = detections[0]
             self._frame = LocalFrame(latitude_deg=first.latitude_deg, longitude_deg=first.longitude_deg, height_m=0.0)
-        moved = sorted({index for passage in _passages(detections) for index in self._take(passage)})
-        return [self._contacts[index] for index in moved]
+        moved: dict[int, Contact] = {}
+        for passage in _passages(detections):
+            moved |= self._take(passage)
+        return [moved[number] for number in sorted(moved)]
 
-    def _take(self, detections: list[Detection]) -> set[int]:
-        """Join the detections of one passage to contacts; return the numbers of those opened or changed."""
-        changed: set[int] = set()
-        n_known = len(self._contacts)
-        for detection, match in zip(detections, self._assign(detections), strict=True):
+    def _take(self, detections: list[Detection]) -> dict[int, Contact]:
+        """Join the detections of one passage to contacts; return those opened or changed, by their place in the ledger."""
+        places_m = self._east_north(detections)
+        near = self._near(places_m)
+        changed: dict[int, Contact] = {}
+        for detection, match in zip(detections, self._assign(detections, places_m, near), strict=True):
             if match is None:
-                self._contacts.append(_contact(f"C{len(self._contacts) + 1:05d}", (detection,), self._prior))
-                index = len(self._contacts) - 1
+                match = len(self._kept)
+                changed[match] = contact_of(contact_id(match + 1), (detection,), self._prior)
+                self._kept.append(changed[match])
             else:
-                index = match
-                contact = self._contacts[index]
-                self._contacts[index] = _contact(
-                    contact.id, tuple(sorted([*contact.views, detection], key=lambda d: d.time_s)), self._prior
-                )
-            changed.add(index)
+                known = near[match]
+                views = tuple(sorted([*known.views, detection], key=lambda d: d.time_s))
+                changed[match] = self._kept[match] = contact_of(known.id, views, self._prior)
         moved = sorted(changed)
-        self._positions_m = np.concatenate([self._positions_m, np.zeros((len(self._contacts) - n_known, 2))])
-        self._positions_m[moved] = self._east_north([self._contacts[index] for index in moved])
+        self._positions_m = _with_room(self._positions_m, len(self._kept))
+        self._positions_m[moved] = self._east_north([changed[number] for number in moved])
+        self._asking_p = _with_room(self._asking_p, len(self._kept))
+        self._asking_p[moved] = [changed[number].p_mine if changed[number].next_look_deg else math.nan for number in moved]
         return changed
 
     def _east_north(self, placed: Sequence[Contact | Detection]) -> NDArray[np.float64]:
@@ -81,17 +101,35 @@ class Ledger:
         longitude = np.array([item.longitude_deg for item in placed])
         return np.asarray(self._frame.to_enu(latitude, longitude, 0.0)[..., :2])
 
-    def _assign(self, detections: list[Detection]) -> list[int | None]:
-        """Per detection the contact it belongs to, or None for a new one."""
-        if not self._contacts:
-            return [None] * len(detections)
-        cost = np.full((len(detections), len(self._contacts)), _IMPOSSIBLE)
+    def _near(self, places_m: NDArray[np.float64]) -> dict[int, Contact]:
+        """Contacts within the gate of any of the places, (n, 2), by their place in the ledger, in its order."""
+        positions_m, reach_m = self._positions_m[: len(self._kept)], self._config.max_gate_m + _SEARCH_M
+        around = (positions_m >= np.fmin.reduce(places_m) - reach_m) & (positions_m <= np.fmax.reduce(places_m) + reach_m)
+        candidates = np.flatnonzero(around.all(axis=1))
+        within = np.zeros(len(candidates), dtype=np.bool_)
+        for place_m in places_m:
+            offset = positions_m[candidates] - place_m
+            within |= np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m
+        return self._read(candidates[within].tolist())
+
+    def _read(self, numbers: Sequence[int]) -> dict[int, Contact]:
+        """Contacts by their place in the ledger, without those that the disk does not give back: what is seen there is new."""
+        contacts: dict[int, Contact] = {}
+        for number in numbers:
+            with contextlib.suppress(OSError):
+                contacts[number] = self._kept[number]
+        return contacts
+
+    def _assign(self, detections: list[Detection], places_m: NDArray[np.float64], near: dict[int, Contact]) -> list[int | None]:
+        """Per detection the contact it belongs to, one of those near, or None for a new one."""
+        matches: list[int | None] = [None] * len(detections)
+        numbers = list(near)
+        cost = np.full((len(detections), len(near)), _IMPOSSIBLE)
         unlike = np.full(cost.shape, _IMPOSSIBLE)
-        for row, (detection, place) in enumerate(zip(detections, self._east_north(detections), strict=True)):
-            offset = self._positions_m - place
-            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m)
-            for column in near:
-                contact = self._contacts[column]
+        for row, (detection, place) in enumerate(zip(detections, places_m, strict=True)):
+            offset = self._positions_m[numbers] - place
+            for column in np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m):
+                contact = near[numbers[column]]
                 if any(_same_look(detection, view) for view in contact.views):
                     continue
                 spread = detection.covariance_m2 + contact.covariance_m2 + _LEAST_COVARIANCE_M2
@@ -99,20 +137,26 @@ class Ledger:
                 if distance2 <= self._config.gate_chi2:
                     cost[row, column] = distance2
                     unlike[row, column] = _unlike(detection.p_mine, contact.p_mine)
-        # Beside the likest in reach, so that a detection joins an unlike one where there is no other.
-        cost = np.where(unlike < _IMPOSSIBLE, cost + unlike - unlike.min(axis=1, keepdims=True), _IMPOSSIBLE)
         possible = np.flatnonzero((cost < _IMPOSSIBLE).any(axis=0))
-        matches: list[int | None] = [None] * len(detections)
         if possible.size == 0:
             return matches
         from scipy.optimize import linear_sum_assignment
 
+        # Beside the likest in reach, so that a detection joins an unlike one where there is no other.
+        cost = np.where(unlike < _IMPOSSIBLE, cost + unlike - unlike.min(axis=1, keepdims=True), _IMPOSSIBLE)
         # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
         opening = np.full((len(detections), len(detections)), self._config.gate_chi2)
         for row, column in zip(*linear_sum_assignment(np.concatenate([cost[:, possible], opening], axis=1)), strict=True):
             if column < possible.size:
-                matches[int(row)] = int(possible[column])
+                matches[int(row)] = numbers[possible[column]]
         return matches
+
+
+def _with_room(column: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """The column with room for n values, and as many again where it has to grow."""
+    if n <= len(column):
+        return column
+    return np.concatenate([column, np.empty((2 * n - len(column), *column.shape[1:]))])
 
 
 def _unlike(p: float, q: float) -> float:
@@ -140,13 +184,14 @@ def _turned_rad(a: Detection, b: Detection) -> float:
     return abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
 
 
-def _contact(contact_id: str, views: tuple[Detection, ...], prior: float) -> Contact:
+def contact_of(name: str, views: tuple[Detection, ...], prior: float) -> Contact:
+    """What views of one object, in order of time, say together, under the id `name`. prior: log-odds that each view's p_mine contains."""
     latitude, longitude, covariance = _fused_position(views)
     verdict = fuse(views, prior)
     size = _dimensions(views, verdict.classification)
     reasons = (reason for view in views for reason in (*view.reasons, *(view.confirmation.reasons if view.confirmation else ())))
     return Contact(
-        id=contact_id,
+        id=name,
         time_s=views[0].time_s,
         latitude_deg=latitude,
         longitude_deg=longitude,
