@@ -96,11 +96,11 @@ class Framer(Generic[M]):
     def _search(self, *, final: bool) -> list[Framed[M]]:
         grammar, buffer = self._grammar, self._buffer
         origin = self.held_from
+        last_start = len(buffer) - grammar.head_bytes
         found: list[Framed[M]] = []
-        while True:
-            at = self._candidate(final=final)
-            if at < 0:
-                break
+        refused: dict[str, int] = {}
+        at = self._candidate(final=final)
+        while at >= 0:
             read = grammar.read(buffer, at)
             if isinstance(read, int):
                 if not final and read <= grammar.max_message_bytes:
@@ -108,8 +108,12 @@ class Framer(Generic[M]):
                     break
                 read = "truncated" if final else "oversize"
             if isinstance(read, str):
-                self.counters[f"{grammar.name}.refused.{read}"] += 1
+                # Garbage can be nothing but refused candidates, tens of thousands in a second: the next is looked for in few words.
+                refused[read] = refused.get(read, 0) + 1
                 self._start = at + 1
+                at = grammar.find(buffer, at + 1) if at < last_start else -1
+                if at < 0:
+                    at = self._candidate(final=final)
                 continue
             message, n_bytes = read
             found.append(Framed(message, origin + at, n_bytes))
@@ -117,6 +121,9 @@ class Framer(Generic[M]):
             self._skip_to(at)
             self._start = self._done = at + n_bytes
             self._after_message = not grammar.proven
+            at = self._candidate(final=final)
+        for reason, count in refused.items():
+            self.counters[f"{grammar.name}.refused.{reason}"] += count
         keep = self._start - (grammar.head_bytes - 1 if self._after_message else 0)
         self._forget(max(keep, 0))
         return found

@@ -49,9 +49,17 @@ class _Reader(Protocol):
     @property
     def counters(self) -> Counter[str]: ...
 
+    def n_messages(self) -> int:
+        """Those among the counters; asked for with every chunk while nothing can be read."""
+        ...
+
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]: ...
 
     def finish(self) -> list[Told]: ...
+
+
+def _messages_in(counters: Counter[str]) -> int:
+    return sum(count for name, count in counters.items() if name.endswith(".messages"))
 
 
 class PortStream:
@@ -90,7 +98,7 @@ class PortStream:
             return self._survive(error)
 
     def _n_messages(self) -> int:
-        return sum(count for name, count in self.counters.items() if name.endswith(".messages"))
+        return _messages_in(self._before) + self._reader.n_messages()
 
     def _new_reader(self) -> _Reader:
         port = self._port
@@ -124,6 +132,9 @@ class _UnitReader:
     def counters(self) -> Counter[str]:
         return self._decoder.counters
 
+    def n_messages(self) -> int:
+        return _messages_in(self._decoder.counters)
+
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         return [*self._decoder.feed(data, stamp)]
 
@@ -141,6 +152,9 @@ class _BusReader:
     @property
     def counters(self) -> Counter[str]:
         return self._bus.counters + self._own
+
+    def n_messages(self) -> int:
+        return _messages_in(self._bus.counters)
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         frame = unpack_can(data)
@@ -168,6 +182,9 @@ class _VehicleReader:
         """Messages alone: what else there is to count is counted by the pilot's dialect, which speaks as well."""
         told = Counter({key: count for key, count in self._dialect.counters.items() if key.endswith(".messages")})
         return told if self._bus is None else told + self._bus.counters
+
+    def n_messages(self) -> int:
+        return _messages_in(self._dialect.counters) + (0 if self._bus is None else self._bus.n_messages())
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         item = data if self._bus is None else unpack_can(data)
@@ -197,6 +214,9 @@ class _SonarReader:
     @property
     def counters(self) -> Counter[str]:
         return self._decoder.counters + self._device_clock.counters + self._own
+
+    def n_messages(self) -> int:
+        return _messages_in(self._decoder.counters)
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         return self._told(self._decoder.feed(data, stamp))

@@ -147,21 +147,17 @@ FIXED_LAYOUTS: Final[dict[int, tuple[Any, Struct]]] = {
 PROFILE_FIELDS: Final = (*OsMonoProfile._fields[:6], "n_results", *OsMonoProfile._fields[6:8], "reserved", *OsMonoProfile._fields[8:14])
 _ID_OF: Final[dict[type, int]] = {kind: number for number, (kind, _) in FIXED_LAYOUTS.items() if number != OLD_SET_SPEED_OF_SOUND}
 _MAX_TEXT_BYTES: Final = 1024
-_MAX_OTHER_BYTES: Final = 4096
 
-_LENGTHS: Final[dict[int, tuple[int, int]]] = {
+# By message id, fewest and most bytes of payload that are believed of it; of ids that do not stand there, the others'.
+OTHER_LIMITS: Final = (0, 4096)
+PAYLOAD_LIMITS: Final[dict[int, tuple[int, int]]] = {
     **{number: (layout.size, layout.size) for number, (_, layout) in FIXED_LAYOUTS.items()},
     NACK: (2, 2 + _MAX_TEXT_BYTES),
     ASCII_TEXT: (0, _MAX_TEXT_BYTES),
     JSON_WRAPPER: (0, PROFILE_HEADER.size + 2 * MAX_RESULTS),
     OS_MONO_PROFILE: (PROFILE_HEADER.size, PROFILE_HEADER.size + 2 * MAX_RESULTS),
 }
-MAX_MESSAGE_BYTES: Final = HEADER_BYTES + max(most for _, most in _LENGTHS.values()) + CHECKSUM_BYTES
-
-
-def payload_limits(message_id: int) -> tuple[int, int]:
-    """Fewest and most bytes of payload that a message of this id is believed to have."""
-    return _LENGTHS.get(message_id, (0, _MAX_OTHER_BYTES))
+MAX_MESSAGE_BYTES: Final = HEADER_BYTES + max(most for _, most in PAYLOAD_LIMITS.values()) + CHECKSUM_BYTES
 
 
 def to_wire(message: PingMessage) -> bytes:
@@ -189,7 +185,8 @@ def encode(payload: Payload, source: int = 0, destination: int = 0) -> bytes:
 def decode(message: PingMessage) -> Payload | None:
     """What the message says; None for an id that is not known here, or if its payload has not the length it should."""
     message_id, payload = message.message_id, message.payload
-    if not in_limits(message_id, len(payload)):
+    least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
+    if not least <= len(payload) <= most:
         return None
     if message_id == OS_MONO_PROFILE:
         return _decode_profile(payload)
@@ -204,12 +201,6 @@ def decode(message: PingMessage) -> Payload | None:
     if message_id == JSON_WRAPPER:
         return JsonWrapper(_json(payload))
     return None
-
-
-def in_limits(message_id: int, n_bytes: int) -> bool:
-    """Whether a payload of this length is believed of this message."""
-    least, most = payload_limits(message_id)
-    return least <= n_bytes <= most
 
 
 def linear_power(profile: OsMonoProfile) -> NDArray[np.float32]:

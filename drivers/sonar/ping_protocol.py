@@ -25,6 +25,8 @@ from drivers.sonar.ping_messages import (
     N_RESULTS_OFFSET,
     NACK,
     OS_MONO_PROFILE,
+    OTHER_LIMITS,
+    PAYLOAD_LIMITS,
     PROFILE_HEADER,
     PROTOCOL_VERSION,
     SYNC,
@@ -38,7 +40,6 @@ from drivers.sonar.ping_messages import (
     SetSpeedOfSound,
     decode,
     encode,
-    in_limits,
     linear_power,
 )
 from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
@@ -69,7 +70,8 @@ class PingGrammar:
         if n_there < HEADER_BYTES:
             return HEADER_BYTES
         _, n_payload, message_id, source, destination = HEADER.unpack_from(buffer, at)
-        if not in_limits(message_id, n_payload):
+        least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
+        if not least <= n_payload <= most:
             return "length"
         start = at + HEADER_BYTES
         if message_id == OS_MONO_PROFILE:
@@ -83,7 +85,7 @@ class PingGrammar:
             return n_bytes
         stop = start + n_payload
         told = int.from_bytes(buffer[stop : stop + CHECKSUM_BYTES], "little")
-        if told != int(np.frombuffer(buffer, np.uint8, stop - at, at).sum(dtype=np.uint32)) & 0xFFFF:
+        if told != int(np.add.reduce(np.frombuffer(buffer, np.uint8, stop - at, at), dtype=np.uint32)) & 0xFFFF:
             return "checksum"
         return PingMessage(message_id, bytes(buffer[start:stop]), source, destination), n_bytes
 
