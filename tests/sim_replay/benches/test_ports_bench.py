@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.cli import main
 from drivers.framing import Framer
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.benches.ports import GARBAGE, Line, cpu_share, latency, pings, start_up
@@ -58,6 +59,12 @@ def test_pings_are_queued_while_perception_is_busy(tmp_path: Path) -> None:
     assert measured.n_pings > 0
     assert measured.perception_share > 0.0
     assert list(measured.spikes_ms) == sorted(measured.spikes_ms)
+
+
+def test_a_part_is_measured_without_the_others(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "ports", "--only", "pings", "--seconds", "1", "--repeat", "1"]) == 0
+    kinds = [line.split()[0] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert kinds == ["pings"]
 
 
 def test_a_service_takes_processor_time_for_pings(tmp_path: Path) -> None:
