@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
+from auv_mcm.kernels.waterfall import step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
 BIN_M: Final = 0.05
@@ -54,30 +55,8 @@ def change_point_scores(log_intensity: NDArray[np.float64], valid: NDArray[np.bo
     from the 0.5 m before bin k to the 0.5 m from it; zero unless the 0.5 m from k also stands at least ln 2 above the mean of
     everything between the blanked range and k, so that edges inside the sea floor do not compete with the first one.
     """
-    n_pings, n_bins = log_intensity.shape
     window = max(2, round(_WINDOW_M / BIN_M))
-    score = np.zeros((n_pings, n_bins))
-    first, last = blank_bins + 3, n_bins - window
-    if last <= first:
-        return score
-    total = np.zeros((n_pings, n_bins + 1))
-    count = np.zeros((n_pings, n_bins + 1))
-    np.cumsum(np.where(valid, log_intensity, 0.0), axis=1, out=total[:, 1:])
-    np.cumsum(valid, axis=1, out=count[:, 1:])
-    bins = np.arange(first, last)
-
-    def mean_of(start: NDArray[np.intp], stop: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        n = count[:, stop] - count[:, start]
-        return (total[:, stop] - total[:, start]) / np.maximum(n, 1.0), n
-
-    after, n_after = mean_of(bins, bins + window)
-    near, n_near = mean_of(np.maximum(bins - window, blank_bins), bins)
-    column, _ = mean_of(np.full_like(bins, blank_bins), bins)
-    rise = after - near
-    ratio = n_near * n_after / np.maximum(n_near + n_after, 1.0) * rise**2 / (2.0 * _LOG_VARIANCE)
-    step = (rise > 0.0) & (after - column > _MIN_STEP) & (n_near >= 3) & (n_after >= 0.5 * window)
-    score[:, first:last] = np.where(step, ratio, 0.0)
-    return score
+    return step_ratios(log_intensity, valid, blank_bins, window, _MIN_STEP, 2.0 * _LOG_VARIANCE)
 
 
 class _Path(NamedTuple):

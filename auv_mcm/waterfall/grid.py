@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.kernels.waterfall import average_rows
 from auv_mcm.navigation import interpolate_track
-from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, PoseTrack, Side
+from auv_mcm.records import PoseTrack, Side
 
 _MIN_ROW_COVER = 0.5
 
@@ -178,7 +179,10 @@ def _average_rows(
         np.interp(centre, pings.along_m, pings.first_return_m),
         np.interp(centre, pings.along_m, pings.first_return_sigma_m),
         np.where(covered, pings.ping_number[nearest], -1),
-        {side: _average_side(image, source, overlap, spacing_m) for side, image in pings.sides.items()},
+        {
+            side: SideImage(*average_rows(image.intensity, image.mask, source, overlap, _MIN_ROW_COVER * spacing_m))
+            for side, image in pings.sides.items()
+        },
     )
 
 
@@ -192,22 +196,3 @@ def _place_between(along_m: NDArray[np.float64], wanted_m: NDArray[np.float64]) 
     below = np.clip(np.searchsorted(along_m, wanted_m, side="right") - 1, 0, along_m.shape[0] - 2)
     fraction = np.clip((wanted_m - along_m[below]) / (along_m[below + 1] - along_m[below]), 0.0, 1.0)
     return below, np.rint(fraction * 2.0**30) * 2.0**-30
-
-
-def _average_side(image: SideImage, source: NDArray[np.intp], overlap: NDArray[np.float64], spacing_m: float) -> SideImage:
-    n_rows, n_columns = source.shape[0], image.mask.shape[1]
-    total = np.zeros((n_rows, n_columns), dtype=np.float64)
-    weight = np.zeros((n_rows, n_columns), dtype=np.float64)
-    flags = np.zeros((n_rows, n_columns), dtype=np.uint8)
-    for step in range(source.shape[1]):
-        rows = np.flatnonzero(overlap[:, step] > 0.0)
-        if rows.size == 0:
-            continue
-        ping, length = source[rows, step], overlap[rows, step][:, None]
-        mask = image.mask[ping]
-        total[rows] += length * image.intensity[ping]
-        weight[rows] += length * (mask & VALID)
-        flags[rows] |= mask & (SATURATED | LOW_RESOLUTION | TURN)
-    valid = weight >= _MIN_ROW_COVER * spacing_m
-    intensity = np.divide(total, weight, out=np.zeros_like(total), where=valid)
-    return SideImage(intensity.astype(np.float32), np.where(valid, flags | VALID, flags & (LOW_RESOLUTION | TURN)).astype(np.uint8))

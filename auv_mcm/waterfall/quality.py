@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,10 +17,12 @@ _FLAT_LOG_VARIANCE: Final = 0.02  # sixty-four looks of pure speckle still have 
 _MANY_SATURATED: Final = 0.05
 _ABSURD_RATIO: Final = 1e10
 _NEAR_M: Final = 2.0
+_SOME, _FEW, _SPARSE = 128, 8, 8  # samples that tell a trace's level, that tell two traces apart; one in how many tells a trace varies
+_LEAST_OF_HIGHEST: Final = np.float32(1e-6)
 
 
 class CheckedTrace(NamedTuple):
-    """intensity: (n_samples,) float32 linear, 0 where not valid; valid, saturated: (n_samples,) bool."""
+    """intensity: (n_samples,) float32 linear, 0 where not valid; valid, saturated: (n_samples,) bool. Or all (n_traces, n_samples)."""
 
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]
@@ -31,7 +34,7 @@ def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_] | None:
 
     No echo is that strong, and in a running sum it would leave no digits for the others.
     """
-    some = intensity[:: max(intensity.shape[0] // 128, 1)]
+    some = intensity[:: max(intensity.shape[0] // _SOME, 1)]
     some = some[some > 0.0]
     if some.size == 0:
         return None
@@ -54,25 +57,37 @@ class TraceChecker:
 
     def check(self, trace: EchoTrace) -> CheckedTrace:
         """Linear intensity with validity and saturation of one recorded trace."""
-        samples = trace.samples
+        checked = self.check_all([trace])
+        return CheckedTrace(checked.intensity[0], checked.valid[0], checked.saturated[0])
+
+    def check_all(self, traces: Sequence[EchoTrace]) -> CheckedTrace:
+        """The same of several traces of one layout, which follow each other; arrays (n_traces, n_samples)."""
+        if len({trace.samples.dtype for trace in traces}) > 1:
+            apart = [self.check(trace) for trace in traces]
+            intensities, valids, saturateds = zip(*apart, strict=True)
+            return CheckedTrace(np.stack(intensities), np.stack(valids), np.stack(saturateds))
+        samples = np.stack([trace.samples for trace in traces])
         intensity, valid = to_intensity(samples, self._transfer)
-        n_bad = samples.shape[0] - int(np.count_nonzero(valid))
+        n_bad = samples.size - int(np.count_nonzero(valid))
         if n_bad:
             self._counters["quality.sample_not_finite_or_negative"] += n_bad
-        absurd = _absurd(intensity)
-        if absurd is not None:
-            self._counters["quality.sample_absurd"] += int(np.count_nonzero(absurd))
-            intensity[absurd] = 0.0
-            valid &= ~absurd
+        highest = intensity.max(axis=1, initial=0.0)
+        for ping in np.flatnonzero(_may_be_absurd(intensity, highest)).tolist():
+            absurd = _absurd(intensity[ping])
+            if absurd is not None:
+                self._counters["quality.sample_absurd"] += int(np.count_nonzero(absurd))
+                intensity[ping][absurd] = 0.0
+                valid[ping] &= ~absurd
+                highest[ping] = intensity[ping].max(initial=0.0)
         saturated = self._saturated(samples) & valid
-        self._count_saturation(trace, saturated)
-        reason = self._dead(samples, intensity)
-        if reason is not None:
+        for ping in np.flatnonzero(saturated.any(axis=1)).tolist():
+            self._count_saturation(traces[ping], saturated[ping])
+        dead, stuck = _dead(intensity, highest), self._stuck(samples)
+        for ping in np.flatnonzero(dead | stuck).tolist():
+            reason = "no_samples" if samples.shape[1] == 0 else "dead" if dead[ping] else "stuck"
             self._counters[f"quality.{self._side}_{reason}"] += 1
-            valid = np.zeros_like(valid)
-            saturated = valid
-            intensity = np.zeros_like(intensity)
-        self._previous = samples
+            intensity[ping], valid[ping], saturated[ping] = 0.0, False, False
+        self._previous = traces[-1].samples
         return CheckedTrace(intensity, valid, saturated)
 
     def _saturated(self, samples: NDArray[Any]) -> NDArray[np.bool_]:
@@ -80,30 +95,57 @@ class TraceChecker:
             return np.asarray(samples >= _SATURATION_FRACTION * self._full_scale)
         if samples.dtype.kind not in "ui" or samples.size == 0:
             return np.zeros(samples.shape, dtype=np.bool_)
-        # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no ceiling, three are.
-        if samples.max() > self._highest:
-            third_highest = np.partition(samples, -3)[-3] if samples.shape[0] >= 3 else samples.min()
-            self._highest = max(self._highest, int(third_highest))
-        ceiling = max((1 << self._highest.bit_length()) - 1, 255)
-        return np.asarray(samples >= ceiling)
+        ceilings = np.empty(len(samples), dtype=np.int64)
+        highest = samples.max(axis=1)
+        for ping, trace_highest in enumerate(highest.tolist()):
+            # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no ceiling, three are.
+            if trace_highest > self._highest:
+                trace = samples[ping]
+                third_highest = np.partition(trace, -3)[-3] if trace.shape[0] >= 3 else trace.min()
+                self._highest = max(self._highest, int(third_highest))
+            ceilings[ping] = max((1 << self._highest.bit_length()) - 1, 255)
+        if (highest < ceilings).all():
+            return np.zeros(samples.shape, dtype=np.bool_)
+        return np.asarray(samples >= ceilings[:, np.newaxis])
 
     def _count_saturation(self, trace: EchoTrace, saturated: NDArray[np.bool_]) -> None:
-        n_saturated = int(np.count_nonzero(saturated))
-        if n_saturated == 0:
-            return
-        self._counters["quality.sample_saturated"] += n_saturated
+        self._counters["quality.sample_saturated"] += int(np.count_nonzero(saturated))
         near = max(0, round((_NEAR_M - trace.first_range_m) / trace.spacing_m))
         far = saturated[near:]
         if far.size and np.count_nonzero(far) > _MANY_SATURATED * far.size:
             self._counters[f"quality.{self._side}_ping_mostly_saturated"] += 1
 
-    def _dead(self, samples: NDArray[Any], intensity: NDArray[np.float32]) -> str | None:
-        if samples.size == 0:
-            return "no_samples"
-        highest = intensity.max()
-        # Any level step across the trace clears this; only a constant or nearly constant trace does not.
-        if highest <= 0.0 or np.log(np.maximum(intensity / highest, np.float32(1e-6))).var() < _FLAT_LOG_VARIANCE:
-            return "dead"
-        if self._previous is not None and np.array_equal(samples, self._previous, equal_nan=samples.dtype.kind == "f"):
-            return "stuck"
-        return None
+    def _stuck(self, samples: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which traces (n_traces, n_samples) repeat the one before."""
+        floats = samples.dtype.kind == "f"
+        stuck = np.zeros(len(samples), dtype=np.bool_)
+        stuck[0] = self._previous is not None and np.array_equal(samples[0], self._previous, equal_nan=floats)
+        # A few samples tell most traces apart.
+        some = samples[:, :: max(samples.shape[1] // _FEW, 1)]
+        alike = (some[1:] == some[:-1]) | ((some[1:] != some[1:]) & (some[:-1] != some[:-1]))
+        for ping in np.flatnonzero(alike.all(axis=1)) + 1:
+            stuck[ping] = np.array_equal(samples[ping], samples[ping - 1], equal_nan=floats)
+        return stuck
+
+
+def _may_be_absurd(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which traces (n_traces, n_samples) `_absurd` must look at: those whose highest is so far above the lowest of the samples it takes."""
+    some = intensity[:, :: max(intensity.shape[1] // _SOME, 1)]
+    lowest = np.where(some > 0.0, some, np.float32(np.inf)).min(axis=1, initial=np.inf).astype(np.float64)
+    return np.asarray(np.isfinite(lowest) & (highest > _ABSURD_RATIO * lowest))
+
+
+def _dead(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which traces (n_traces, n_samples) hold no picture of anything."""
+    dead = ~(highest > 0.0)
+    if dead.all():
+        return np.asarray(dead)
+    # All samples together vary at least as much as some of them do by themselves, times their share.
+    some = intensity[:, ::_SPARSE]
+    share = some.shape[1] / max(intensity.shape[1], 1)
+    sparse = np.log(np.maximum(some / np.where(dead, np.float32(1.0), highest)[:, np.newaxis], _LEAST_OF_HIGHEST))
+    unsure = ~dead & ~(sparse.var(axis=1) * share > 2.0 * _FLAT_LOG_VARIANCE)
+    # Any level step across the trace clears this; only a constant or nearly constant trace does not.
+    for ping in np.flatnonzero(unsure):
+        dead[ping] = np.log(np.maximum(intensity[ping] / highest[ping], _LEAST_OF_HIGHEST)).var() < _FLAT_LOG_VARIANCE
+    return dead

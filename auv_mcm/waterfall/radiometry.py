@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.integral import PaddedIntegral
+from auv_mcm.kernels.waterfall import along_curve, angle_sums, box_level, bright_spots
 
 N_ANGLE_BINS: Final = 180
 _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
@@ -29,6 +29,7 @@ LOCAL_MEAN_M: Final = 7.5
 LOCAL_MEAN_REACH_M: Final = LOCAL_MEAN_M  # how far away a pixel still matters: half a box to the mean's edge, half around what lies there
 _MIN_VALID_FRACTION: Final = 0.25
 _GLINT_LIMIT: Final = 6.0
+_SLACK_NATS: Final = 1e-3  # more than a logarithm's rounding
 
 
 class AngleCurve:
@@ -48,14 +49,11 @@ class AngleCurve:
         usable: pixels to learn from. tangent: of the grazing angle per pixel, same shape.
         """
         angle = np.arctan(tangent) * (1.0 / _BIN_RAD)
-        angle_bin = np.minimum(angle.astype(np.intp), N_ANGLE_BINS - 1)
-        bins, values = angle_bin[usable], log_intensity[usable]
-        count = np.bincount(bins, minlength=N_ANGLE_BINS)
-        mean = np.bincount(bins, weights=values, minlength=N_ANGLE_BINS) / np.maximum(count, 1)
+        count, total = angle_sums(angle, log_intensity, usable, N_ANGLE_BINS, None, 0.0)
+        mean = total / np.maximum(count, 1)
         # A bin's first value is its plain mean; only then is there a centre to clip around.
         centre = np.where(np.isnan(self._level), mean, self._level)
-        clipped = np.clip(values - centre[bins], -_CLIP_NATS, _CLIP_NATS)
-        innovation = np.bincount(bins, weights=clipped, minlength=N_ANGLE_BINS) / np.maximum(count, 1)
+        innovation = angle_sums(angle, log_intensity, usable, N_ANGLE_BINS, centre, _CLIP_NATS)[1] / np.maximum(count, 1)
         enough = count >= _MIN_BIN_SAMPLES
         n_pings = log_intensity.shape[0]
         share = n_pings / np.minimum(self._weight + n_pings, _TIME_CONSTANT_PINGS)
@@ -67,7 +65,7 @@ class AngleCurve:
         if known.size == 0:
             return np.zeros_like(angle)
         # Between bin centres, because at long range half a degree is metres of sea floor and a decibel of spreading.
-        return np.asarray(np.interp(angle, known + 0.5, level[known]))
+        return along_curve(angle, known, level[known])
 
 
 class GainStepFilter:
@@ -141,22 +139,12 @@ def local_mean(
     everything around it. A box that leaves the image is clipped there. Known where at least a quarter of the box is usable and
     not all of it is zero.
     """
-    half_rows, half_columns = (max(1, round(0.5 * LOCAL_MEAN_M / spacing_m)) for spacing_m in (row_spacing_m, column_spacing_m))
-
-    def box_sum(plane: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float64]:
-        return PaddedIntegral(plane, half_rows + 1, half_columns + 1).box(-half_rows, half_rows + 1, -half_columns, half_columns + 1)
-
-    count = box_sum(usable.view(np.uint8))
-    per_pixel = 1.0 / np.maximum(count, 1.0)
+    half = max(1, round(0.5 * LOCAL_MEAN_M / row_spacing_m)), max(1, round(0.5 * LOCAL_MEAN_M / column_spacing_m))
     # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
     log_intensity = np.log(np.clip(intensity, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))) * usable
-    limit = np.exp(box_sum(log_intensity) * per_pixel + (np.euler_gamma + math.log(_GLINT_LIMIT)))
-    mean = box_sum(np.minimum(intensity, limit.astype(np.float32))) * per_pixel
-    available = np.outer(_clipped_length(usable.shape[0], half_rows), _clipped_length(usable.shape[1], half_columns))
-    known = (count >= np.maximum(_MIN_VALID_FRACTION * available, 1.0)) & (mean > 0.0)
-    return mean, known
-
-
-def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
-    position = np.arange(length)
-    return np.minimum(position + half, length - 1) - np.maximum(position - half, 0) + 1
+    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms tells which may.
+    places, log_limits = bright_spots(log_intensity, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
+    level = np.array(intensity, dtype=np.float32, order="C")
+    flat = level.ravel()
+    flat[places] = np.minimum(flat[places], np.exp(log_limits).astype(np.float32))
+    return box_level(level, usable, half, _MIN_VALID_FRACTION)

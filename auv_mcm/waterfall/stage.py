@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.intake import PingBlock
-from auv_mcm.records import LOW_RESOLUTION, SATURATED, SIDES, TURN, VALID, Ping, Side, Tile
+from auv_mcm.kernels.waterfall import Turning, ping_masks
+from auv_mcm.records import SIDES, Ping, Side, Tile
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import Traces, ground_edges_m, make_traces, mean_between
@@ -73,18 +74,9 @@ class Waterfall:
         first = pings[0].port if side == "port" else pings[0].starboard
         if first is None:
             return None
-        checked = []
-        for ping in pings:
-            trace = ping.port if side == "port" else ping.starboard
-            assert trace is not None
-            checked.append(self._checkers[side].check(trace))
-        return make_traces(
-            np.stack([c.intensity for c in checked]),
-            np.stack([c.valid for c in checked]),
-            np.stack([c.saturated for c in checked]),
-            first.first_range_m,
-            first.spacing_m,
-        )
+        traces = [ping.port if side == "port" else ping.starboard for ping in pings]
+        checked = self._checkers[side].check_all([trace for trace in traces if trace is not None])
+        return make_traces(checked.intensity, checked.valid, checked.saturated, first.first_range_m, first.spacing_m)
 
     def _finish_block(self, track: BottomTrack) -> list[Tile]:
         assert self._held is not None
@@ -111,7 +103,9 @@ class Waterfall:
         ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * waterfall.column_spacing_m
         # The angle response must not jump with every rock below the array; geometry follows the smoothed first return itself.
         level_m = np.maximum(track.level_return_m, 0.05)
-        tangent = level_m[:, None] / ground_m[None, :]
+        slopes = math.tan(math.radians(waterfall.min_grazing_deg)), math.tan(math.radians(waterfall.max_grazing_deg))
+        turning = self._turning(side, block, level_m, first_return_m)
+        tangent, mask = ping_masks(ground.valid, ground.saturated, turning, ground_m, slopes, waterfall.max_spacing_ratio)
         positive = ground.valid & (ground.intensity > 0.0)
         log_intensity = np.log(ground.intensity, out=np.zeros_like(ground.intensity), where=positive)
         learnable = positive & ~ground.saturated
@@ -121,30 +115,18 @@ class Waterfall:
         log_intensity -= gain[:, None]
         curve = self._curves[side].learn(log_intensity, learnable, tangent)
         intensity = ground.intensity * np.exp(-gain[:, None] - curve)
-
-        mask = np.where(ground.valid, np.uint8(VALID), np.uint8(0))
-        mask |= np.where(ground.saturated, np.uint8(SATURATED), np.uint8(0))
-        steep = (tangent > math.tan(math.radians(waterfall.max_grazing_deg))) | (
-            tangent < math.tan(math.radians(waterfall.min_grazing_deg))
-        )
-        mask |= np.where(steep, np.uint8(LOW_RESOLUTION), np.uint8(0))
-        mask |= np.where(self._in_turn(side, block, ground_m, first_return_m), np.uint8(TURN), np.uint8(0))
         return SideImage(intensity.astype(np.float32), mask)
 
-    def _in_turn(
-        self, side: Side, block: PingBlock, ground_m: NDArray[np.float64], first_return_m: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
-        """Where rotation spreads or squeezes the pings on the bottom too much, (n_pings, n_columns) bool.
+    def _turning(self, side: Side, block: PingBlock, level_m: NDArray[np.float64], first_return_m: NDArray[np.float64]) -> Turning:
+        """Rotation that spreads or squeezes the pings on the bottom.
 
         Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate / v.
         """
         speed = np.maximum(block.poses.speed_mps, _MIN_SPEED_MPS)
         yaw = _TURN_SIGN[side] * block.yaw_rate_rad_s / speed
         pitch = first_return_m * block.pitch_rate_rad_s / speed
-        ratio = 1.0 + pitch[:, None] + yaw[:, None] * ground_m[None, :]
-        limit = self._config.waterfall.max_spacing_ratio
         fast = np.abs(block.yaw_rate_rad_s) > math.radians(self._config.waterfall.max_turn_rate_deg_s)
-        return np.asarray((ratio > limit) | (ratio * limit < 1.0) | fast[:, None])
+        return Turning(level_m, pitch, yaw, fast)
 
     def _water_level(self, traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Median ln I of the water column between ring-down and bottom per ping, (n_pings,) float64; NaN where too short."""

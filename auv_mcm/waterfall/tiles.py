@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from auv_mcm.config import WaterfallConfig
+from auv_mcm.kernels.waterfall import normalise
 from auv_mcm.records import SATURATED, SIDES, VALID, Side, Tile
 from auv_mcm.waterfall.grid import Swath, concatenate_swaths, slice_swath
 from auv_mcm.waterfall.radiometry import local_mean
@@ -23,17 +24,17 @@ class TileCutter:
         self._config = config
         self._overlap = math.ceil(overlap_m / config.row_spacing_m)
         self._origin = origin_row
-        self._rows: Swath | None = None
-        self._first_row = 0  # of self._rows
+        self._pieces: list[Swath] = []  # rows that follow each other, put together where a tile is cut
+        self._n_rows = 0
+        self._first_row = 0  # of the pieces
         self._core_row = 0  # next row not yet in any core
 
     def add(self, first_row: int, rows: Swath) -> list[Tile]:
         """Take finished rows, which continue those before; return the tiles they complete."""
-        if self._rows is None:
+        if not self._pieces:
             self._first_row = self._core_row = first_row
-            self._rows = rows
-        else:
-            self._rows = concatenate_swaths([self._rows, rows])
+        self._pieces.append(rows)
+        self._n_rows += rows.n_rows
         tiles: list[Tile] = []
         while self._stop_row >= self._next_boundary() + self._overlap:
             tiles += self._cut(self._next_boundary())
@@ -42,9 +43,9 @@ class TileCutter:
     def close(self) -> list[Tile]:
         """The tiles of the remaining rows; the cutter is ready for another segment afterwards."""
         tiles: list[Tile] = []
-        while self._rows is not None and self._core_row < self._stop_row:
+        while self._pieces and self._core_row < self._stop_row:
             tiles += self._cut(min(self._next_boundary(), self._stop_row))
-        self._rows = None
+        self._pieces, self._n_rows = [], 0
         return tiles
 
     def next_segment_row(self) -> int:
@@ -53,33 +54,32 @@ class TileCutter:
 
     @property
     def _stop_row(self) -> int:
-        return self._first_row + (0 if self._rows is None else self._rows.n_rows)
+        return self._first_row + self._n_rows
 
     def _next_boundary(self) -> int:
         tile_rows = self._config.tile_rows
         return ((self._core_row - self._origin) // tile_rows + 1) * tile_rows + self._origin
 
     def _cut(self, core_stop: int) -> list[Tile]:
-        assert self._rows is not None
+        rows = concatenate_swaths(self._pieces)
         start = max(self._core_row - self._overlap, self._first_row)
         stop = min(core_stop + self._overlap, self._stop_row)
-        piece = slice_swath(self._rows, slice(start - self._first_row, stop - self._first_row))
+        piece = slice_swath(rows, slice(start - self._first_row, stop - self._first_row))
         index = (self._core_row - self._origin) // self._config.tile_rows
         tiles = [self._tile(side, index, start, self._core_row - start, core_stop - start, piece) for side in SIDES if side in piece.sides]
         self._core_row = core_stop
         keep = max(core_stop - self._overlap, self._first_row)
-        self._rows = slice_swath(self._rows, slice(keep - self._first_row, None))
-        self._first_row = keep
+        self._pieces = [slice_swath(rows, slice(keep - self._first_row, None))]
+        self._n_rows, self._first_row = self._pieces[0].n_rows, keep
         return tiles
 
     def _tile(self, side: Side, index: int, first_row: int, core_start: int, core_stop: int, piece: Swath) -> Tile:
         image = piece.sides[side]
         usable = (image.mask & (VALID | SATURATED)) == VALID
-        valid = (image.mask & VALID) != 0
         level = np.where(usable, image.intensity, np.float32(0.0))
         row_spacing_m, column_spacing_m = self._config.row_spacing_m, self._config.column_spacing_m
         mean, known = local_mean(level, usable, row_spacing_m, column_spacing_m)
-        normalised = np.divide(image.intensity, mean, out=np.zeros(valid.shape), where=known & valid).astype(np.float32)
+        intensity, mask = normalise(image.intensity, mean, known, image.mask)
         return Tile(
             side=side,
             index=index,
@@ -88,8 +88,8 @@ class TileCutter:
             core_stop=core_stop,
             row_spacing_m=row_spacing_m,
             column_spacing_m=column_spacing_m,
-            intensity=normalised,
-            mask=np.where(known, image.mask, image.mask & np.uint8(255 - VALID)).astype(np.uint8),
+            intensity=intensity,
+            mask=mask,
             pose=piece.pose,
             first_return_m=piece.first_return_m,
             first_return_sigma_m=piece.first_return_sigma_m,

@@ -177,3 +177,25 @@ def test_one_corrupt_sample_does_not_raise_the_ceiling() -> None:
     for trace, clipped in ((samples, 20), (corrupt, 21), (np.roll(samples, 3), 20)):
         checked = checker.check(EchoTrace(samples=trace, first_range_m=0.05, spacing_m=0.1))
         assert int(checked.saturated.sum()) == clipped
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_traces_together_are_checked_as_one_by_one(dtype: type) -> None:
+    """Good ones, some that repeat the one before, are silent, constant, clipped, broken, or have an absurd sample."""
+    random = np.random.Generator(np.random.PCG64(5))
+    pings: list[NDArray[Any]] = [np.minimum(rayleigh(seed, 60.0 * (1 + seed % 7)), 255.0).astype(dtype) for seed in range(40)]
+    for ping in random.integers(1, 40, 8).tolist():
+        pings[ping] = pings[ping - 1].copy()
+    pings[3], pings[11] = np.zeros_like(pings[3]), np.full_like(pings[3], 7)
+    if dtype is np.float32:
+        pings[17][5], pings[21][9], pings[22][9], pings[30][:40] = np.nan, 1e12, -1.0, np.nan
+        pings[31] = pings[30].copy()
+    one_by_one, counters = check_all(pings)
+    together: Counter[str] = Counter()
+    checker = TraceChecker("port", AMPLITUDE, None, together)
+    traces = [EchoTrace(samples=s, first_range_m=SPACING_M / 2, spacing_m=SPACING_M) for s in pings]
+    blocks = [checker.check_all(traces[start:stop]) for start, stop in ((0, 7), (7, 8), (8, 40))]
+    for k, parts in enumerate(zip(*blocks, strict=True)):
+        np.testing.assert_array_equal(np.concatenate(parts), np.stack([checked[k] for checked in one_by_one]), strict=True)
+    assert together == counters
+    assert counters["quality.port_stuck"] >= 4

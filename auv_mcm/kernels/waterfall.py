@@ -1,0 +1,367 @@
+"""What every ping and every row of a waterfall goes through: sums along range, means between ranges, steps, boxes, masks.
+
+All in numpy's order of operations; logarithms, exponentials and angles, which no two libraries round alike, are taken by numpy outside.
+
+C and numpy agree to the bit.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID
+
+Plane = NDArray[np.float32]
+Values = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Masks = NDArray[np.uint8]
+
+_P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+
+
+class Sampled(NamedTuple):
+    """Traces as cumulative sums: intensity, weight and clipped (n_pings, n_samples + 1) float64, up to each sample's near edge; weight None
+    where every sample is valid, clipped None where none is. first_m: slant range of the middle of sample 0; spacing_m: between samples."""
+
+    intensity: Values
+    weight: Values | None
+    clipped: Values | None
+    first_m: float
+    spacing_m: float
+
+
+class Turning(NamedTuple):
+    """Per ping, (n_pings,): altitude m, pitch rate times altitude and yaw rate over speed, float64, and whether turning too fast, bool."""
+
+    level_m: Values
+    pitch: Values
+    yaw: Values
+    fast: Flags
+
+
+def sums_to_the_end(values: Plane) -> Values:
+    """(n_rows, n_columns + 1) float64: less the sum of (n_rows, n_columns) values from each column to the last, added up from there."""
+    function = _c("waterfall_sums", _I, _I, _P, _P)
+    if function is None:
+        return sums_to_the_end_numpy(values)
+    values = np.ascontiguousarray(values, dtype=np.float32)
+    sums = np.empty((values.shape[0], values.shape[1] + 1))
+    function(*values.shape, *_pointers(values, sums))
+    return sums
+
+
+def sums_to_the_end_numpy(values: Plane | Flags) -> Values:
+    """sums_to_the_end in numpy alone."""
+    total = np.empty((values.shape[0], values.shape[1] + 1))
+    total[:, -1] = 0.0
+    np.cumsum(values[:, ::-1], axis=1, dtype=np.float64, out=total[:, -2::-1])
+    return np.negative(total, out=total)
+
+
+def means(traces: Sampled, edges_m: Values) -> tuple[Values, Flags, Flags]:
+    """Between neighbouring slant ranges: mean intensity, 0 where not valid; whether valid samples cover half; whether clipped ones are a
+    quarter of those. edges_m: (n_pings, n_edges) or (1, n_edges), rising along rows. Each (n_pings, n_edges - 1)."""
+    function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _D, _D, _P, _I, *[_P] * 5)
+    if function is None:
+        return means_numpy(traces, edges_m)
+    edges_m = np.ascontiguousarray(edges_m)
+    n_pings, n_edges = traces.intensity.shape[0], edges_m.shape[1]
+    whole, scratch = np.empty(n_edges, dtype=np.int32), np.empty((6, n_edges))
+    shape = (n_pings, n_edges - 1)
+    found = np.empty(shape), np.empty(shape, dtype=np.bool_), np.empty(shape, dtype=np.bool_)
+    function(
+        n_pings,
+        traces.intensity.shape[1] - 1,
+        n_edges,
+        *(None if sums is None else sums.ctypes.data for sums in traces[:3]),
+        traces.first_m,
+        1.0 / traces.spacing_m,
+        *_pointers(edges_m),
+        0 if edges_m.shape[0] == 1 else n_edges,
+        *_pointers(whole, scratch, *found),
+    )
+    return found
+
+
+def means_numpy(traces: Sampled, edges_m: Values) -> tuple[Values, Flags, Flags]:
+    """means in numpy alone."""
+    n_pings, n_samples = traces.intensity.shape[0], traces.intensity.shape[1] - 1
+    position = (edges_m - traces.first_m) * (1.0 / traces.spacing_m) + 0.5
+    width = np.diff(position, axis=1)
+    np.clip(position, 0.0, float(n_samples), out=position)
+    sample = np.minimum(position.astype(np.intp), n_samples - 1)
+    fraction = position - sample
+    ping = np.arange(n_pings)[:, np.newaxis]
+
+    def difference(sums: Values) -> Values:
+        low = sums[ping, sample]
+        return np.diff(low + fraction * (sums[ping, sample + 1] - low), axis=1)
+
+    sampled = np.broadcast_to(np.diff(fraction + sample, axis=1), (n_pings, edges_m.shape[1] - 1))
+    weight = sampled if traces.weight is None else difference(traces.weight)
+    valid = (weight >= 0.5 * width) & (weight > 1e-9)
+    intensity = np.divide(difference(traces.intensity), weight, out=np.zeros(valid.shape), where=valid)
+    saturated = np.zeros(valid.shape, dtype=np.bool_) if traces.clipped is None else difference(traces.clipped) > 0.25 * weight
+    return intensity, valid, saturated & valid
+
+
+def step_ratios(values: Values, valid: Flags, blank: int, window: int, least_step: float, twice_variance: float) -> Values:
+    """(n_pings, n_bins) float64: how much likelier a rise of the mean is at each bin than none; 0 where it cannot be.
+
+    Means are over the valid values of `window` bins from the bin on, of as many before it, and of all from bin `blank` on up to it. The
+    first must rise over the second, three of which are valid, and by least_step over the third. twice_variance: of single values.
+    """
+    n_pings, n_bins = values.shape
+    function = _c("waterfall_steps", _I, _I, _P, _P, _I, _I, _D, _D, *[_P] * 3)
+    if function is None:
+        return step_ratios_numpy(values, valid, blank, window, least_step, twice_variance)
+    values, valid = np.ascontiguousarray(values), np.ascontiguousarray(valid)
+    score, total, count = np.zeros((n_pings, n_bins)), np.empty(n_bins + 1), np.empty(n_bins + 1)
+    function(n_pings, n_bins, *_pointers(values, valid), blank, window, least_step, twice_variance, *_pointers(total, count, score))
+    return score
+
+
+def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, least_step: float, twice_variance: float) -> Values:
+    """step_ratios in numpy alone."""
+    n_pings, n_bins = values.shape
+    score = np.zeros((n_pings, n_bins))
+    first, last = blank + 3, n_bins - window
+    if last <= first:
+        return score
+    total = np.zeros((n_pings, n_bins + 1))
+    count = np.zeros((n_pings, n_bins + 1))
+    np.cumsum(np.where(valid, values, 0.0), axis=1, out=total[:, 1:])
+    np.cumsum(valid, axis=1, out=count[:, 1:])
+    bins = np.arange(first, last)
+
+    def mean_of(start: NDArray[np.intp], stop: NDArray[np.intp]) -> tuple[Values, Values]:
+        n = count[:, stop] - count[:, start]
+        return (total[:, stop] - total[:, start]) / np.maximum(n, 1.0), n
+
+    after, n_after = mean_of(bins, bins + window)
+    near, n_near = mean_of(np.maximum(bins - window, blank), bins)
+    column, _ = mean_of(np.full_like(bins, blank), bins)
+    rise = after - near
+    ratio = n_near * n_after / np.maximum(n_near + n_after, 1.0) * rise**2 / twice_variance
+    step = (rise > 0.0) & (after - column > least_step) & (n_near >= 3) & (n_after >= 0.5 * window)
+    score[:, first:last] = np.where(step, ratio, 0.0)
+    return score
+
+
+def average_rows(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, least: float) -> tuple[Plane, Masks]:
+    """Rows as means of the pings that they overlap, weighted by overlap: intensity float32 and mask uint8, (n_rows, n_columns) each.
+
+    intensity, mask: (n_pings, n_columns). source, overlap: (n_rows, n_steps), a ping's index and by how much a row overlaps it. A pixel is
+    valid where valid pings overlap it by `least` together; it takes over all other flags, if it is not valid all but SATURATED.
+    """
+    n_rows, n_steps = source.shape
+    n_columns = mask.shape[1]
+    function = _c("waterfall_rows", *[_I] * 3, *[_P] * 4, _D, *[_P] * 4)
+    if function is None:
+        return average_rows_numpy(intensity, mask, source, overlap, least)
+    arrays = [np.ascontiguousarray(array) for array in (source, overlap, intensity, mask)]
+    total, weight = np.empty(n_columns), np.empty(n_columns)
+    rows, row_mask = np.empty((n_rows, n_columns), dtype=np.float32), np.empty((n_rows, n_columns), dtype=np.uint8)
+    function(n_rows, n_columns, n_steps, *_pointers(*arrays), least, *_pointers(total, weight, rows, row_mask))
+    return rows, row_mask
+
+
+def average_rows_numpy(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, least: float) -> tuple[Plane, Masks]:
+    """average_rows in numpy alone."""
+    n_rows, n_columns = source.shape[0], mask.shape[1]
+    total, weight = np.zeros((n_rows, n_columns)), np.zeros((n_rows, n_columns))
+    flags = np.zeros((n_rows, n_columns), dtype=np.uint8)
+    for step in range(source.shape[1]):
+        rows = np.flatnonzero(overlap[:, step] > 0.0)
+        ping, length = source[rows, step], overlap[rows, step][:, np.newaxis]
+        total[rows] += length * intensity[ping]
+        weight[rows] += length * (mask[ping] & VALID)
+        flags[rows] |= mask[ping] & (SATURATED | LOW_RESOLUTION | TURN)
+    valid = weight >= least
+    mean = np.divide(total, weight, out=np.zeros_like(total), where=valid)
+    return mean.astype(np.float32), np.where(valid, flags | VALID, flags & (LOW_RESOLUTION | TURN)).astype(np.uint8)
+
+
+def bright_spots(
+    logarithms: Plane, usable: Flags, half: tuple[int, int], above: float, highest: float, slack: float
+) -> tuple[NDArray[np.int32], Values]:
+    """Usable pixels whose logarithm, and `slack`, reaches its limit or `highest`, and those limits.
+
+    A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where not usable. Pixels
+    are indices, row times n_columns plus column, int32, and rise; limits float64.
+    """
+    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 7)
+    if function is None:
+        return bright_spots_numpy(logarithms, usable, half, above, highest, slack)
+    logarithms, usable = np.ascontiguousarray(logarithms), np.ascontiguousarray(usable)
+    n_columns = usable.shape[1]
+    room = np.empty(n_columns), np.empty(n_columns, dtype=np.int32), *_box_room(n_columns, half[1])
+    places, limits, n_places = np.empty(usable.size + 1, dtype=np.int32), np.empty(usable.size + 1), np.empty(1, dtype=np.int64)
+    function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room, places, limits, n_places))
+    return places[: n_places[0]].copy(), limits[: n_places[0]].copy()
+
+
+def bright_spots_numpy(
+    logarithms: Plane, usable: Flags, half: tuple[int, int], above: float, highest: float, slack: float
+) -> tuple[NDArray[np.int32], Values]:
+    """bright_spots in numpy alone."""
+    mean, _ = _box_means(logarithms, usable, half)
+    limit = mean + above
+    found = np.flatnonzero(usable & (logarithms + slack >= np.minimum(limit, highest)))
+    return found.astype(np.int32), limit.ravel()[found]
+
+
+def box_level(level: Plane, usable: Flags, half: tuple[int, int], least_share: float) -> tuple[Values, Flags]:
+    """Mean of the usable pixels within `half` rows and columns of each pixel, float64, and whether it is known: of the box, clipped at the
+    image's edge, least_share and one pixel at least must be usable, and the mean above 0. level: 0 where not usable."""
+    function = _c("waterfall_level", *[_I] * 4, _P, _P, _D, *[_P] * 5)
+    if function is None:
+        return box_level_numpy(level, usable, half, least_share)
+    level, usable = np.ascontiguousarray(level), np.ascontiguousarray(usable)
+    n_columns = usable.shape[1]
+    room = np.empty(n_columns, dtype=np.int32), *_box_room(n_columns, half[1])
+    mean, known = np.empty(usable.shape), np.empty(usable.shape, dtype=np.bool_)
+    function(*usable.shape, *half, *_pointers(level, usable), least_share, *_pointers(*room, mean, known))
+    return mean, known
+
+
+def box_level_numpy(level: Plane, usable: Flags, half: tuple[int, int], least_share: float) -> tuple[Values, Flags]:
+    """box_level in numpy alone."""
+    mean, count = _box_means(level, usable, half)
+    rows, columns = (_clipped_length(length, reach) for length, reach in zip(usable.shape, half, strict=True))
+    return mean, (count >= np.maximum(least_share * np.outer(rows, columns), 1.0)) & (mean > 0.0)
+
+
+def normalise(intensity: Plane, mean: Values, known: Flags, mask: Masks) -> tuple[Plane, Masks]:
+    """Intensity over its mean, float32, 0 where that is not known or the pixel not VALID; and the mask, VALID only where it is known."""
+    function = _c("waterfall_normalise", _I, *[_P] * 6)
+    if function is None:
+        return normalise_numpy(intensity, mean, known, mask)
+    arrays = [np.ascontiguousarray(array) for array in (intensity, mean, known, mask)]
+    ratio, masked = np.empty(mask.shape, dtype=np.float32), np.empty(mask.shape, dtype=np.uint8)
+    function(mask.size, *_pointers(*arrays, ratio, masked))
+    return ratio, masked
+
+
+def normalise_numpy(intensity: Plane, mean: Values, known: Flags, mask: Masks) -> tuple[Plane, Masks]:
+    """normalise in numpy alone."""
+    valid = (mask & VALID) != 0
+    ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & valid)
+    return ratio.astype(np.float32), np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
+
+
+def ping_masks(
+    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, slopes: tuple[float, float], max_ratio: float
+) -> tuple[Values, Masks]:
+    """Tangent of the grazing angle, float64, and masks, uint8, (n_pings, n_columns) each.
+
+    LOW_RESOLUTION where the tangent is outside slopes, TURN where spacing over its straight-line value, 1 + pitch + yaw y, is more than
+    max_ratio either way or the ping turns too fast. ground_m: (n_columns,) ground range y.
+    """
+    function = _c("waterfall_masks", _I, _I, *[_P] * 7, *[_D] * 3, _P, _P)
+    if function is None:
+        return ping_masks_numpy(valid, saturated, turning, ground_m, slopes, max_ratio)
+    arrays = [np.ascontiguousarray(array) for array in (*turning, ground_m, valid, saturated)]
+    tangent, mask = np.empty(valid.shape), np.empty(valid.shape, dtype=np.uint8)
+    function(*valid.shape, *_pointers(*arrays), slopes[1], slopes[0], max_ratio, *_pointers(tangent, mask))
+    return tangent, mask
+
+
+def ping_masks_numpy(
+    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, slopes: tuple[float, float], max_ratio: float
+) -> tuple[Values, Masks]:
+    """ping_masks in numpy alone."""
+    tangent = turning.level_m[:, np.newaxis] / ground_m[np.newaxis, :]
+    ratio = 1.0 + turning.pitch[:, np.newaxis] + turning.yaw[:, np.newaxis] * ground_m[np.newaxis, :]
+    mask = np.where(valid, np.uint8(VALID), np.uint8(0))
+    mask |= np.where(saturated, np.uint8(SATURATED), np.uint8(0))
+    mask |= np.where((tangent > slopes[1]) | (tangent < slopes[0]), np.uint8(LOW_RESOLUTION), np.uint8(0))
+    mask |= np.where((ratio > max_ratio) | (ratio * max_ratio < 1.0) | turning.fast[:, np.newaxis], np.uint8(TURN), np.uint8(0))
+    return tangent, mask
+
+
+def angle_sums(
+    angle: Values, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
+) -> tuple[NDArray[np.int64], Values]:
+    """Number and sum of the usable values in each of n_bins bins of angle, (n_bins,) each; the last takes all beyond.
+
+    centre: (n_bins,), taken off the values before they are clipped to +-clip; None for the values themselves.
+    """
+    function = _c("waterfall_angle_sums", _I, _I, *[_P] * 4, _D, _P, _P)
+    if function is None:
+        return angle_sums_numpy(angle, values, usable, n_bins, centre, clip)
+    arrays = [np.ascontiguousarray(array) for array in (angle, values, usable)]
+    count, total = np.empty(n_bins, dtype=np.int64), np.empty(n_bins)
+    function(angle.size, n_bins, *_pointers(*arrays), None if centre is None else centre.ctypes.data, clip, *_pointers(count, total))
+    return count, total
+
+
+def angle_sums_numpy(
+    angle: Values, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
+) -> tuple[NDArray[np.int64], Values]:
+    """angle_sums in numpy alone."""
+    bins, chosen = np.minimum(angle[usable].astype(np.intp), n_bins - 1), values[usable]
+    if centre is not None:
+        chosen = np.clip(chosen - centre[bins], -clip, clip)
+    return np.bincount(bins, minlength=n_bins).astype(np.int64), np.bincount(bins, weights=chosen, minlength=n_bins).astype(np.float64)
+
+
+def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
+    """Linear interpolation at angles >= 0 between levels (n,) at the middles of bins (n,), whole and rising, ends for what lies beyond."""
+    function = _c("waterfall_curve", _I, _P, _P, _P, _I, *[_P] * 3)
+    if function is None:
+        return along_curve_numpy(angle, bins, level)
+    angle = np.ascontiguousarray(angle)
+    middle, level = bins + 0.5, np.ascontiguousarray(level)
+    slope = np.diff(level) / np.diff(middle)
+    last = int(max(angle.max(initial=0.0), 0.0)) + 2
+    place = (np.searchsorted(bins, np.arange(-1, last), side="right") - 1).astype(np.int32)
+    curve = np.empty(angle.shape)
+    function(angle.size, *_pointers(angle, middle, level), len(bins), *_pointers(slope, place, curve))
+    return curve
+
+
+def along_curve_numpy(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
+    """along_curve in numpy alone."""
+    return np.asarray(np.interp(angle, bins + 0.5, level))
+
+
+def _box_means(values: Plane, usable: Flags, half: tuple[int, int]) -> tuple[Values, NDArray[np.int32]]:
+    count = _box_sums(usable, np.int32, half)
+    return _box_sums(values, np.float64, half) * (1.0 / np.maximum(count, 1)), count
+
+
+def _box_sums(plane: NDArray[Any], dtype: type, half: tuple[int, int]) -> NDArray[Any]:
+    """Sums within half rows and columns of each pixel, by an integral image added up along rows and then down."""
+    sums = np.zeros((plane.shape[0] + 1, plane.shape[1] + 1), dtype=dtype)
+    np.cumsum(np.cumsum(plane, axis=1, dtype=dtype), axis=0, dtype=dtype, out=sums[1:, 1:])
+    rows, columns = (np.arange(length) for length in plane.shape)
+    band = sums[np.minimum(rows + half[0] + 1, len(rows))] - sums[np.maximum(rows - half[0], 0)]
+    return np.asarray(band[:, np.minimum(columns + half[1] + 1, len(columns))] - band[:, np.maximum(columns - half[1], 0)])
+
+
+def _box_room(n_columns: int, half_columns: int) -> tuple[Values, NDArray[np.int32]]:
+    """For what a box holds."""
+    wide = n_columns + 1 + 2 * (half_columns + 1)
+    return np.empty(2 * (n_columns + 1) + wide), np.empty(n_columns + wide, dtype=np.int32)
+
+
+def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
+    position = np.arange(length)
+    return np.minimum(position + half, length - 1) - np.maximum(position - half, 0) + 1
+
+
+def _pointers(*arrays: NDArray[Any]) -> list[int]:
+    return [array.ctypes.data for array in arrays]
+
+
+@functools.cache
+def _c(name: str, *types: Any) -> Callable[..., None] | None:
+    return kernels.c_function(name, *types)

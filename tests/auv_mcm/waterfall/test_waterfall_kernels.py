@@ -1,0 +1,156 @@
+"""The waterfall's kernels: small ones against definitions taken pixel by pixel, and C against numpy to the bit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+from auv_mcm.kernels import waterfall as kernel
+from auv_mcm.kernels.waterfall import Sampled, Turning
+from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID
+
+needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
+
+seeds = st.integers(0, 2**32 - 1)
+shapes = st.tuples(st.integers(1, 9), st.integers(1, 40))
+halves = st.tuples(st.integers(1, 6), st.integers(1, 50))
+
+
+def drawn(seed: int, shape: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.uint8]]:
+    """Speckle with glints and holes, where it is usable, and masks."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    intensity = random.exponential(size=shape).astype(np.float32)
+    intensity[random.random(shape) < 0.05] *= np.float32(100.0)
+    intensity[random.random(shape) < 0.05] = 0.0
+    usable = random.random(shape) < random.choice([0.3, 0.9, 1.0])
+    mask = (random.integers(0, 16, shape).astype(np.uint8) & ~np.uint8(VALID)) | np.where(usable, np.uint8(VALID), np.uint8(0))
+    return np.where(usable, intensity, np.float32(0.0)), usable, mask
+
+
+def same(one: object, other: object) -> None:
+    for a, b in zip(as_tuple(one), as_tuple(other), strict=True):
+        np.testing.assert_array_equal(a, b, strict=True)
+
+
+def as_tuple(value: object) -> tuple[object, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def traces(seed: int, shape: tuple[int, int]) -> Sampled:
+    intensity, usable, mask = drawn(seed, shape)
+    weight = None if usable.all() else kernel.sums_to_the_end_numpy(usable)
+    clipped = kernel.sums_to_the_end_numpy((mask & SATURATED) != 0) if seed % 2 else None
+    return Sampled(kernel.sums_to_the_end_numpy(intensity), weight, clipped, 0.31, 0.07)
+
+
+@needs_c
+@given(seed=seeds, shape=shapes, n_edges=st.integers(2, 30), shared=st.booleans())
+@settings(deadline=None)
+def test_c_sums_and_averages_along_range_as_numpy_does(seed: int, shape: tuple[int, int], n_edges: int, shared: bool) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    intensity, _, _ = drawn(seed, shape)
+    same(kernel.sums_to_the_end(intensity), kernel.sums_to_the_end_numpy(intensity))
+    edges_m = np.cumsum(random.exponential(0.1, size=(1 if shared else shape[0], n_edges)), axis=1)
+    same(kernel.means(traces(seed, shape), edges_m), kernel.means_numpy(traces(seed, shape), edges_m))
+
+
+@needs_c
+@given(seed=seeds, shape=st.tuples(st.integers(1, 5), st.integers(1, 60)), blank=st.integers(1, 20), window=st.integers(2, 12))
+@settings(deadline=None)
+def test_c_finds_the_steps_that_numpy_finds(seed: int, shape: tuple[int, int], blank: int, window: int) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    values = random.normal(size=shape) + 3.0 * (np.arange(shape[1]) > random.integers(0, shape[1]))
+    valid = random.random(shape) < 0.9
+    same(kernel.step_ratios(values, valid, blank, window, 0.7, 3.3), kernel.step_ratios_numpy(values, valid, blank, window, 0.7, 3.3))
+
+
+@needs_c
+@given(seed=seeds, shape=shapes, n_rows=st.integers(0, 8), n_steps=st.integers(1, 4))
+@settings(deadline=None)
+def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int], n_rows: int, n_steps: int) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    intensity, _, mask = drawn(seed, shape)
+    source = random.integers(0, shape[0], (n_rows, n_steps))
+    overlap = np.maximum(random.normal(0.02, 0.05, (n_rows, n_steps)), 0.0)
+    same(*(average(intensity, mask, source, overlap, 0.06) for average in (kernel.average_rows, kernel.average_rows_numpy)))
+
+
+@needs_c
+@given(seed=seeds, shape=shapes, half=halves)
+@settings(deadline=None)
+def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
+    intensity, usable, mask = drawn(seed, shape)
+    logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
+    same(*(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (kernel.bright_spots, kernel.bright_spots_numpy)))
+    mean, known = kernel.box_level_numpy(intensity, usable, half, 0.25)
+    same(kernel.box_level(intensity, usable, half, 0.25), (mean, known))
+    same(kernel.normalise(intensity, mean, known, mask), kernel.normalise_numpy(intensity, mean, known, mask))
+
+
+@needs_c
+@given(seed=seeds, shape=shapes)
+@settings(deadline=None)
+def test_c_masks_as_numpy_does(seed: int, shape: tuple[int, int]) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    _, usable, mask = drawn(seed, shape)
+    level_m, pitch, yaw = random.uniform(1.0, 9.0, shape[0]), random.normal(0.0, 0.3, shape[0]), random.normal(0.0, 0.05, shape[0])
+    turning = Turning(level_m, pitch, yaw, random.random(shape[0]) < 0.1)
+    ground_m = np.arange(0.45, 0.9 * shape[1], 0.9)[: shape[1]].astype(np.float64)
+    arguments = usable, (mask & SATURATED) != 0, turning, ground_m, (math.tan(0.02), math.tan(1.2)), 2.0
+    same(kernel.ping_masks(*arguments), kernel.ping_masks_numpy(*arguments))
+
+
+@needs_c
+@given(seed=seeds, shape=shapes, known=st.sets(st.integers(0, 29), min_size=1))
+@settings(deadline=None)
+def test_c_follows_the_angle_curve_that_numpy_follows(seed: int, shape: tuple[int, int], known: set[int]) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    angle = random.uniform(0.0, 30.0, shape)
+    angle[random.random(shape) < 0.3] = np.nextafter(random.integers(0, 30) + 0.5, random.choice([0.0, 40.0]))
+    angle[random.random(shape) < 0.1] = 30.0
+    values, usable, centre = random.normal(size=shape), random.random(shape) < 0.8, random.normal(size=30)
+    for about in (None, centre):
+        same(*(sums(angle, values, usable, 30, about, 1.0) for sums in (kernel.angle_sums, kernel.angle_sums_numpy)))
+    bins = np.array(sorted(known), dtype=np.intp)
+    same(*(curve(angle, bins, centre[bins]) for curve in (kernel.along_curve, kernel.along_curve_numpy)))
+
+
+@given(seed=seeds, shape=st.tuples(st.integers(1, 6), st.integers(1, 8)), half=st.tuples(st.integers(1, 3), st.integers(1, 4)))
+@settings(deadline=None)
+def test_a_level_is_the_mean_of_the_usable_pixels_around(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
+    intensity, usable, _ = drawn(seed, shape)
+    mean, known = kernel.box_level(intensity, usable, half, 0.25)
+    logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
+    places, limits = kernel.bright_spots(logarithms, usable, half, 0.5, 3.0, 0.0)
+    told = dict(zip(places.tolist(), limits.tolist(), strict=True))
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            box = (
+                slice(max(row - half[0], 0), row + half[0] + 1),
+                slice(max(column - half[1], 0), column + half[1] + 1),
+            )
+            around = intensity[box][usable[box]].astype(np.float64)
+            expected = around.mean() if around.size else 0.0
+            assert mean[row, column] == pytest.approx(expected, abs=1e-9)
+            if expected > 1e-6 or expected == 0.0:
+                assert known[row, column] == (around.size >= max(0.25 * usable[box].size, 1.0) and expected > 0.0)
+            if usable[row, column]:
+                limit = logarithms[box][usable[box]].astype(np.float64).mean() + 0.5
+                if abs(logarithms[row, column] - min(limit, 3.0)) > 1e-6:
+                    assert (row * shape[1] + column in told) == (logarithms[row, column] >= min(limit, 3.0))
+                assert told.get(row * shape[1] + column, limit) == pytest.approx(limit)
+
+
+def test_a_row_takes_what_its_pings_say() -> None:
+    intensity = np.array([[1.0, 2.0, 4.0], [3.0, 6.0, 8.0]], dtype=np.float32)
+    mask = np.array([[VALID, VALID | TURN, 0], [VALID | SATURATED, 0, LOW_RESOLUTION | SATURATED]], dtype=np.uint8)
+    source, overlap = np.array([[0, 1], [1, 0]]), np.array([[0.09, 0.03], [0.12, 0.0]])
+    rows, flags = kernel.average_rows(intensity * ((mask & VALID) != 0), mask, source, overlap, 0.06)
+    np.testing.assert_allclose(rows, [[1.5, 2.0, 0.0], [3.0, 0.0, 0.0]], rtol=1e-6)
+    np.testing.assert_array_equal(flags, [[VALID | SATURATED, VALID | TURN, LOW_RESOLUTION], [VALID | SATURATED, 0, LOW_RESOLUTION]])
