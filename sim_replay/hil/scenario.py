@@ -22,6 +22,14 @@ _DEVICE_NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _PLACEHOLDER: Final = re.compile(r"\{(.*)\}")
 _ANY_LINK: Final = "tcp://127.0.0.1:9"
 _SET_BY_US: Final = "output_directory"
+_EXAMPLE: Final = f"{SCENARIOS / 'clean.yaml'} is an example that works"
+_NEEDED: Final = {
+    "about": "about: what the run shows",
+    "devices": "devices: {sonar: {device: ping_protocol}}",
+    "service": "service: {service: {source: ports}, ports: [{name: sonar, link: '{sonar}', device: ping_protocol}]}",
+    "run_s": "run_s: 10",
+    "expectations": "expectations: [{test: told to stop it ends, expected: {is: exit_code}}]",
+}
 
 Window: TypeAlias = tuple[float, float]
 
@@ -259,6 +267,8 @@ def shipped() -> list[str]:
 def read_scenario(name: str) -> Read:
     """A scenario from a file, or a shipped one by its name. Raises UsageError with the key's path for whatever is wrong with it."""
     path = SCENARIOS / f"{name}{_SUFFIX}" if name in shipped() else Path(name)
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder. Give the {_SUFFIX} file of one scenario; {_EXAMPLE}")
     if path.suffix != _SUFFIX:
         raise UsageError(f"there is no scenario '{name}'. Give a {_SUFFIX} file or one of: {', '.join(shipped())}")
     return Read(path.stem, path.parent, parse_scenario(read_text(path, "scenario"), str(path)))
@@ -266,11 +276,15 @@ def read_scenario(name: str) -> Read:
 
 def parse_scenario(text: str, place: str) -> Scenario:
     """A scenario from YAML text; place names it in messages. Raises UsageError."""
-    data = load_mapping(text, place, "expected keys such as 'devices:' and 'expectations:'")
+    data = load_mapping(text, place, f"expected keys such as 'devices:' and 'expectations:'; {_EXAMPLE}")
+    if missing := [key for key in _NEEDED if data.get(key) is None]:
+        told = "it is empty. " if not data else ""
+        written = "\n".join(f"  {_NEEDED[key]}" for key in missing)
+        raise UsageError(f"{place}: {told}What is needed and not there is {', '.join(missing)}. Write, for one:\n{written}\n{_EXAMPLE}.")
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}") from error
+        raise UsageError(f"{place}: {keyed(error)}; {_EXAMPLE}") from error
     for problem in _contradictions(scenario):
         raise UsageError(f"{place}: {problem}")
     service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), place)

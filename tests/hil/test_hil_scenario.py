@@ -88,6 +88,43 @@ def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_a
         read_scenario("nowhere.yaml")
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "empty. What is needed and not there is about, devices, service, run_s, expectations. Write"),
+        ("# later\n", "about: what the run shows"),
+        (SOUND.replace("about: what it shows", "about:"), "What is needed and not there is about. Write"),
+        (SOUND.replace("run_s: 5", ""), "  run_s: 10\n"),
+        ("- about\n", "got list; expected keys such as 'devices:'"),
+        (SOUND.replace("{device: ping_protocol}", "{link: serial}"), "missing required field `device` - at `devices"),
+    ],
+)
+def test_what_is_missing_is_told_with_the_file_the_key_and_what_to_write(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text, "utf-8")
+    with pytest.raises(UsageError) as refusal:
+        read_scenario(str(path))
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert words in str(refusal.value)
+    assert str(SCENARIOS / "clean.yaml") in str(refusal.value)
+
+
+def test_what_is_told_to_write_makes_a_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("scene: demo", "utf-8")
+    with pytest.raises(UsageError) as refusal:
+        read_scenario(str(path))
+    told = [line for line in str(refusal.value).splitlines() if line.startswith("  ")]
+    assert parse_scenario("\n".join(["scene: demo", *(line.strip() for line in told)]), "here").run_s == 10.0
+
+
+@pytest.mark.parametrize("name", ["folder", "folder.yaml"])
+def test_a_folder_is_no_scenario(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(UsageError, match=r"is a folder\. Give the \.yaml file"):
+        read_scenario(str(tmp_path / name))
+
+
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -> None:
     read = read_scenario(name)
