@@ -7,14 +7,25 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from auv_mcm.config import PlanConfig
-from auv_mcm.contacts.export import contacts_csv, contacts_geojson, contacts_kml, coverage_geojson, is_mine_like, waypoints_geojson
+from auv_mcm.contacts.export import (
+    contact_order,
+    contacts_csv_parts,
+    contacts_geojson_parts,
+    contacts_kml_parts,
+    coverage_geojson_parts,
+    coverage_order,
+    is_mine_like,
+    waypoints_geojson,
+)
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame, geodetic_to_ecef
 from auv_mcm.plan.area import area_state, over_area
@@ -26,6 +37,9 @@ from auv_mcm.records import NAN, SEABED_TYPES, Contact, CoveragePatch, NavSample
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
 MAX_STEP_M: Final = 100.0
 MAX_STEP_S: Final = 60.0
+
+_SNIPPETS: Final = "snippets"
+T = TypeVar("T")
 
 
 class Tally:
@@ -100,17 +114,14 @@ class Tally:
         }
 
 
-def contact_totals(contacts: Sequence[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
+def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
     """Counts of contacts, and the area covered: summed over tiles, so that sea floor seen twice counts twice."""
     covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
-    return {
-        "covered_km2": round(covered_m2 / 1e6, 6),
-        "contacts": len(contacts),
-        "contacts_mine_like": sum(is_mine_like(contact) for contact in contacts),
-    }
+    counted = Counter(bool(is_mine_like(contact)) for contact in contacts)
+    return {"covered_km2": round(covered_m2 / 1e6, 6), "contacts": counted.total(), "contacts_mine_like": counted[True]}
 
 
-def plan_waypoints(contacts: Sequence[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]) -> tuple[Waypoint, ...]:
+def plan_waypoints(contacts: Iterable[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]) -> tuple[Waypoint, ...]:
     """The re-inspection plan from the last known pose; empty and counted if there is none."""
     from auv_mcm.plan.reinspect import plan_reinspection
 
@@ -122,14 +133,23 @@ def plan_waypoints(contacts: Sequence[Contact], tally: Tally, config: PlanConfig
 
 
 def write_results(
-    folder: Path, contacts: Sequence[Contact], coverage: Sequence[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
+    folder: Path, contacts: Iterable[Contact], coverage: Iterable[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
 ) -> None:
-    """Contacts, coverage and way-points in `folder`, each file whole or not at all."""
-    write_file(folder / "contacts.geojson", contacts_geojson(contacts))
-    write_file(folder / "contacts.csv", contacts_csv(contacts).encode())
-    write_file(folder / "contacts.kml", contacts_kml(contacts, mission).encode())
-    write_file(folder / "coverage.geojson", coverage_geojson(coverage))
+    """Contacts, coverage and way-points in `folder`, each file whole or not at all.
+
+    contacts, coverage: gone through several times; one at a time where they come in the order in which they are written.
+    """
+    contacts, coverage = _in_order(contacts, contact_order), _in_order(coverage, coverage_order)
+    _write_parts(folder / "contacts.geojson", contacts_geojson_parts(contacts))
+    _write_parts(folder / "contacts.csv", (row.encode() for row in contacts_csv_parts(contacts)))
+    _write_parts(folder / "contacts.kml", (part.encode() for part in contacts_kml_parts(contacts, mission)))
+    _write_parts(folder / "coverage.geojson", coverage_geojson_parts(coverage))
     write_file(folder / "waypoints.geojson", waypoints_geojson(waypoints))
+
+
+def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:
+    """The records themselves where they come in order, so that not all of them have to be held at once."""
+    return records if all(key(before) <= key(after) for before, after in pairwise(records)) else sorted(records, key=key)
 
 
 def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -> None:
@@ -141,7 +161,7 @@ def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -
         (folder / "clearance.png").unlink(missing_ok=True)
 
 
-def search_totals(clearance: Clearance | None, contacts: Sequence[Contact]) -> dict[str, Any]:
+def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:
     """What the search comes to over all that was seen; empty if nothing was. Contacts count as found mines with their p_mine."""
     if clearance is None:
         return {}
@@ -181,12 +201,39 @@ def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = ""
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
     """`snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, others stay."""
-    snippets = make_directory(folder / "snippets")
+    snippets = make_directory(folder / _SNIPPETS)
     for contact_id, picture in pictures.items():
-        (snippets / f"{contact_id}.png").write_bytes(picture)  # thousands: to wait for the disk each time would take minutes
+        _write_snippet(snippets, contact_id, picture)
     for path in snippets.glob("C[0-9]*.png"):
         if path.stem not in pictures:
             path.unlink()
+
+
+class Snippets:
+    """`snippets/<id>.png`, written as pictures come; the last one of a contact stays."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / _SNIPPETS
+        self._owed: dict[str, bytes] = {}  # pictures that could not be written
+
+    def write(self, pictures: Mapping[str, bytes] = MappingProxyType({})) -> None:
+        """Raises OSError, as on a full disk; what could not be written is tried again with the next ones."""
+        self._owed |= pictures
+        self._folder.mkdir(exist_ok=True)
+        for contact_id, picture in list(self._owed.items()):
+            _write_snippet(self._folder, contact_id, picture)
+            del self._owed[contact_id]
+
+
+def _write_snippet(snippets: Path, contact_id: str, picture: bytes) -> None:
+    """Without waiting for the disk: there are thousands."""
+    path = snippets / f"{contact_id}.png"
+    try:
+        path.write_bytes(picture)
+    except OSError:
+        with contextlib.suppress(OSError):
+            path.unlink()  # a piece of it
+        raise
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -196,9 +243,13 @@ def write_json(path: Path, data: Any) -> None:
 
 def write_file(path: Path, data: bytes) -> None:
     """Replace `path` by `data`; a power cut leaves the old file or the new one, never a piece."""
+    _write_parts(path, [data])
+
+
+def _write_parts(path: Path, parts: Iterable[bytes]) -> None:
     temporary = path.with_name(f".{path.name}.new")
     with temporary.open("wb") as file:
-        file.write(data)
+        file.writelines(parts)
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)

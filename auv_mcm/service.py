@@ -1,7 +1,8 @@
 """The running service: a source -> a bounded queue -> perception in its own process -> a journal, then the console.
 
-The event loop does input and output only. A contact is on disk before anybody hears of it. SIGINT or SIGTERM stops the source;
-what is queued is still worked off and everything is written. A second signal ends at once; the journal is complete even then.
+The event loop does input and output only, a thread what may wait for the disk. A contact is on disk before anybody hears of it. SIGINT or
+SIGTERM stops the source; what is queued is still worked off and everything is written. A second signal ends at once; the journal is
+complete even then. What was found lies on disk until the end: the memory of a mission does not grow with its length.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import signal
 import sys
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 from urllib.parse import parse_qsl, unquote, urlsplit
@@ -26,10 +29,12 @@ from auv_mcm import __version__, kernels
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson, iso_time
+from auv_mcm.contacts.found import Found
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.liaison import Liaison, VehicleEnd
 from auv_mcm.outputs import (
     Journal,
+    Snippets,
     Tally,
     area_totals,
     contact_totals,
@@ -39,10 +44,9 @@ from auv_mcm.outputs import (
     write_clearance,
     write_json,
     write_results,
-    write_snippets,
 )
 from auv_mcm.plan.clearance import Clearance
-from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.worker import Finished, MakePipeline, Perception, Planned, standard_pipeline
 
 if TYPE_CHECKING:
@@ -61,6 +65,8 @@ _LAG_PROBE_S: Final = 0.25
 _ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
 _SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
 _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
+_CLUTTER: Final = 1
+_NO_CLUTTER: Final = 2
 
 
 class SourceUri(NamedTuple):
@@ -241,19 +247,18 @@ class Service:
         self._make_pipeline = make_pipeline
         self._counters: Counter[str] = Counter()
         self._tally = Tally()
-        self._contacts: dict[str, Contact] = {}
-        self._coverage: list[CoveragePatch] = []
+        self._told = bytearray()  # by number of a contact: what it was announced as
         self._notices: list[Notice] = []
         self._stop = asyncio.Event()
         self._source_failure: AuvMcmError | None = None
         self._lag_s = 0.0
         self._pipeline_counters: Counter[str] = Counter()
-        self._snippets: dict[str, bytes] = {}
         self._clearance: Clearance | None = None
         self._clearance_png = b""
         self._recorder: Recorder | None = None
         self._liaison: Liaison | None = None
         self._n_dropped_told = 0
+        self._disk = ThreadPoolExecutor(1, "disk")
 
     def stop(self) -> None:
         """Stop the source; `run` then works off the queue, writes everything and returns."""
@@ -267,8 +272,10 @@ class Service:
         self._folder = _session_folder(Path(self._config.service.output_directory), self._clock)
         self._started_s = self._clock.monotonic_s()
         journal = Journal(self._folder / "contacts.jsonl")
+        self._snippets = Snippets(self._folder)
+        self._found = Found(self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
-        perception = Perception(self._config, self._make_pipeline)
+        perception = Perception(self._config, self._make_pipeline, folder=self._folder)
         failure: AuvMcmError | None = None
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -304,11 +311,19 @@ class Service:
         if self._recorder is not None:
             self._recorder.close()
             self._tell_of_recording()
+        self._disk.shutdown()
+        for what, write in (
+            ("contacts are missing from the journal", journal.close),
+            ("pictures of contacts are missing", self._snippets.write),
+        ):
+            try:
+                write()
+            except OSError as error:  # as on a full disk; what is known is still worth writing
+                log.error("%s: %s", what, error)
         try:
-            journal.close()
-        except OSError as error:  # as on a full disk; what is known is still worth writing
-            log.error("contacts are missing from the journal: %s", error)
-        self._write()
+            self._write()
+        finally:
+            self._found.close()
 
     def _start_liaison(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
@@ -402,25 +417,35 @@ class Service:
                 continue
             contacts = [event for event in answer.events if isinstance(event, Contact)]
             if contacts:
-                await self._make_durable(contacts, journal)
+                await self._make_durable(contacts, answer.snippets, journal)
                 if self._liaison is not None:
                     self._liaison.tell(contacts)
+            if patches := [event for event in answer.events if isinstance(event, CoveragePatch)]:
+                await self._on_disk(partial(self._found.keep, coverage=patches))
             for event in answer.events:
                 self._announce(event)
-        self._contacts = {contact.id: contact for contact in answer.contacts}
         self._pipeline_counters = answer.counters
-        self._snippets = answer.snippets
         self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
 
-    async def _make_durable(self, contacts: list[Contact], journal: Journal) -> None:
+    async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
         now = iso_time(self._clock.utc_s())
         records = [{"time": now, "contact": json.loads(contacts_geojson([contact]))["features"][0]} for contact in contacts]
         try:
-            await asyncio.to_thread(journal.append, records)  # a slow disk must not hold up the ports
+            await self._on_disk(partial(journal.append, records))
         except OSError as error:
             # A full disk is no reason to keep a mine to oneself.
             self._counters["service.journal_failed"] += 1
             log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
+        try:
+            await self._on_disk(partial(self._snippets.write, snippets))
+        except OSError as error:
+            self._counters["service.snippets_failed"] += 1
+            log.error("pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror)
+        await self._on_disk(partial(self._found.keep, contacts))
+
+    async def _on_disk(self, write: Callable[[], None]) -> None:
+        """A slow disk must not hold up the ports."""
+        await asyncio.get_running_loop().run_in_executor(self._disk, write)
 
     def _say(self, line: str) -> None:
         """A console that went away, with its terminal or its disk, must not take the mission with it."""
@@ -434,17 +459,16 @@ class Service:
     def _announce(self, event: PipelineEvent) -> None:
         match event:
             case Contact():
-                before = self._contacts.get(event.id)
-                self._contacts[event.id] = event
-                if all(known is None or known.classification == "clutter" for known in (before, event)):
+                number, now = contact_number(event.id), _CLUTTER if event.classification == "clutter" else _NO_CLUTTER
+                self._told.extend(bytes(max(number + 1 - len(self._told), 0)))
+                before, self._told[number] = self._told[number], now
+                if _NO_CLUTTER not in (before, now):
                     return  # in the journal and the results; a person watching needs the others
-                word = "new" if before is None else "updated"
+                word = "updated" if before else "new"
                 self._say(
                     f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
                     f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
                 )
-            case CoveragePatch():
-                self._coverage.append(event)
             case Notice():
                 self._notices.append(event)
                 self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
@@ -467,28 +491,26 @@ class Service:
             pings, self._lag_s = self._tally.pings, 0.0
 
     def _health(self, queue: EventQueue, perception: Perception) -> str:
-        clutter = sum(contact.classification == "clutter" for contact in self._contacts.values())
+        contacts, clutter = self._told.count(_NO_CLUTTER), self._told.count(_CLUTTER)
         return (
             f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
-            f"dropped={self._counters['service.ping_dropped']} contacts={len(self._contacts) - clutter} clutter={clutter} "
-            f"lag_ms={self._lag_s * 1e3:.1f}"
+            f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} lag_ms={self._lag_s * 1e3:.1f}"
             + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
             + (f" {self._liaison.health()}" if self._liaison is not None else "")
         )
 
     def _write(self) -> None:
-        contacts = sorted(self._contacts.values(), key=lambda contact: contact.id)
+        contacts, coverage = self._found.contacts, self._found.coverage
         proposed = None if self._liaison is None else self._liaison.plan
         waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
-        write_results(self._folder, contacts, self._coverage, waypoints, self._config.mission)
-        write_snippets(self._folder, self._snippets)
+        write_results(self._folder, contacts, coverage, waypoints, self._config.mission)
         write_clearance(self._folder, self._clearance, self._clearance_png)
         summary: dict[str, Any] = {
             "version": __version__,
             "kernels": kernels.backend(),
             "source": self._config.service.source,
             **self._tally.totals(),
-            **contact_totals(contacts, self._coverage),
+            **contact_totals(contacts, coverage),
             **search_totals(self._clearance, contacts),
             **area_totals(self._clearance, self._config.plan, "" if self._liaison is None else self._liaison.verdict),
             "waypoints": len(waypoints),
@@ -500,7 +522,8 @@ class Service:
         write_json(self._folder / "summary.json", summary)
 
     def _all_counters(self) -> Counter[str]:
-        counters = self._counters + self._source.counters() + self._pipeline_counters
+        of_disk = Counter({"service.kept_in_memory": self._found.n_in_memory, "service.unreadable": self._found.n_unreadable})
+        counters = self._counters + self._source.counters() + self._pipeline_counters + of_disk
         return counters if self._recorder is None else counters + self._recorder.counters
 
 

@@ -1,8 +1,10 @@
 """Perception in a process of its own, so that nothing it computes delays the ports of the main process.
 
 The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
-feeds its pipeline and answers each message with the events that came of it, tiles and snippets left out. The answer also gives the
-ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
+feeds its pipeline and answers each message with the events that came of it, tiles left out and a picture in place of what it is drawn
+from. The answer also gives the ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
+
+Contacts lie on disk here, so that a long mission needs no more memory than a short one.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import msgspec
@@ -28,12 +31,14 @@ import numpy as np
 from auv_mcm import errors
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import best_view
+from auv_mcm.contacts.shelf import Shelf
 from auv_mcm.plan.clearance import Clearance, ClearanceMap
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.performance import Performance, shipped_performance
-from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, PipelineEvent, SourceEvent, Tile
+from auv_mcm.records import Contact, CoveragePatch, Detection, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
 
 if TYPE_CHECKING:
+    from auv_mcm.contacts.ledger import Contacts
     from auv_mcm.plan.clear_area import ClearArea
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
@@ -43,36 +48,38 @@ _NICENESS: Final = 5  # of the worker: where processors are few, ports come firs
 _PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
 _MOST_PLANNING_S: Final = 1.0  # while pings wait
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
+_NO_OUTLINE: Final = np.empty((0, 2))
 
 
 class Perceiving(Protocol):
     """What a pipeline offers; see auv_mcm.pipeline."""
 
     @property
-    def contacts(self) -> tuple[Contact, ...]: ...
-
-    @property
     def counters(self) -> Counter[str]: ...
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]: ...
 
     def finish(self) -> list[PipelineEvent]: ...
 
 
-MakePipeline: TypeAlias = Callable[[Config], Perceiving]
+MakePipeline: TypeAlias = "Callable[[Config, Contacts], Perceiving]"
+"""Given where to keep contacts."""
 
 
-def standard_pipeline(config: Config) -> Perceiving:
+def standard_pipeline(config: Config, kept: Contacts) -> Perceiving:
     """The one pipeline there is, imported only in the process that runs it."""
     from auv_mcm.pipeline import Pipeline
 
-    return Pipeline(config)
+    return Pipeline(config, kept=kept)
 
 
 class Fed(NamedTuple):
-    """Answer to one event, or to the end of the mission: what became final because of it."""
+    """Answer to one event, or to the end of the mission: what became final because of it. snippets: a PNG picture per contact id."""
 
     events: tuple[PipelineEvent, ...]
+    snippets: dict[str, bytes]
 
 
 class Planned(NamedTuple):
@@ -84,9 +91,7 @@ class Planned(NamedTuple):
 class Finished(NamedTuple):
     """The last answer."""
 
-    contacts: tuple[Contact, ...]
     counters: Counter[str]
-    snippets: dict[str, bytes]  # a PNG picture per contact id
     clearance: Clearance | None
     clearance_png: bytes  # its picture, empty without one
 
@@ -128,9 +133,17 @@ class Ring:
 class Perception:
     """The parent's end. One task feeds, another takes the answers; used inside a running event loop."""
 
-    def __init__(self, config: Config, make_pipeline: MakePipeline = standard_pipeline, ring_bytes: int = RING_BYTES) -> None:
+    def __init__(
+        self,
+        config: Config,
+        make_pipeline: MakePipeline = standard_pipeline,
+        ring_bytes: int = RING_BYTES,
+        folder: Path | None = None,
+    ) -> None:
+        """folder: on the disk where contacts are kept until the end, that of temporary files if None."""
         self._config = config
         self._make_pipeline = make_pipeline
+        self._folder = folder
         self._ring = Ring(ring_bytes)
         self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
         self._room = asyncio.Event()
@@ -152,7 +165,10 @@ class Perception:
         self._to_undo.callback(self._memory.close)
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, self._memory.name, self._config, self._make_pipeline), name="perception", daemon=True
+            target=_work,
+            args=(theirs, self._memory.name, self._config, self._make_pipeline, self._folder),
+            name="perception",
+            daemon=True,
         )
         # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to finish. It
         # inherits the blocked signals, so that there is no moment at its start when one would kill it.
@@ -305,21 +321,23 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
     return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
 
 
-def _work(connection: Connection, memory_name: str, config: Config, make_pipeline: MakePipeline) -> None:
+def _work(connection: Connection, memory_name: str, config: Config, make_pipeline: MakePipeline, folder: Path | None) -> None:
     """The worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.nice(_NICENESS)
     memory = SharedMemory(memory_name)
     place = "at its start"
+    kept = Shelf(folder, Contact)
     try:
-        pipeline = make_pipeline(config)
+        pipeline = make_pipeline(config, kept)
         model = shipped_performance()
         searched = ClearanceMap(model)
         area = _clear_area(config, model)
         gc.collect()
         gc.freeze()
-        connection.send(Fed(()))
+        connection.send(Fed((), {}))
+        is_disk_sound = True
         while (message := connection.recv()) is not None:
             if isinstance(message, PlanRequest):
                 connection.send(Planned(_proposal(pipeline, searched, area, message, config)))
@@ -328,12 +346,16 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
             place = getattr(event, "place", "") or place
             if area is not None and isinstance(event, Ping):
                 area.see(event)
-            connection.send(Fed(_slim(pipeline.feed(event), searched, area)))
-        # The last contacts are made durable while their pictures are drawn.
-        connection.send(Fed(_slim(pipeline.finish(), searched, area)))
-        contacts, clearance = pipeline.contacts, searched.snapshot()
-        pictures = _snippets(contacts), b"" if clearance is None else _clearance_png(clearance)
-        connection.send(Finished(tuple(map(_without_pictures, contacts)), pipeline.counters, pictures[0], clearance, pictures[1]))
+            events = pipeline.feed(event)
+            if is_disk_sound and kept.n_in_memory:
+                is_disk_sound = False
+                events.append(_disk_full())
+            connection.send(Fed(_slim(events, searched, area), _snippets(events)))
+        events = pipeline.finish()
+        connection.send(Fed(_slim(events, searched, area), _snippets(events)))
+        clearance = searched.snapshot()
+        of_disk = Counter({"perception.kept_in_memory": kept.n_in_memory, "perception.unreadable": kept.n_unreadable})
+        connection.send(Finished(pipeline.counters + of_disk, clearance, b"" if clearance is None else _clearance_png(clearance)))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:
@@ -347,7 +369,15 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
             )
         )
     finally:
+        kept.close()
         memory.close()
+
+
+def _disk_full() -> Notice:
+    return Notice(
+        code="perception.disk_full",
+        text="the disk takes no more of the contacts that perception lays aside; they stay in memory. Free space on the disk.",
+    )
 
 
 def _clear_area(config: Config, model: Performance) -> ClearArea | None:
@@ -364,11 +394,10 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
 
     busy_s, late_s = time.thread_time() + _PLANNING_S, time.monotonic() + _MOST_PLANNING_S
     try:
+        asking = pipeline.asking(config.plan.min_p_mine)
         if area is not None:
-            return area.propose(
-                searched.snapshot(), pipeline.contacts, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s
-            )
-        return propose(pipeline.contacts, request, config.plan, config.vehicle)
+            return area.propose(searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s)
+        return propose(asking, request, config.plan, config.vehicle)
     except Exception as error:
         traceback.print_exc(file=sys.stderr)
         return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
@@ -394,8 +423,16 @@ def _slim(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea |
 
 
 def _without_pictures(contact: Contact) -> Contact:
-    """What a picture is made of stays with the worker, who makes it: it is half of a contact, and the parent keeps all of a mission."""
-    return msgspec.structs.replace(contact, views=tuple(msgspec.structs.replace(view, snippet=_NO_PICTURE) for view in contact.views))
+    """What pictures are made of stays with the worker, who makes them: it is most of a contact."""
+    return msgspec.structs.replace(contact, views=tuple(map(_without_picture, contact.views)))
+
+
+def _without_picture(view: Detection) -> Detection:
+    close = view.confirmation
+    if close is not None:
+        model = close.model and msgspec.structs.replace(close.model, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE)
+        close = msgspec.structs.replace(close, labels=_NO_PICTURE, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE, model=model)
+    return msgspec.structs.replace(view, snippet=_NO_PICTURE, confirmation=close)
 
 
 def _clearance_png(clearance: Clearance) -> bytes:
@@ -404,7 +441,10 @@ def _clearance_png(clearance: Clearance) -> bytes:
     return clearance_png(clearance)
 
 
-def _snippets(contacts: tuple[Contact, ...]) -> dict[str, bytes]:
+def _snippets(events: list[PipelineEvent]) -> dict[str, bytes]:
+    contacts = [event for event in events if isinstance(event, Contact)]
+    if not contacts:
+        return {}
     from auv_mcm.contacts.picture import snippet_png  # OpenCV: only in this process
 
     return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}

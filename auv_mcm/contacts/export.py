@@ -2,6 +2,9 @@
 
 Pure functions of records. Equal records give equal bytes: keys have a fixed order, features are sorted, numbers are rounded
 to what they can mean (1e-9 degrees is 0.1 mm). An unknown number is `null` in JSON and an empty cell in CSV.
+
+What there may be very many of can also be had in parts, a record at a time, from records that come in order: contacts in that of
+`contact_order`, patches in that of `coverage_order`.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ import csv
 import html
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final, get_args
 
@@ -25,6 +28,7 @@ from auv_mcm.contacts.geojson import (
     PROBABILITY_DIGITS,
     Json,
     collection,
+    collection_parts,
     feature,
     one_or_multi,
     point_at,
@@ -100,25 +104,28 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
     `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score. `views` are in order of time;
     `log_ratio` and `belief` of one that was not looked at closely are null.
     """
-    return collection([_contact_feature(contact) for contact in sorted(contacts, key=lambda contact: contact.id)])
+    return b"".join(contacts_geojson_parts(sorted(contacts, key=contact_order)))
+
+
+def contacts_geojson_parts(contacts: Iterable[Contact]) -> Iterator[bytes]:
+    return collection_parts(map(_contact_feature, contacts))
 
 
 def coverage_geojson(patches: Iterable[CoveragePatch]) -> bytes:
     """A FeatureCollection with one polygon or multi-polygon per patch, in order of tile, port first."""
-    features = []
-    for patch in sorted(patches, key=lambda patch: (patch.tile_index, patch.side, patch.start_s)):
-        polygons: list[Json] = [[positions_of(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)]
-        properties: dict[str, Json] = {
-            "side": patch.side,
-            "tile": patch.tile_index,
-            "start": iso_time(patch.start_s),
-            "stop": iso_time(patch.stop_s),
-            "covered_m2": rounded(patch.covered_m2, METRE_DIGITS),
-            "evaluated_fraction": rounded(patch.evaluated_fraction, PROBABILITY_DIGITS),
-            "lost_m2": {reason: rounded(patch.lost_m2[reason], METRE_DIGITS) for reason in sorted(patch.lost_m2)},
-        }
-        features.append(feature(one_or_multi("Polygon", polygons), properties))
-    return collection(features)
+    return b"".join(coverage_geojson_parts(sorted(patches, key=coverage_order)))
+
+
+def coverage_geojson_parts(patches: Iterable[CoveragePatch]) -> Iterator[bytes]:
+    return collection_parts(map(_coverage_feature, patches))
+
+
+def contact_order(contact: Contact) -> str:
+    return contact.id
+
+
+def coverage_order(patch: CoveragePatch) -> tuple[int, str, float]:
+    return patch.tile_index, patch.side, patch.start_s
 
 
 def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
@@ -157,58 +164,39 @@ def contacts_csv(contacts: Iterable[Contact]) -> str:
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\r\n")
-    writer.writerow(CSV_COLUMNS)
-    for contact in sorted(contacts, key=lambda contact: contact.id):
-        view = best_view(contact)
-        writer.writerow(
-            [
-                _cell(contact.id),
-                iso_time(contact.time_s),
-                rounded(contact.latitude_deg, DEGREE_DIGITS),
-                rounded_longitude(contact.longitude_deg),
-                rounded(sigma_m(contact), METRE_DIGITS),
-                rounded(contact.p_mine, PROBABILITY_DIGITS),
-                contact.classification,
-                rounded(contact.length_m, METRE_DIGITS),
-                rounded(contact.width_m, METRE_DIGITS),
-                rounded(contact.height_m, METRE_DIGITS),
-                len(contact.views),
-                " ".join(f"{aspect:.1f}" for aspect in contact.aspects_deg),
-                view.side if view else None,
-                rounded(view.ground_range_m, METRE_DIGITS) if view else None,
-                rounded(view.score, METRE_DIGITS) if view else None,
-                _cell(snippet_path(contact)),
-                _cell("; ".join(contact.reasons)),
-                rounded(contact.length_sigma_m, METRE_DIGITS),
-                rounded(contact.width_sigma_m, METRE_DIGITS),
-                rounded(contact.height_sigma_m, METRE_DIGITS),
-            ]
-        )
-    return text.getvalue()
+    return "".join(contacts_csv_parts(sorted(contacts, key=contact_order)))
+
+
+def contacts_csv_parts(contacts: Iterable[Contact]) -> Iterator[str]:
+    yield _csv_row(CSV_COLUMNS)
+    for contact in contacts:
+        yield _csv_row(_csv_cells(contact))
 
 
 def contacts_kml(contacts: Iterable[Contact], mission: str = "") -> str:
     """A KML document: mine-like contacts and the rest in two folders, each contact with a table and its 2-sigma error ellipse."""
-    ordered = sorted(contacts, key=lambda contact: contact.id)
-    lines = [
+    return "".join(contacts_kml_parts(sorted(contacts, key=contact_order), mission))
+
+
+def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterator[str]:
+    """contacts: gone through several times."""
+    head = (
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<kml xmlns="http://www.opengis.net/kml/2.2">',
         "<Document>",
         f"<name>{_xml(mission or 'Contacts')}</name>",
         _kml_style("mine_like", "ff3c14dc"),
         _kml_style("clutter", "ffb4a078"),
-    ]
-    for style, title, chosen in (
-        ("mine_like", "Mine-like", [contact for contact in ordered if is_mine_like(contact)]),
-        ("clutter", "Clutter", [contact for contact in ordered if not is_mine_like(contact)]),
-    ):
-        lines += ["<Folder>", f"<name>{title} ({len(chosen)})</name>"]
-        for contact in chosen:
-            lines += _kml_placemark(contact, style)
-        lines.append("</Folder>")
-    return "\n".join([*lines, "</Document>", "</kml>", ""])
+    )
+    yield "\n".join(head)
+    for style, title, mine_like in (("mine_like", "Mine-like", True), ("clutter", "Clutter", False)):
+        n = sum(is_mine_like(contact) == mine_like for contact in contacts)
+        yield f"\n<Folder>\n<name>{title} ({n})</name>"
+        for contact in contacts:
+            if is_mine_like(contact) == mine_like:
+                yield "\n".join(["", *_kml_placemark(contact, style)])
+        yield "\n</Folder>"
+    yield "\n</Document>\n</kml>\n"
 
 
 def _contact_feature(contact: Contact) -> dict[str, Json]:
@@ -253,6 +241,52 @@ def _view(view: Detection) -> dict[str, Json]:
         "belief": _belief(singleton_belief(close.mass)) if close else None,
         "reasons": list(view_reasons(view)),
     }
+
+
+def _coverage_feature(patch: CoveragePatch) -> dict[str, Json]:
+    polygons: list[Json] = [[positions_of(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)]
+    properties: dict[str, Json] = {
+        "side": patch.side,
+        "tile": patch.tile_index,
+        "start": iso_time(patch.start_s),
+        "stop": iso_time(patch.stop_s),
+        "covered_m2": rounded(patch.covered_m2, METRE_DIGITS),
+        "evaluated_fraction": rounded(patch.evaluated_fraction, PROBABILITY_DIGITS),
+        "lost_m2": {reason: rounded(patch.lost_m2[reason], METRE_DIGITS) for reason in sorted(patch.lost_m2)},
+    }
+    return feature(one_or_multi("Polygon", polygons), properties)
+
+
+def _csv_row(cells: Sequence[Any]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\r\n").writerow(cells)
+    return text.getvalue()
+
+
+def _csv_cells(contact: Contact) -> list[Any]:
+    view = best_view(contact)
+    return [
+        _cell(contact.id),
+        iso_time(contact.time_s),
+        rounded(contact.latitude_deg, DEGREE_DIGITS),
+        rounded_longitude(contact.longitude_deg),
+        rounded(sigma_m(contact), METRE_DIGITS),
+        rounded(contact.p_mine, PROBABILITY_DIGITS),
+        contact.classification,
+        rounded(contact.length_m, METRE_DIGITS),
+        rounded(contact.width_m, METRE_DIGITS),
+        rounded(contact.height_m, METRE_DIGITS),
+        len(contact.views),
+        " ".join(f"{aspect:.1f}" for aspect in contact.aspects_deg),
+        view.side if view else None,
+        rounded(view.ground_range_m, METRE_DIGITS) if view else None,
+        rounded(view.score, METRE_DIGITS) if view else None,
+        _cell(snippet_path(contact)),
+        _cell("; ".join(contact.reasons)),
+        rounded(contact.length_sigma_m, METRE_DIGITS),
+        rounded(contact.width_sigma_m, METRE_DIGITS),
+        rounded(contact.height_sigma_m, METRE_DIGITS),
+    ]
 
 
 def _belief(belief: Mapping[str, float]) -> dict[str, Json]:

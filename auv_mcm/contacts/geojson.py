@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -22,11 +22,20 @@ METRE_DIGITS: Final = 3
 PROBABILITY_DIGITS: Final = 4
 
 
-def collection(features: Sequence[Mapping[str, Json]]) -> bytes:
+def collection(features: Iterable[Mapping[str, Json]]) -> bytes:
     """One feature per line, so that people can read and compare the file line by line."""
-    lines = ",\n".join(json.dumps(feature, allow_nan=False, ensure_ascii=False, separators=(",", ":")) for feature in features)
-    text = f'{{"type":"FeatureCollection","features":[\n{lines}\n]}}\n' if lines else '{"type":"FeatureCollection","features":[]}\n'
-    return text.encode("utf-8", "replace")
+    return b"".join(collection_parts(features))
+
+
+def collection_parts(features: Iterable[Mapping[str, Json]]) -> Iterator[bytes]:
+    """The same a feature at a time."""
+    before = '{"type":"FeatureCollection","features":['
+    end = "]}\n"
+    for feature in features:
+        line = json.dumps(feature, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+        yield f"{before}\n{line}".encode("utf-8", "replace")
+        before, end = ",", "\n]}\n"
+    yield (before.removeprefix(",") + end).encode()
 
 
 def feature(geometry: Json, properties: dict[str, Json]) -> dict[str, Json]:

@@ -28,8 +28,8 @@ class Shelf(Generic[T]):
     n_in_memory: records that the disk did not take, when they came last. n_unreadable: times the disk did not give one back.
     """
 
-    def __init__(self, folder: Path, kind: type[T]) -> None:
-        """folder: on the disk to use; what cannot be opened there is kept in memory."""
+    def __init__(self, folder: Path | None, kind: type[T]) -> None:
+        """folder: on the disk to use, that of temporary files if None. Where no file can be opened everything stays in memory."""
         self.n_unreadable = 0
         self._decoder = msgspec.msgpack.Decoder(kind, dec_hook=_unpacked_array)
         self._starts, self._sizes = array("q"), array("I")  # in bytes
@@ -75,13 +75,9 @@ class Shelf(Generic[T]):
             self.n_unreadable += 1
             raise OSError(errno.EIO, f"record {number} cannot be read back: {error}") from error
 
-    def readable(self, numbers: Iterable[int]) -> Iterator[T]:
-        """The records of numbers, without those that the disk does not give back, which are counted."""
-        for number in numbers:
-            try:
-                yield self[number]
-            except OSError:
-                continue
+    def selected(self, numbers: Iterable[int]) -> Selection[T]:
+        """Records in the order of the numbers, which can be gone through again and again."""
+        return Selection(self, numbers)
 
     def close(self) -> None:
         """Give the disk space back. Records cannot be read any more."""
@@ -101,6 +97,22 @@ class Shelf(Generic[T]):
     def _read(self, start: int, size: int) -> bytes:
         assert self._file is not None
         return os.pread(self._file.fileno(), size, start)
+
+
+class Selection(Generic[T]):
+    """Records of a shelf, read one at a time and anew each time, without those that the disk does not give back."""
+
+    def __init__(self, shelf: Shelf[T], numbers: Iterable[int]) -> None:
+        self._shelf = shelf
+        self._numbers = numbers
+
+    def __iter__(self) -> Iterator[T]:
+        for number in self._numbers:
+            try:
+                record = self._shelf[number]
+            except OSError:
+                continue
+            yield record
 
 
 def _packed_array(value: Any) -> Any:

@@ -21,6 +21,7 @@ import numpy as np
 from auv_mcm.clock import SystemClock
 from auv_mcm.commands import read_config
 from auv_mcm.config import Config
+from auv_mcm.contacts.ledger import Contacts
 from auv_mcm.records import Contact, Ping, PipelineEvent, SourceEvent
 from auv_mcm.service import Service
 from drivers.source import PortSource
@@ -46,10 +47,12 @@ class WatchedPorts(PortSource):
 class BusyPipeline:
     """Perception that finds nothing and is never done."""
 
-    def __init__(self, config: Config) -> None:
-        self.contacts: tuple[Contact, ...] = ()
+    def __init__(self, config: Config, kept: Contacts) -> None:
         self.counters: Counter[str] = Counter()
         self._values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        return ()
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         end_s = time.thread_time() + _BUSY_S

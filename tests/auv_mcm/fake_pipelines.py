@@ -14,8 +14,22 @@ import msgspec
 import numpy as np
 
 from auv_mcm.config import Config
+from auv_mcm.contacts.ledger import Contacts
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import NAN, Contact, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, PoseTrack, SourceEvent, Tile
+from auv_mcm.records import (
+    NAN,
+    Contact,
+    CoveragePatch,
+    EchoTrace,
+    NavSample,
+    Notice,
+    Ping,
+    PipelineEvent,
+    PoseTrack,
+    ShapeModel,
+    SourceEvent,
+    Tile,
+)
 
 START_S = 1_700_000_000.0
 
@@ -62,9 +76,12 @@ def contact(number: int, n_views: int = 0) -> Contact:
 class Base:
     """A contact and a coverage patch for every third ping; one more contact at the end."""
 
-    def __init__(self, config: Config) -> None:
-        self.contacts: tuple[Contact, ...] = ()
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        self.undecided: tuple[Contact, ...] = ()
         self.counters: Counter[str] = Counter()
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        return self.undecided
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         if isinstance(event, Notice):
@@ -74,12 +91,10 @@ class Base:
         self.counters["ping.received"] += 1
         if event.number % 3:
             return []
-        self.contacts = (*self.contacts, contact(event.number))
-        return [self.contacts[-1], patch(event.number)]
+        return [contact(event.number), patch(event.number)]
 
     def finish(self) -> list[PipelineEvent]:
-        self.contacts = (*self.contacts, contact(9999))
-        return [self.contacts[-1]]
+        return [contact(9999)]
 
 
 class Digesting(Base):
@@ -96,9 +111,7 @@ class Cluttered(Base):
         return _as_clutter(super().feed(event))
 
     def finish(self) -> list[PipelineEvent]:
-        events = _as_clutter(super().finish())
-        self.contacts = tuple(contact for contact in _as_clutter(list(self.contacts)) if isinstance(contact, Contact))
-        return events
+        return _as_clutter(super().finish())
 
 
 def _as_clutter(events: Sequence[PipelineEvent]) -> list[PipelineEvent]:
@@ -109,9 +122,12 @@ class Seeing(Base):
     """A contact with a view at its first ping."""
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
-        seen = drawn_looks.contact(id="C00001", views=(drawn_looks.detection(snippet=np.full((4, 6), 100, np.uint8), score=7.5),))
-        self.contacts = (seen,)
-        return [seen]
+        outline = np.zeros((3, 2))
+        solid = ShapeModel(classification="sphere", sizes={"radius_m": 0.4}, sigma={}, highlight=outline, shadow=outline)
+        labels = np.zeros((4, 6), np.uint8)
+        close = drawn_looks.confirmation(2.0, labels=labels, highlight=outline, shadow=outline, model=solid)
+        view = drawn_looks.detection(snippet=np.full((4, 6), 100, np.uint8), score=7.5, confirmation=close)
+        return [drawn_looks.contact(id="C00001", views=(view,))]
 
     def finish(self) -> list[PipelineEvent]:
         return []
@@ -123,9 +139,8 @@ class Undecided(Base):
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         events = super().feed(event)
         if isinstance(event, Ping) and event.number == 0:
-            undecided = msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,))
-            self.contacts = (undecided,)
-            return [undecided]
+            self.undecided = (msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,)),)
+            return [*self.undecided]
         return events
 
 
@@ -143,8 +158,23 @@ class Refusing(Base):
         raise BadInputError("no such sonar")
 
 
+class Laying(Base):
+    """Lays its contacts where it is told to, and keeps none."""
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        super().__init__(config, kept)
+        self._kept = kept
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        events = super().feed(event)
+        for event_ in events:
+            if isinstance(event_, Contact):
+                self._kept.append(event_)
+        return events
+
+
 class Unstartable(Base):
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, kept: Contacts) -> None:
         raise RuntimeError("no model file")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import fake_pipelines as fake
 import msgspec
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
@@ -43,8 +45,15 @@ def test_ring_never_hands_out_the_same_byte_twice(steps: list[int | None]) -> No
     assert ring.take(1024) == 0
 
 
-async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes: int = 1 << 16) -> tuple[list[PipelineEvent], Finished]:
-    """All events answered by a worker, in order, and its last answer."""
+class Answered(NamedTuple):
+    """All events of a worker, in order, the last picture of each contact, and the last answer."""
+
+    events: list[PipelineEvent]
+    snippets: dict[str, bytes]
+    finished: Finished
+
+
+async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes: int = 1 << 16) -> Answered:
     perception = Perception(Config(), make, ring_bytes)
 
     async def feed() -> None:
@@ -56,13 +65,15 @@ async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes:
     try:
         await perception.start()
         feeding = asyncio.ensure_future(feed())
-        received: list[PipelineEvent] = []
+        answered: list[PipelineEvent] = []
+        snippets: dict[str, bytes] = {}
         while not isinstance(answer := await perception.answer(), Finished):
             assert isinstance(answer, Fed)
-            received += answer.events
+            answered += answer.events
+            snippets |= answer.snippets
         await feeding
         assert perception.in_flight == 0
-        return received, answer
+        return Answered(answered, snippets, answer)
     finally:
         feeding.cancel()
         await asyncio.gather(feeding, return_exceptions=True)
@@ -81,18 +92,21 @@ def test_pings_arrive_to_the_bit_and_in_order_through_a_ring_smaller_than_they_a
         Notice(code="x", text="y"),
         *(fake.ping(number, port=fake.trace(number, 7 * number)) for number in range(5, 200)),
     ]
-    received, finished = asyncio.run(answers(pings, fake.Digesting, ring_bytes=8192))
+    received = asyncio.run(answers(pings, fake.Digesting, ring_bytes=8192)).events
     assert [event.text for event in received if isinstance(event, Notice)] == [fake.digest(event) for event in pings]
     assert len(received) == len(pings) + 1, "no tiles, and the contact that finishing gave"
-    assert [contact.id for contact in finished.contacts] == ["C9999"]
 
 
-def test_contacts_come_without_the_snippets_that_their_pictures_were_made_of() -> None:
-    received, finished = asyncio.run(answers([fake.ping(0)], fake.Seeing))
-    contacts = [*(event for event in received if isinstance(event, Contact)), *finished.contacts]
-    assert [contact.id for contact in contacts] == ["C00001", "C00001"]
-    assert all(view.snippet.size == 0 and view.score == 7.5 for contact in contacts for view in contact.views)
-    assert finished.snippets["C00001"].startswith(b"\x89PNG")
+def test_contacts_come_without_what_their_pictures_were_made_of() -> None:
+    answered = asyncio.run(answers([fake.ping(0)], fake.Seeing))
+    (contact,) = (event for event in answered.events if isinstance(event, Contact))
+    (view,) = contact.views
+    assert view.confirmation is not None
+    assert view.confirmation.model is not None
+    outlines: list[NDArray[Any]] = [view.confirmation.highlight, view.confirmation.model.shadow]
+    assert [array.size for array in (view.snippet, view.confirmation.labels, *outlines)] == [0, 0, 0, 0]
+    assert (contact.id, view.score, view.confirmation.log_ratio) == ("C00001", 7.5, 2.0)
+    assert answered.snippets["C00001"].startswith(b"\x89PNG")
 
 
 def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
