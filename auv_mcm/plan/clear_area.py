@@ -99,7 +99,9 @@ class ClearArea:
         if limits.budget_m > 0.0 and (hindrance := self._hindrance(pose, limits)):
             return Proposal((), (), state._replace(verdict=f"not yet, because {hindrance}"))
         asking = most_undecided((contact for contact in contacts if contact.id not in request.left_out), plan)
-        world = World(ground, wanted, wished(plan.required_clearance), self._model, asking)
+        p = ground.p_detected
+        mean = (plan.required_clearance * np.count_nonzero(area.cells) - p[area.cells & ~wanted].sum()) / np.count_nonzero(wanted)
+        world = World(ground, wanted, wished(plan.required_clearance), self._model, asking, min(float(mean), 1.0))
         self._previous = found = replan(world, pose, limits, self._previous, more_time)
         verdict = "" if found.legs or self._untold else found.verdict
         return Proposal(found.waypoints, (), state._replace(verdict=verdict))

@@ -35,7 +35,7 @@ def laddered_legs(problem: Problem, tail_m: float, more_time: MoreTime) -> list[
     rungs = [found for heading in headings if (found := _rungs(problem, heading)) is not None]
     wanting = Wanting(problem)
     legs: list[int] = []
-    left_m2 = float(problem.cells.need @ problem.cells.weight_m2)
+    left_m2 = min(float(-np.expm1(-problem.cells.need) @ problem.cells.weight_m2), problem.enough_m2)
     for _ in range(_MOST_STAGES):
         best_m, best_legs, best_gain_m2 = left_m2 * tail_m, [], 0.0
         for found in rungs:
@@ -84,7 +84,7 @@ def _best_ladder(
             ideal = rungs.low_m + spacing_m * (np.arange(n) + share)
             at = np.unique(np.abs(rungs.offset_m - ideal[:, np.newaxis]).argmin(axis=1))
             legs = [leg for leg in rungs.leg[at].tolist() if leg not in taken]
-            gain_m2 = wanting.copy().take_all(legs)
+            gain_m2 = min(wanting.copy().take_all(legs), left_m2)
             length_m = float(problem.tracks.length_m[legs].sum()) + (len(legs) - 1) * _turn_m(spacing_m, problem.turns.radius_m)
             total_m = length_m + (left_m2 - gain_m2) * tail_m
             if total_m < best_m:

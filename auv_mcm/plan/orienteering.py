@@ -81,6 +81,7 @@ class Problem(NamedTuple):
     """Everything a route is measured by.
 
     contact_m2: (n,) what a look at the leg's contact is worth. other_side: (n,) the leg on the other side of the same contact, else itself.
+    enough_m2: what is gained of the sea floor beyond it is worth nothing.
     """
 
     tracks: Tracks
@@ -91,6 +92,7 @@ class Problem(NamedTuple):
     pose: Pose
     limits: Limits
     turns: Turns
+    enough_m2: float = math.inf
 
 
 class Wanting:
@@ -99,6 +101,7 @@ class Wanting:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         self._need = problem.cells.need.copy()
+        self._missed_m2 = problem.cells.weight_m2.copy()
         self._towards = np.zeros(len(problem.cells.need), dtype=np.uint64)  # looks of the plan alone
         self._seen_again = 1.0 - problem.model.other_look_correlation
         self._seen_alike = 1.0 - problem.model.same_look_correlation
@@ -109,27 +112,33 @@ class Wanting:
         other.__dict__ = {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()}
         return other
 
-    def per_cell(self, leg: int) -> tuple[slice, Array]:
-        """The elements of `Tracks` that a leg sees, and what it would add to each, up to what is wanting."""
+    def _added(self, leg: int) -> tuple[slice, NDArray[np.int32], Array]:
+        """The elements of `Tracks` that a leg sees, their cells, and the exponent it would add to each, up to what is wanting."""
         tracks = self._problem.tracks
         part = slice(tracks.first[leg], tracks.last[leg])
         cell = tracks.cell[part]
         alike = (self._towards[cell] & tracks.alike[part]) != 0
         renewed = np.where(alike, self._seen_alike, self._renewed[cell])
-        return part, np.minimum(self._need[cell], renewed * tracks.exponent[part])
+        return part, cell, np.minimum(self._need[cell], renewed * tracks.exponent[part])
+
+    def per_cell(self, leg: int) -> tuple[slice, Array]:
+        """The elements of `Tracks` that a leg sees, and what it would gain in each."""
+        part, cell, added = self._added(leg)
+        return part, -np.expm1(-added) * self._missed_m2[cell]
 
     def gain_m2(self, leg: int) -> float:
-        part, added = self.per_cell(leg)
-        return float(self._problem.contact_m2[leg] + added @ self._problem.cells.weight_m2[self._problem.tracks.cell[part]])
+        _, cell, added = self._added(leg)
+        return float(self._problem.contact_m2[leg] - np.expm1(-added) @ self._missed_m2[cell])
 
     def take(self, leg: int) -> float:
         """Have the leg sailed; what it gains."""
-        part, added = self.per_cell(leg)
-        cell = self._problem.tracks.cell[part]
+        part, cell, added = self._added(leg)
+        gained = -np.expm1(-added) * self._missed_m2[cell]
         self._need[cell] -= added
+        self._missed_m2[cell] -= gained
         self._renewed[cell] = self._seen_again
         self._towards[cell] |= self._problem.tracks.bit[part]
-        return float(self._problem.contact_m2[leg] + added @ self._problem.cells.weight_m2[cell])
+        return float(self._problem.contact_m2[leg] + gained.sum())
 
     def take_all(self, legs: Iterable[int]) -> float:
         return sum(map(self.take, legs))
@@ -139,6 +148,17 @@ def gains_m2(problem: Problem, legs: list[int]) -> list[float]:
     """What each leg adds to those before it."""
     wanting = Wanting(problem)
     return [wanting.take(leg) for leg in legs]
+
+
+def worth_m2(problem: Problem, legs: Iterable[int]) -> float:
+    """What legs gain together, of the sea floor no more than is enough."""
+    wanting = Wanting(problem)
+    floor_m2 = contacts_m2 = 0.0
+    for leg in legs:
+        contact_m2 = float(problem.contact_m2[leg])
+        floor_m2 += wanting.take(leg) - contact_m2
+        contacts_m2 += contact_m2
+    return min(floor_m2, problem.enough_m2) + contacts_m2
 
 
 def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], more_time: MoreTime) -> list[int]:
@@ -152,13 +172,15 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
     ends = np.concatenate([runs[:, 0], _reversed(runs[:, 1])])  # as entered
     way_m = rough_way_m(np.array([problem.pose]), ends, problem.turns.radius_m)
     chosen: list[int] = []
-    used_m = 0.0
+    used_m = floor_m2 = 0.0
+    tracks_heading = problem.tracks.heading
 
     def choose(leg: int) -> None:
-        nonlocal way_m, used_m
+        nonlocal way_m, used_m, floor_m2
         used_m += float(length_m[leg] + way_m[leg])
         chosen.append(leg)
-        wanting.take(leg)
+        gained_m2 = wanting.take(leg)
+        floor_m2 += gained_m2 if tracks_heading[leg] >= 0 else 0.0
         open_legs[[leg, problem.other_side[leg]]] = False
         way_m = np.minimum(way_m, rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.turns.radius_m))
 
@@ -180,6 +202,8 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
         if rate[leg] <= 0.0 or gain[leg] <= _LEAST_M2:
             break
         choose(leg)
+        if floor_m2 >= problem.enough_m2:
+            open_legs &= tracks_heading < 0
         if not more_time():
             break
     return chosen
@@ -187,10 +211,10 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
 
 def shifted_legs(problem: Problem, legs: list[int], reach: int, more_time: MoreTime) -> list[int]:
     """As many survey legs or fewer, each moved to the side as long as that gains more; legs that the others make needless go."""
-    best, best_m2 = legs, Wanting(problem).take_all(legs)
+    best, best_m2 = legs, worth_m2(problem, legs)
     for _ in range(_SWEEPS):
         tried = _moved(problem, best, reach, more_time)
-        tried_m2 = Wanting(problem).take_all(tried)
+        tried_m2 = worth_m2(problem, tried)
         if tried_m2 <= best_m2 + _LEAST_M2:
             break
         best, best_m2 = tried, tried_m2
@@ -199,10 +223,10 @@ def shifted_legs(problem: Problem, legs: list[int], reach: int, more_time: MoreT
         if not more_time():
             break
         fewer = [other for other in best if other != leg]
-        fewer_m2 = Wanting(problem).take_all(fewer)
+        fewer_m2 = worth_m2(problem, fewer)
         if _LEAST_M2 < best_m2 - fewer_m2 < _MADE_GOOD * best_m2:
             fewer = _moved(problem, fewer, reach, more_time)
-            fewer_m2 = Wanting(problem).take_all(fewer)
+            fewer_m2 = worth_m2(problem, fewer)
         if leg in best and fewer_m2 >= best_m2 - _LEAST_M2:
             best, best_m2 = fewer, fewer_m2
     return best
@@ -241,9 +265,9 @@ def trimmed_legs(problem: Problem, legs: list[int], more_time: MoreTime) -> tupl
     for leg in sorted(alone, key=lambda leg: (alone[leg], leg)):
         if not more_time():
             break
-        part, added = _without(problem, legs, leg).per_cell(leg)
+        part, gained = _without(problem, legs, leg).per_cell(leg)
         cell = tracks.cell[part]
-        useful = np.flatnonzero(added * cells.weight_m2[cell] > _LEAST_M2)
+        useful = np.flatnonzero(gained > _LEAST_M2)
         at = legs.index(leg)
         if not len(useful):
             del legs[at]
@@ -436,14 +460,17 @@ def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
     cost_m = tracks.length_m
     best = math.inf
     for taken in prefixes:
-        need = cells.need.copy()
+        need, missed_m2 = cells.need.copy(), cells.weight_m2.copy()
         base = float(problem.contact_m2[taken].sum())
         for leg in taken:
             part = slice(int(tracks.first[leg]), int(tracks.last[leg]))
-            added = np.minimum(need[tracks.cell[part]], most[part])
-            need[tracks.cell[part]] -= added
-            base += float(added @ cells.weight_m2[tracks.cell[part]])
-        value = np.minimum(need[tracks.cell], most) * cells.weight_m2[tracks.cell]
+            cell = tracks.cell[part]
+            added = np.minimum(need[cell], most[part])
+            gained = -np.expm1(-added) * missed_m2[cell]
+            need[cell] -= added
+            missed_m2[cell] -= gained
+            base += float(gained.sum())
+        value = -np.expm1(-np.minimum(need[tracks.cell], most)) * missed_m2[tracks.cell]
         total = np.append(0.0, np.cumsum(value))
         gain = total[tracks.last] - total[tracks.first] + problem.contact_m2
         gain[taken] = 0.0
@@ -453,6 +480,6 @@ def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
         order = np.argsort(-gain / np.maximum(cost_m, 1e-9), kind="stable")
         spent = np.cumsum(cost_m[order])
         share = np.clip((limits.budget_m - (spent - cost_m[order])) / np.maximum(cost_m[order], 1e-9), 0.0, 1.0)
-        wanted = float((need * cells.weight_m2).sum()) + float(problem.contact_m2[one_side].sum())
+        wanted = float(-np.expm1(-need) @ missed_m2) + float(problem.contact_m2[one_side].sum())
         best = min(best, base + min(float(share @ gain[order]), wanted))
     return best

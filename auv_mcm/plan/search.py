@@ -14,12 +14,12 @@ from auv_mcm.plan.orienteering import (
     Wanting,
     best_route,
     ends_of,
-    gains_m2,
     greedy_legs,
     rough_way_m,
     route_length_m,
     shifted_legs,
     trimmed_legs,
+    worth_m2,
 )
 
 NEARLY_ALL: Final = 0.99  # of what is wanting: the rest is rounding of cells
@@ -76,31 +76,32 @@ def searched(problem: Problem, more_time: MoreTime) -> tuple[Found, list[int]]:
 def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> Found:
     problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
     route = best_route(problem, legs, more_time)
-    found = Found(problem, route, _worth_m2(problem, route))
+    found = Found(problem, route, _net_m2(problem, route))
     wanting = Wanting(problem)
-    gain_m2 = wanting.take_all(way // 2 for way in route)
-    if gain_m2 >= NEARLY_ALL * wanting_m2_of(problem) or (route and not more_time()):
+    wanting.take_all(way // 2 for way in route)
+    if worth_m2(problem, (way // 2 for way in route)) >= NEARLY_ALL * wanting_m2_of(problem) or (route and not more_time()):
         return found
     # Rough ways have misjudged what the track suffices for: there may be some left.
     for leg in _fitting(problem, route, wanting):
         if found.route and not more_time():
             break
         fuller = best_route(problem, [*(way // 2 for way in found.route), leg], more_time)
-        worth_m2 = _worth_m2(problem, fuller)
-        found = Found(problem, fuller, worth_m2) if worth_m2 > found.worth_m2 else found
+        told_m2 = _net_m2(problem, fuller)
+        found = Found(problem, fuller, told_m2) if told_m2 > found.worth_m2 else found
     return found
 
 
-def _worth_m2(problem: Problem, route: list[int]) -> float:
+def _net_m2(problem: Problem, route: list[int]) -> float:
     near_m, far_m = problem.limits.swath
-    gain = sum(gains_m2(problem, [way // 2 for way in route]))
+    gain = worth_m2(problem, (way // 2 for way in route))
     return gain - _TRACK_M2 * 2.0 * (far_m - near_m) * route_length_m(problem, route)
 
 
 def wanting_m2_of(problem: Problem) -> float:
     """What could be gained by all there is to gain."""
     one_side = problem.other_side >= np.arange(problem.tracks.n_legs)
-    return float(problem.cells.need @ problem.cells.weight_m2) + float(problem.contact_m2[one_side].sum())
+    floor_m2 = float(-np.expm1(-problem.cells.need) @ problem.cells.weight_m2)
+    return min(floor_m2, problem.enough_m2) + float(problem.contact_m2[one_side].sum())
 
 
 def _fitting(problem: Problem, route: list[int], wanting: Wanting) -> list[int]:

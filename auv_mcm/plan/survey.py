@@ -1,7 +1,8 @@
 """The mission planned anew from what is known now: legs that clear what is not clear yet, and second looks at contacts, in one route.
 
-A cell that must be cleared wants the miss exponent -ln(1 - required). What a leg adds to it, and no more than it wants, is its gain,
-measured in square metres of unsearched floor made clear; a look at a contact gains what `contact_legs` says in the same measure.
+A cell that must be cleared wants the miss exponent -ln(1 - required). What a leg adds to the probability that a mine there is found, and
+no more than is wanted, is its gain, measured in square metres of unsearched floor made clear; a look at a contact gains what
+`contact_legs` says in the same measure. Where a mean over the area suffices, what exceeds it gains nothing.
 `tracks` has the legs to choose from, `ladders` and `orienteering` choose and order them. The plan is a proposal: the vehicle decides.
 """
 
@@ -27,9 +28,9 @@ from auv_mcm.plan.orienteering import (
     Wanting,
     ends_of,
     gain_bound_m2,
-    gains_m2,
     route_length_m,
     sailable,
+    worth_m2,
 )
 from auv_mcm.plan.reinspect import on_the_globe
 from auv_mcm.plan.search import NEARLY_ALL, searched, wanting_m2_of
@@ -47,8 +48,8 @@ _KNOWN_LEGS: Final = 40
 
 class World(NamedTuple):
     """What is known. area: bool, of the shape of the clearance's arrays (see `clearance_over`), cells that must be cleared; required: the
-    probability, below 1, with which a mine in each has to be found; performance: what looks are worth; contacts: with `next_look_deg` where
-    a look may decide.
+    probability, below 1, with which a mine in each has to be found; mean_required: the mean over the cells that suffices, 1 for none;
+    performance: what looks are worth; contacts: with `next_look_deg` where a look may decide.
     """
 
     clearance: Clearance
@@ -56,6 +57,7 @@ class World(NamedTuple):
     required: float
     performance: LookModel
     contacts: tuple[Contact, ...]
+    mean_required: float = 1.0
 
 
 class PlannedLeg(NamedTuple):
@@ -140,7 +142,7 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
     known = _left_of(previous, pose)
     looks = contact_legs(asking, world.clearance, world.performance, limits)
     tracks = survey_tracks(cells, world.performance, limits, [(leg.entry, leg.exit) for leg in known if not leg.contact_id])
-    problem = _problem(tracks, looks, cells, world.performance, pose, limits)
+    problem = _problem(tracks, looks, cells, world.performance, pose, limits)._replace(enough_m2=_enough_m2(world))
     if not problem.tracks.n_legs:
         if not is_open.any():
             verdict = _done(world) + f"; {len(asking)} contacts ask for a look that no leg can give"
@@ -173,12 +175,20 @@ def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cell
         east_m=np.asarray((column + clearance.first_east + 0.5) * clearance.cell_m, dtype=np.float64),
         north_m=np.asarray((row + clearance.first_north + 0.5) * clearance.cell_m, dtype=np.float64),
         need=wanted - clearance.exponent[at_cell],
-        weight_m2=np.full(len(row), share * clearance.cell_m**2 / wanted),
+        weight_m2=share * clearance.cell_m**2 / -np.expm1(-wanted) * np.exp(-clearance.exponent[at_cell]),
         looked=clearance.looks[at_cell] > 0,
         seabed=clearance.seabed[at_cell],
         ripple_rad=clearance.ripple_rad[at_cell],
         cell_m=clearance.cell_m,
     )
+
+
+def _enough_m2(world: World) -> float:
+    """What is still to be gained for the mean that is required."""
+    if world.mean_required >= 1.0:
+        return math.inf
+    p = world.clearance.p_detected[world.area]
+    return max(world.mean_required - float(p.mean()), 0.0) * p.size * world.clearance.cell_m**2 / world.required
 
 
 def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: Pose, limits: Limits) -> Problem:
@@ -241,7 +251,7 @@ def _kept_route(problem: Problem, known: list[PlannedLeg]) -> list[int]:
 
 
 def _is_better(problem: Problem, route: list[int], kept: list[int]) -> bool:
-    gain, kept_gain = (sum(gains_m2(problem, [way // 2 for way in ways])) for ways in (route, kept))
+    gain, kept_gain = (worth_m2(problem, (way // 2 for way in ways)) for ways in (route, kept))
     if gain >= BETTER * kept_gain:
         return True
     return gain >= 0.999 * kept_gain and BETTER * route_length_m(problem, route) <= route_length_m(problem, kept)
@@ -263,9 +273,8 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: W
         if leg in of_leg:
             contact_id, why = of_leg[leg].contact.id, contact_words(of_leg[leg])
         else:
-            part, added = wanting.per_cell(leg)
-            cell = tracks.cell[part][added > 0.0]
-            gained = added[added > 0.0] * cells.weight_m2[cell]
+            part, gained = wanting.per_cell(leg)
+            cell, gained = tracks.cell[part][gained > 0.0], gained[gained > 0.0]
             contact_id, why = "", survey_words(entry.heading_rad, gained, cells.seabed[cell], cells.ripple_rad[cell], cells.looked[cell])
         wanting.take(leg)
         legs.append(PlannedLeg(entry, leave, gain, contact_id, why))
@@ -335,7 +344,7 @@ def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[
             f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to {world.required:.2f} by any leg; "
             f"the best that can be reached is {mean:.2f} on average and {float(reach.min()):.2f} in the worst cell"
         )
-    wanting_m2, gain_m2 = wanting_m2_of(problem), sum(gains_m2(problem, [way // 2 for way in route]))
+    wanting_m2, gain_m2 = wanting_m2_of(problem), worth_m2(problem, (way // 2 for way in route))
     further_m = float(np.median(tracks.length_m)) + 2.0 * math.pi * problem.turns.radius_m
     if gain_m2 < NEARLY_ALL * wanting_m2 and route_length_m(problem, route) + further_m > budget_m:
         return f"cannot, because {budget_m:.0f} m of track suffice for {gain_m2 / wanting_m2:.0%} of what is wanting"

@@ -46,7 +46,8 @@ _ALIKE: Final = _bits_alike()
 
 
 class Cells(NamedTuple):
-    """Cells that are not cleared yet, (n,) each. need: miss exponent that is wanting. weight_m2: what a unit of it is worth, as area.
+    """Cells that are not cleared yet, (n,) each. need: miss exponent that is wanting. weight_m2: what it is worth, as area, that mines
+    there are found for sure which up to now are not.
 
     looked: whether it was looked at before, and thus a further look tells less.
     """

@@ -1,4 +1,4 @@
-"""One order flown in the same world replanned on the way, and as lawnmowers laid beforehand; all scored alike."""
+"""One order flown in the same world replanned on the way, and as a lawnmower laid beforehand; both scored alike."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import Clearance, LookModel
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.performance import shipped_performance
-from auv_mcm.records import SeabedType
 from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
+from sim_replay.adaptive.ground import would_come_to
 from sim_replay.adaptive.lawnmower import Lawnmower, shortest_lawnmower, worst_seabed
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
 from sim_replay.benches.scenes import config_for
@@ -26,8 +26,8 @@ from sim_replay.scoring.inputs import ReportedContact, Truth, TruthObject
 from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene import Origin
 
-AVERAGE: Final[dict[SeabedType, float]] = {"flat": 0.25, "ripple": 0.25, "rough": 0.25, "vegetation": 0.25}
-"""What is assumed of a sea floor of which nothing is known: the kinds in equal shares, which is their mean over worlds drawn here."""
+ABOVE: Final = 0.02
+"""By how much of mean clearance the replanned flight is to be better than what the lawnmower would give on the sea floor as mapped."""
 HALF_P: Final = 0.5
 GATE_M: Final = 2.0
 
@@ -49,8 +49,7 @@ class Counts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Arm(msgspec.Struct, frozen=True, kw_only=True):
-    """One flight. reached_m: track after which the map said that the order was met, None if never; then, with contacts as they were at
-    that moment, or at the end where it never came, and at_end."""
+    """One flight. reached_m: track after which the map said that the order was met, None if never. at_end: by all its contacts."""
 
     track_m: float
     duration_s: float
@@ -58,28 +57,24 @@ class Arm(msgspec.Struct, frozen=True, kw_only=True):
     verdict: str
     believed: float
     n_targets: int
-    then: Counts
     at_end: Counts
     targets: tuple[Target, ...]
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):
-    """worst, average: lawnmowers laid for the worst sea floor and for the average one; *_planned_m, *_expected: what was planned."""
+    """planned_m, expected: of the lawnmower as laid, for the worst sea floor everywhere."""
 
     seed: int
     area_km2: float
     required: float
     adaptive: Arm
-    worst: Arm
-    average: Arm
-    worst_planned_m: float
-    worst_expected: float
-    average_planned_m: float
-    average_expected: float
+    fixed: Arm
+    planned_m: float
+    expected: float
 
 
 def compare(seed: int) -> Compared:
-    """Fly and score the world of a seed all ways, with what ships."""
+    """Fly and score the world of a seed both ways, with what ships."""
     order, model = usual_order(), shipped_performance()
     flights = fly_all(seed, order, model)
     return Compared(
@@ -87,40 +82,40 @@ def compare(seed: int) -> Compared:
         area_km2=order.side_m**2 / 1e6,
         required=order.required,
         adaptive=_arm(flights.adaptive, order),
-        worst=_arm(flights.worst, order),
-        average=_arm(flights.average, order),
-        worst_planned_m=flights.for_worst.length_m,
-        worst_expected=flights.for_worst.expected,
-        average_planned_m=flights.for_average.length_m,
-        average_expected=flights.for_average.expected,
+        fixed=_arm(flights.fixed, order),
+        planned_m=flights.lawnmower.length_m,
+        expected=flights.lawnmower.expected,
     )
 
 
 class Flights(NamedTuple):
-    """for_worst, for_average: the lawnmowers that were flown as `worst` and `average`."""
+    """lawnmower: that was flown as `fixed`."""
 
     adaptive: Flight
-    worst: Flight
-    average: Flight
-    for_worst: Lawnmower
-    for_average: Lawnmower
+    fixed: Flight
+    lawnmower: Lawnmower
 
 
 def fly_all(seed: int, order: Order, model: LookModel) -> Flights:
-    """Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with."""
+    """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The replanned flight goes
+    on until the order is met and its map is ABOVE what the lawnmower would come to on the same sea floor, as the map has it by then.
+
+    Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with.
+    """
     scene = drawn_scene(seed, order.side_m)
     limits, config = limits_of(scene, order), config_for(scene)
     first = planned_legs(scene.track.plan)[0]
     start = Pose(first.east_m, first.north_m, first.direction_rad)
-    for_average, for_worst = (
-        shortest_lawnmower(order.side_m, order.required, assumed, model, limits, start)
-        for assumed in (AVERAGE, {worst_seabed(model, limits): 1.0})
-    )
-    if for_average is None or for_worst is None:
+    lawnmower = shortest_lawnmower(order.side_m, order.required, {worst_seabed(model, limits): 1.0}, model, limits, start)
+    if lawnmower is None:
         raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
-    adaptive = fly_adaptive(scene, order, by_replanning(order, model, limits, local_frame(scene.origin)), limits, model, config)
-    worst, average = (fly_fixed(scene, order, lawnmower.legs, model, config) for lawnmower in (for_worst, for_average))
-    return Flights(adaptive, worst, average, for_worst, for_average)
+    origin, legs = local_frame(scene.origin), lawnmower.legs
+
+    def wanted(ground: Clearance) -> float:
+        return max(order.required, would_come_to(ground, legs, origin, model, limits) + ABOVE)
+
+    adaptive = fly_adaptive(scene, order, by_replanning(order, model, limits, origin), limits, model, config, wanted)
+    return Flights(adaptive, fly_fixed(scene, order, legs, model, config), lawnmower)
 
 
 def _arm(flight: Flight, order: Order) -> Arm:
@@ -133,10 +128,7 @@ def _arm(flight: Flight, order: Order) -> Arm:
         return bool(0.0 <= east <= order.side_m and 0.0 <= north <= order.side_m)
 
     objects = tuple(msgspec.structs.replace(thing, looks=None) for thing in truth.objects)
-    told_then, contacts = (
-        tuple(filter(inside, parse_contacts(json.loads(contacts_geojson(some)), "the flight's contacts")))
-        for some in (flight.contacts_then, flight.contacts)
-    )
+    contacts = tuple(filter(inside, parse_contacts(json.loads(contacts_geojson(flight.contacts)), "the flight's contacts")))
     scored = Truth(area_km2=order.side_m**2 / 1e6, objects=objects)
     called = [contact for contact in contacts if contact.p_mine >= MINE_LIKE_P]
     targets = tuple(
@@ -151,7 +143,6 @@ def _arm(flight: Flight, order: Order) -> Arm:
         verdict=flight.verdict,
         believed=float(flight.ground.p_detected.mean()),
         n_targets=len(targets),
-        then=_counts(Mission(told_then, scored)),
         at_end=_counts(Mission(contacts, scored)),
         targets=targets,
     )

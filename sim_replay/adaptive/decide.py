@@ -34,9 +34,10 @@ def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalF
         world = World(
             clearance=now.ground,
             area=np.ones(now.ground.looks.shape, dtype=bool),
-            required=wished(order.required),
+            required=wished(now.required),
             performance=model,
             contacts=(),
+            mean_required=now.required,
         )
         there = limits._replace(fence=order.fence + corner, fence_margin_m=_FENCE_MARGIN_M, budget_m=now.left_m)
         plan = replan(world, now.pose, there, kept, _counted(_STEPS))

@@ -36,9 +36,11 @@ _TRACK_EVERY: Final = 5  # pings between places kept of the track
 
 class Situation(NamedTuple):
     """What is known when new legs are asked for. ground: of the ordered area, with what is flown but not told yet as it is expected;
-    pose: in its plane; left_m: of the budget. complete: nothing is expected that a plan could wait for."""
+    required: mean clearance that it is to come to. pose: in its plane; left_m: of the budget. complete: nothing is expected that a plan
+    could wait for."""
 
     ground: Clearance
+    required: float
     contacts: tuple[Contact, ...]
     pose: Pose
     left_m: float
@@ -54,6 +56,8 @@ class Decision(NamedTuple):
 
 
 Decide = Callable[[Situation], Decision]
+Wanted = Callable[[Clearance], float]
+"""The mean clearance that is to be reached, by what is known of the sea floor."""
 
 
 class Told(NamedTuple):
@@ -66,8 +70,8 @@ class Told(NamedTuple):
 class Flight(NamedTuple):
     """How a mission went. track: (n, 2) east and north in the scene's plane. ground: the ordered area at the end, every ping counted.
 
-    reached_m: track after which the ordered clearance was known to be reached, infinite if it never was; contacts_then: those of that
-    moment, or of the end. told: what was known when. reasons: of each decision.
+    reached_m: track after which the ordered clearance was known to be reached, infinite if it never was. told: what was known when.
+    reasons: of each decision.
     """
 
     way_m: float
@@ -77,7 +81,6 @@ class Flight(NamedTuple):
     track: Array
     ground: Clearance
     contacts: tuple[Contact, ...]
-    contacts_then: tuple[Contact, ...]
     told: tuple[Told, ...]
     reasons: tuple[str, ...]
     truth: dict[str, object]
@@ -85,13 +88,15 @@ class Flight(NamedTuple):
 
 def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel, config: Config) -> Flight:
     """Legs (scene's plane) flown to the end, whatever is found."""
-    return _Loop(scene, order, model, config, None, None).fly(legs)
+    return _Loop(scene, order, model, config, None, None, lambda ground: math.inf).fly(legs)
 
 
-def fly_adaptive(scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config) -> Flight:
-    """Legs decided on at the start and whenever one ends, until the ordered clearance is reached, `decide` has no more, or the budget is
-    used up."""
-    return _Loop(scene, order, model, config, decide, limits).fly(())
+def fly_adaptive(
+    scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted | None = None
+) -> Flight:
+    """Legs decided on at the start and whenever one ends, until the wanted clearance is reached, `decide` has no more, or the budget is
+    used up. wanted: None for what is ordered."""
+    return _Loop(scene, order, model, config, decide, limits, wanted or (lambda ground: order.required)).fly(())
 
 
 class _Flown(NamedTuple):
@@ -104,10 +109,19 @@ class _Flown(NamedTuple):
 
 
 class _Loop:
-    def __init__(self, scene: Scene, order: Order, model: LookModel, config: Config, decide: Decide | None, limits: Limits | None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        order: Order,
+        model: LookModel,
+        config: Config,
+        decide: Decide | None,
+        limits: Limits | None,
+        wanted: Wanted,
+    ) -> None:
         config = msgspec.structs.replace(config, waterfall=msgspec.structs.replace(config.waterfall, tile_rows=_TILE_ROWS))
         self._scene, self._order, self._model, self._config = scene, order, model, config
-        self._decide, self._limits = decide, limits
+        self._decide, self._limits, self._wanted = decide, limits, wanted
         self._mission = Mission(scene, block_pings=_BLOCK_PINGS)
         self._pipeline = Pipeline(config)
         self._map = ClearanceMap(model)
@@ -123,7 +137,6 @@ class _Loop:
         self._waits_from_s = math.inf  # for what was flown until then to be told
         self._verdict = ""
         self._reached_m = math.inf
-        self._contacts_then: tuple[Contact, ...] | None = None
         self._told: list[Told] = []
         self._reasons: list[str] = []
         self._track: list[tuple[float, float]] = []
@@ -161,7 +174,6 @@ class _Loop:
             track=np.array(self._track).reshape(-1, 2),
             ground=self._ground(),
             contacts=self._pipeline.contacts,
-            contacts_then=self._pipeline.contacts if self._contacts_then is None else self._contacts_then,
             told=tuple(self._told),
             reasons=tuple(self._reasons),
             truth=self._mission.truth(),
@@ -190,12 +202,14 @@ class _Loop:
             return
         told_s = min(self._told_until.values())
         self._untold = [flown for flown in self._untold if flown.time_s > told_s]
-        p_detected = float(self._ground().p_detected.mean())
+        ground = self._ground()
+        p_detected = float(ground.p_detected.mean())
         self._told.append(Told(self._way_m, p_detected))
-        if p_detected >= self._order.required and self._reached_m == math.inf:
-            self._reached_m, self._contacts_then = self._way_m, self._pipeline.contacts
-            if self._decide is not None:
-                self._verdict = f"done: mines in the area are found with probability {p_detected:.3f}"
+        if p_detected < self._order.required:
+            return
+        self._reached_m = min(self._reached_m, self._way_m)
+        if not self._verdict and p_detected >= self._wanted(ground):
+            self._verdict = f"done: mines in the area are found with probability {p_detected:.3f}"
 
     def _ground(self) -> Clearance:
         return over_area(self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m)
@@ -221,22 +235,24 @@ class _Loop:
     def _replan(self, here: _Flown) -> None:
         assert self._decide is not None
         assert self._limits is not None
-        ground = self._ground()
+        known = ground = self._ground()
         for side in SIDES:
             until = self._told_until[side]
             ground = with_expected(ground, self._model, self._limits, side, self._in_plane([f for f in self._untold if f.time_s > until]))
         pose = Pose(*self._in_plane([here])[0].tolist())
         complete = self._last is None or min(self._told_until.values()) >= min(self._waits_from_s, here.time_s)
         left_m = self._order.budget_m - self._way_m
-        decision = self._decide(Situation(ground, self._pipeline.contacts, pose, left_m, complete))
+        required = self._wanted(known)
+        decision = self._decide(Situation(ground, required, self._pipeline.contacts, pose, left_m, complete))
         self._reasons.append(decision.why)
         if decision.legs:
             self._waits_from_s = math.inf
             self._fly_on([self._to_scene(leg) for leg in decision.legs], here)
-        elif complete:
+        elif complete and ground.p_detected.mean() < required:
             self._verdict = decision.verdict
         else:
-            self._waits_from_s = min(self._waits_from_s, here.time_s)
+            # What was flown while waiting may be expected to do: then that is waited for, too.
+            self._waits_from_s = here.time_s if complete else min(self._waits_from_s, here.time_s)
             self._fly_on([], here)
 
     def _fly_on(self, legs: list[Leg], here: _Flown) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import msgspec
@@ -13,12 +14,14 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import clearance_over, unsearched
-from auv_mcm.records import Side
+from auv_mcm.records import SIDES, Side
 from sim_replay.adaptive.order import Order
+from sim_replay.simulator.plan import Leg
 
 Array = NDArray[np.float64]
 
 _ACROSS_M: Final = 0.5
+_ALONG_M: Final = 1.0
 
 
 def over_area(clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float) -> Clearance:
@@ -74,3 +77,21 @@ def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Sid
     exponent[place] -= renewed * np.log1p(-fraction * np.clip(p, 0.0, HIGHEST_P))
     looks[place] = np.minimum(looks[place], 254) + 1
     return msgspec.structs.replace(ground, exponent=exponent, looks=looks)
+
+
+def would_come_to(ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, model: LookModel, limits: Limits) -> float:
+    """Mean clearance that legs would give, flown over the sea floor as it is known, were nothing else flown.
+
+    legs: in the plane of `origin`, which is as good as parallel to the clearance's. Where nothing is known the worst is assumed.
+    """
+    here = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
+    corner = here.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)
+    flown = msgspec.structs.replace(ground, exponent=np.zeros_like(ground.exponent), looks=np.zeros_like(ground.looks))
+    for leg in legs:
+        along = np.arange(0.5 * _ALONG_M, leg.length_m, _ALONG_M)
+        east = leg.east_m + float(corner[0]) + along * math.sin(leg.direction_rad)
+        north = leg.north_m + float(corner[1]) + along * math.cos(leg.direction_rad)
+        track = np.column_stack([east, north, np.full(len(along), leg.direction_rad)])
+        for side in SIDES:
+            flown = with_expected(flown, model, limits, side, track)
+    return float(flown.p_detected.mean())

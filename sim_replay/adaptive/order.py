@@ -27,14 +27,13 @@ from sim_replay.simulator.scene import (
     World,
 )
 
-SIDE_M: Final = 80.0
+SIDE_M: Final = 120.0
 REQUIRED: Final = 0.6
 
 _MARGIN_M: Final = 60.0  # of sea room around the area
-_BUDGET_M: Final = 3000.0
+_BUDGET_M: Final = 4000.0
 _APART_M: Final = 8.0
-_N_MINES_PER_KIND: Final = 3
-_N_ROCKS: Final = 15
+_MINES_PER_KIND_M2: Final = 1.0 / 2400.0
 _TURN_RATE_DEG_S: Final = 12.0
 _RUN_IN_M: Final = 30.0  # before the area, where the vehicle starts
 _FIRST_LEG_M: Final = 18.0  # inside the area's western edge
@@ -65,9 +64,9 @@ def usual_order(side_m: float = SIDE_M, required: float = REQUIRED, budget_m: fl
 def drawn_scene(seed: int, side_m: float = SIDE_M) -> Scene:
     """A world around the ordered area, with the vehicle about to enter it northwards near its western edge.
 
-    Three mines of each kind and fifteen rocks lie in the area, sizes, strengths and burial as in the scenes that rates are taken on. The
-    shares of the kinds of sea floor differ from seed to seed (Dirichlet with parameter 1 of four groups). The track's own plan, a
-    lawnmower, is there to be replaced. Raises UsageError if the area has no room for them.
+    A mine of each kind per 2400 square metres and as many rocks as mines lie in the area, sizes, strengths and burial as in the scenes that
+    rates are taken on. The shares of the kinds of sea floor differ from seed to seed (Dirichlet with parameter 1 of four groups). The
+    track's own plan, a lawnmower, is there to be replaced. Raises UsageError if the area has no room for them.
     """
     rng = np.random.Generator(np.random.PCG64([seed, _STREAM]))
     wavelength_m = float(rng.uniform(0.7, 1.5))
@@ -89,7 +88,7 @@ def drawn_scene(seed: int, side_m: float = SIDE_M) -> Scene:
     return Scene(
         name=f"adaptive {seed}",
         seed=seed,
-        world=World(depth_m=25.0, seabeds=seabeds, patch_m=40.0, relief_rms_m=0.1),
+        world=World(depth_m=25.0, seabeds=seabeds, patch_m=50.0, relief_rms_m=0.1),
         objects=_objects(rng, side_m),
         sonar=Sonar(
             range_m=40.0, n_samples=800, ping_rate_hz=10.0, range_resolution_m=0.07, speckle_along_track_m=0.15, recorder=_UNCLIPPED
@@ -130,7 +129,10 @@ def limits_of(scene: Scene, order: Order, config: WaterfallConfig | None = None)
 
 def _objects(rng: np.random.Generator, side_m: float) -> tuple[SceneObject, ...]:
     """Mines and rocks anywhere in the area, apart from each other."""
-    kinds: list[ObjectKind] = [kind for kind in _MINE_KINDS for _ in range(_N_MINES_PER_KIND)] + ["rock"] * _N_ROCKS
+    per_kind = max(1, round(_MINES_PER_KIND_M2 * side_m**2))
+    mines: list[ObjectKind] = [kind for kind in _MINE_KINDS for _ in range(per_kind)]
+    rocks: list[ObjectKind] = ["rock"] * len(mines)
+    kinds = mines + rocks
     places: list[tuple[float, float]] = []
     for _ in range(_TRIES):
         east, north = rng.uniform(1.0, side_m - 1.0, 2).tolist()

@@ -1,9 +1,9 @@
-"""Many comparisons as a table per rival: means of both ways, and their difference mission by mission with a 95 % interval."""
+"""Many comparisons as a table: means of both ways, and their difference mission by mission with a 95 % interval."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,6 @@ from sim_replay.adaptive.compare import Arm, Compared
 
 Array = NDArray[np.float64]
 
-Rival: TypeAlias = Literal["worst", "average"]
-RIVALS: Final[tuple[Rival, ...]] = get_args(Rival)
-"""Lawnmowers laid for the worst sea floor and for the average one."""
 HEADER: Final = ("", "missions", "replanned", "lawnmower", "difference (95 %)")
 _RESAMPLES: Final = 4000
 _SEED: Final = 1
@@ -44,22 +41,18 @@ def paired(adaptive: Array, fixed: Array, of: Array) -> Paired:
     return Paired(float(adaptive.sum()) / total, float(fixed.sum()) / total, low, high)
 
 
-def rows(missions: Sequence[Compared], rival: Rival) -> list[list[str]]:
-    """Lines of the table under HEADER, beside one of the lawnmowers."""
-
-    def fixed_of(mission: Compared) -> Arm:
-        return mission.worst if rival == "worst" else mission.average
-
+def rows(missions: Sequence[Compared]) -> list[list[str]]:
+    """Lines of the table under HEADER."""
     ones = np.ones(len(missions))
     area = np.array([mission.area_km2 for mission in missions])
     targets = np.array([float(mission.adaptive.n_targets) for mission in missions])
-    both = [mission for mission in missions if mission.adaptive.reached_m is not None and fixed_of(mission).reached_m is not None]
+    both = [mission for mission in missions if None not in (mission.adaptive.reached_m, mission.fixed.reached_m)]
 
     def row(title: str, value: Callable[[Arm], float], of: Array, form: str, some: Sequence[Compared] = missions) -> list[str]:
         if not some:
             return [title, "0", "-", "-", "-"]
         adaptive, fixed = (
-            np.array([float(value(arm)) for arm in arms]) for arms in zip(*((m.adaptive, fixed_of(m)) for m in some), strict=True)
+            np.array([float(value(arm)) for arm in arms]) for arms in zip(*((m.adaptive, m.fixed) for m in some), strict=True)
         )
         told = paired(adaptive, fixed, of)
         sign = form.replace(":", ":+")
@@ -71,10 +64,6 @@ def rows(missions: Sequence[Compared], rival: Rival) -> list[list[str]]:
         row("time, s", lambda arm: arm.duration_s, ones, "{:.0f}"),
         row("share that reached the order", lambda arm: arm.reached_m is not None, ones, "{:.2f}"),
         row("track until reached where both did, m", lambda arm: arm.reached_m or 0.0, np.ones(len(both)), "{:.0f}", both),
-        row("Pd when reached, mine-like", lambda arm: arm.then.n_found, targets, "{:.3f}"),
-        row("Pd when reached, p_mine 0.5", lambda arm: arm.then.n_found_half, targets, "{:.3f}"),
-        row("FA/km² when reached, mine-like", lambda arm: arm.then.n_false, area, "{:.0f}"),
-        row("FA/km² when reached, p_mine 0.5", lambda arm: arm.then.n_false_half, area, "{:.0f}"),
         row("clearance at the end, as believed", lambda arm: arm.believed, ones, "{:.3f}"),
         row("the same where mines lie", lambda arm: sum(target.p_detected for target in arm.targets), targets, "{:.3f}"),
         row("Pd at the end, mine-like", lambda arm: arm.at_end.n_found, targets, "{:.3f}"),
@@ -84,8 +73,7 @@ def rows(missions: Sequence[Compared], rival: Rival) -> list[list[str]]:
     ]
 
 
-def planned_words(missions: Sequence[Compared], rival: Rival) -> str:
-    """What the lawnmowers of one kind were planned to be."""
-    told = [(m.worst_planned_m, m.worst_expected) if rival == "worst" else (m.average_planned_m, m.average_expected) for m in missions]
-    planned_m, expected = np.mean(told, axis=0).tolist()
-    return f"beside the lawnmower laid for the {rival} sea floor: {planned_m:.0f} m planned, clearance expected there {expected:.3f}"
+def planned_words(missions: Sequence[Compared]) -> str:
+    """What the lawnmowers were planned to be."""
+    planned_m, expected = np.mean([(mission.planned_m, mission.expected) for mission in missions], axis=0).tolist()
+    return f"beside the lawnmower laid for the worst sea floor: {planned_m:.0f} m planned, clearance expected there {expected:.3f}"

@@ -1,10 +1,8 @@
 """Whether replanning on the way clears an area with less track than a lawnmower laid beforehand, over missions on mixed sea floor.
 
-All are flown through the same simulated worlds with the same chain; looks are worth the same to all planners. What lies where is not
-known when a lawnmower is laid. One is the shortest that is expected to do what is ordered even on the worst sea floor, so that it hardly
-ever fails to; the other the shortest for a sea floor with all kinds in equal shares, which is what the worlds have on average: it fails
-where the sea floor is harder than that. Lawnmowers are flown to their end; what stopping them when the map says that the order is met
-would have given is told, too.
+Both are flown through the same simulated worlds with the same chain; looks are worth the same to both planners. What lies where is not
+known when the lawnmower is laid: it is the shortest that is expected to do what is ordered even on the worst sea floor, and is flown to its
+end. The replanned flight goes on until the order is met and its map is as good as the lawnmower would have made it, and a little better.
 """
 
 from __future__ import annotations
@@ -23,21 +21,21 @@ from auv_mcm.plan.performance import shipped_performance
 from sim_replay.adaptive.compare import Compared, compare, fly_all
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
 from sim_replay.adaptive.picture import mission_png
-from sim_replay.adaptive.summary import HEADER, RIVALS, planned_words, rows
+from sim_replay.adaptive.summary import HEADER, planned_words, rows
 from sim_replay.benches.arguments import count
 from sim_replay.benches.layout import markdown
 from sim_replay.training.farm import Farm, run_tasks
 
-FIRST_SEED: Final = 9400  # on seeds from here on nothing was ever tuned
+FIRST_SEED: Final = 9430  # on seeds from here on nothing was ever tuned
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--missions", type=count, default=30, help="worlds, each flown all three ways (default 30)")
+    parser.add_argument("--missions", type=count, default=30, help="worlds, each flown both ways (default 30)")
     parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first world (default {FIRST_SEED})")
     parser.add_argument("--workers", type=count, default=2, help="worlds flown at once (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write what came of each mission to FILE")
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw the first world, flown all ways, to FILE (PNG), and fly no other"
+        "--picture", type=Path, metavar="FILE", help="draw the first world, flown both ways, to FILE (PNG), and fly no other"
     )
 
 
@@ -50,9 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         order = usual_order()
         flights = fly_all(first, order, shipped_performance())
-        drawn = mission_png(
-            drawn_scene(first, order.side_m), order, {"replanned": flights.adaptive, "worst": flights.worst, "average": flights.average}
-        )
+        drawn = mission_png(drawn_scene(first, order.side_m), order, {"replanned": flights.adaptive, "lawnmower": flights.fixed})
         _write("--picture", arguments.picture, drawn)
         return 0
     seeds = range(first, first + arguments.missions)
@@ -68,14 +64,13 @@ def run(arguments: argparse.Namespace) -> int:
     print(file=sys.stderr)
     where = f"{len(missions)} worlds of {SIDE_M:g} m by {SIDE_M:g} m, seeds {seeds.start} to {seeds.stop - 1}"
     print(f"{where}; clearance ordered: {REQUIRED:g} on average over the area")
-    for rival in RIVALS:
-        print(f"\n{planned_words(missions, rival)}\n")
-        print(markdown(HEADER, rows(missions, rival)))
+    print(f"\n{planned_words(missions)}\n")
+    print(markdown(HEADER, rows(missions)))
     return 0
 
 
 def fly(seed: int) -> Compared:
-    """One world, all ways."""
+    """One world, both ways."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     return compare(seed)
 

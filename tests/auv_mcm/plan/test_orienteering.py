@@ -38,7 +38,7 @@ def problem_of(state: World, limits: Limits, kept: list[int] | None = None) -> P
         east_m=np.asarray((column + 0.5) * clearance.cell_m, dtype=np.float64),
         north_m=np.asarray((row + 0.5) * clearance.cell_m, dtype=np.float64),
         need=np.full(n, wanted),
-        weight_m2=np.full(n, clearance.cell_m**2 / wanted),
+        weight_m2=np.full(n, clearance.cell_m**2 / state.required),
         looked=np.zeros(n, dtype=np.bool_),
         seabed=clearance.seabed[row, column],
         ripple_rad=clearance.ripple_rad[row, column],

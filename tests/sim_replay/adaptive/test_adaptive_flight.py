@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from small_worlds import SIDE_M, Worth, coarse_config, fly_small, small_order, small_scene
 
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import Clearance
 from auv_mcm.plan.dubins import Pose
+from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import Decision, Flight, Situation, fly_adaptive, fly_fixed
+from sim_replay.adaptive.ground import over_area, would_come_to
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower
 from sim_replay.adaptive.order import limits_of
-from sim_replay.simulator.plan import planned_legs
+from sim_replay.simulator.plan import local_frame, planned_legs
 
 GOOD = Worth(0.6)
 
@@ -51,6 +55,39 @@ def test_a_sea_floor_on_which_nothing_is_found_ends_the_flight_at_once_with_word
     assert flight.verdict.startswith("cannot, because")
     assert flight.way_m == 0.0
     assert flight.reached_m == np.inf
+
+
+def test_what_is_wanted_beyond_the_order_by_what_is_known_is_flown_for_as_well(cleared: Flight) -> None:
+    scene, order = small_scene(), small_order()
+    limits = limits_of(scene, order)
+    decide = by_replanning(order, GOOD, limits, local_frame(scene.origin))
+    seen: list[float] = []
+
+    def wanted(ground: Clearance) -> float:
+        seen.append(float(ground.p_detected.mean()))
+        return 0.75
+
+    flight = fly_adaptive(scene, order, decide, limits, GOOD, coarse_config(), wanted)
+    assert flight.verdict.startswith("done")
+    assert flight.ground.p_detected.mean() >= 0.75
+    assert seen[-1] >= 0.75
+    assert flight.reached_m < flight.way_m
+
+
+def test_what_a_lawnmower_would_come_to_is_what_was_expected_where_the_floor_is_as_assumed() -> None:
+    scene, order = small_scene(), small_order(required=0.8)
+    limits = limits_of(scene, order)
+    origin = local_frame(scene.origin)
+    first = planned_legs(scene.track.plan)[0]
+    lawnmower = shortest_lawnmower(SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, Pose(first.east_m, first.north_m, 0.0))
+    assert lawnmower is not None
+    # The ground's plane may lie elsewhere than the scene's.
+    plane = LocalFrame(latitude_deg=origin.latitude_deg + 3e-4, longitude_deg=origin.longitude_deg - 2e-4)
+    for there in (origin, plane):
+        ground = over_area(None, order, origin, there, 4.0)
+        told = would_come_to(ground, lawnmower.legs, origin, GOOD, limits)
+        assert told == pytest.approx(lawnmower.expected, abs=0.04)
+    assert would_come_to(ground, lawnmower.legs[:1], origin, GOOD, limits) < told
 
 
 def test_an_order_that_takes_more_track_than_there_is_ends_within_the_budget() -> None:

@@ -24,24 +24,20 @@ def arm(track_m: float, n_found: int, reached_m: float | None) -> Arm:
         verdict="",
         believed=0.71,
         n_targets=10,
-        then=counts,
         at_end=counts,
         targets=targets,
     )
 
 
-def mission(seed: int, adaptive: Arm, worst: Arm, average: Arm) -> Compared:
+def mission(seed: int, adaptive: Arm, fixed: Arm) -> Compared:
     return Compared(
         seed=seed,
         area_km2=0.01,
         required=0.7,
         adaptive=adaptive,
-        worst=worst,
-        average=average,
-        worst_planned_m=2000.0,
-        worst_expected=0.72,
-        average_planned_m=1000.0,
-        average_expected=0.71,
+        fixed=fixed,
+        planned_m=2000.0,
+        expected=0.72,
     )
 
 
@@ -63,27 +59,24 @@ def test_the_interval_covers_the_true_difference_about_as_often_as_it_says() -> 
 
 
 def test_tracks_until_reached_are_compared_only_where_both_reached() -> None:
-    average = arm(1000.0, 5, None)
     missions = [
-        mission(1, arm(800.0, 8, 700.0), arm(2000.0, 9, 1000.0), average),
-        mission(2, arm(900.0, 7, 880.0), arm(2000.0, 6, None), average),
+        mission(1, arm(800.0, 8, 700.0), arm(2000.0, 9, 1000.0)),
+        mission(2, arm(900.0, 7, 880.0), arm(2000.0, 6, None)),
     ]
-    table = {row[0]: row[1:] for row in rows(missions, "worst")}
+    table = {row[0]: row[1:] for row in rows(missions)}
     assert all(len(row) == len(HEADER) - 1 for row in table.values())
     assert table["track flown, m"][:3] == ["2", "850", "2000"]
     assert table["track until reached where both did, m"][:3] == ["1", "700", "1000"]
     assert table["share that reached the order"][1:3] == ["1.00", "0.50"]
-    assert table["Pd when reached, mine-like"][1:3] == ["0.750", "0.750"]
-    assert "2000 m planned" in planned_words(missions, "worst")
+    assert table["Pd at the end, mine-like"][1:3] == ["0.750", "0.750"]
+    assert "2000 m planned" in planned_words(missions)
 
 
 def test_a_lawnmower_that_never_reached_is_told_as_such() -> None:
-    missions = [mission(1, arm(800.0, 8, 700.0), arm(2000.0, 9, 1000.0), arm(1000.0, 5, None))]
-    table = {row[0]: row[1:] for row in rows(missions, "average")}
+    table = {row[0]: row[1:] for row in rows([mission(1, arm(800.0, 8, 700.0), arm(1000.0, 5, None))])}
     assert table["share that reached the order"][1:3] == ["1.00", "0.00"]
     assert table["track until reached where both did, m"] == ["0", "-", "-", "-"]
     assert table["track flown, m"][1:3] == ["800", "1000"]
-    assert "1000 m planned" in planned_words(missions, "average")
 
 
 def test_worlds_come_from_their_seed_alone_and_hold_all_objects_inside_the_area() -> None:
@@ -93,9 +86,9 @@ def test_worlds_come_from_their_seed_alone_and_hold_all_objects_inside_the_area(
     places = [(thing.east_m or 0.0, thing.north_m or 0.0) for thing in scene.objects]
     assert all(0.0 < value < SIDE_M for place in places for value in place)
     assert min(math.dist(a, b) for k, a in enumerate(places) for b in places[:k]) >= 8.0
-    assert sum(thing.kind in TARGET_KINDS for thing in scene.objects) == 15
+    assert sum(thing.kind in TARGET_KINDS for thing in scene.objects) == 30
 
 
 def test_an_area_without_room_is_refused_with_what_to_do() -> None:
     with pytest.raises(UsageError, match="take a larger one"):
-        drawn_scene(860, 12.0)
+        drawn_scene(860, 7.0)
