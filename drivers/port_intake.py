@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Final
+from typing import Final, TypeVarTuple
 
 from auv_mcm.config import Config
 from auv_mcm.records import Notice, Ping, SourceEvent
@@ -19,6 +18,7 @@ from drivers.stamps import Stamp
 from drivers.utc import UtcReference
 
 log = logging.getLogger(__name__)
+Ts = TypeVarTuple("Ts")
 
 NO_PORT: Final = ""
 """The name under which ticks of the clock are fed and recorded."""
@@ -64,7 +64,7 @@ class PortIntake:
                 self._own["intake.unknown_port"] += 1
             else:
                 events += self._merged(stream.feed(data, stamp))
-        return events + self._survived(partial(self._merge.advance, stamp))
+        return events + self._survived(self._merge.advance, stamp)
 
     def finish(self) -> list[SourceEvent]:
         """No bytes follow."""
@@ -80,17 +80,17 @@ class PortIntake:
         for item in told:
             if isinstance(item, NavFix):
                 events += self._utc.told(item)
-                events += self._survived(partial(self._merge.feed, item))
+                events += self._survived(self._merge.feed, item)
             elif isinstance(item, Ping) and self._heads is not None:
                 events += self._heads.add(item)
             else:
                 events.append(item)
         return events
 
-    def _survived(self, work: Callable[[], Sequence[SourceEvent]]) -> list[SourceEvent]:
+    def _survived(self, work: Callable[[*Ts], Sequence[SourceEvent]], *given: *Ts) -> list[SourceEvent]:
         """What merging says; if it fails, which is a defect, what it was given is lost, and that is counted and told."""
         try:
-            return [*work()]
+            return [*work(*given)]
         except Exception as error:
             self._own["intake.failed"] += 1
             if self._own["intake.failed"] > 1:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import signal
 import statistics
 import subprocess
@@ -60,6 +61,13 @@ class StartUp(NamedTuple):
     ready_s: float
     decoded_s: float
     taken_s: float
+
+
+class Cost(NamedTuple):
+    """Of a service's own process. share: of a core, all threads. wake_ups_hz: of its event loop."""
+
+    share: float
+    wake_ups_hz: float
 
 
 class Latency(NamedTuple):
@@ -219,8 +227,9 @@ def run(arguments: argparse.Namespace) -> int:
             _print_starts([start_up(next(folders), baud) for _ in range(repeat)])
         for kind, messages in kinds.items():
             told = messages(round((seconds + _SPARE_S) * baud / _BITS_PER_BYTE))
-            shares = [cpu_share(told, seconds, next(folders), baud) for _ in range(repeat)]
-            print(f"{kind:<34}{100.0 * statistics.median(shares):>8.1f} % of a core", flush=True)
+            costs = [cost(told, seconds, next(folders), baud) for _ in range(repeat)]
+            share, wake_ups_hz = (statistics.median(figures) for figures in zip(*costs, strict=True))
+            print(f"{kind:<34}{100.0 * share:>8.1f} % of a core, woken {wake_ups_hz:.0f} times a second", flush=True)
         if "latency" in arguments.only:
             _print_latencies([latency(seconds, next(folders), baud) for _ in range(repeat)])
     return 0
@@ -253,14 +262,15 @@ def start_up(folder: Path, baud: int) -> StartUp:
     )
 
 
-def cpu_share(messages: Sequence[bytes], seconds: float, folder: Path, baud: int) -> float:
-    """Of one core, that a service's own process takes with these messages on the line."""
+def cost(messages: Sequence[bytes], seconds: float, folder: Path, baud: int) -> Cost:
+    """What a service takes with these messages on the line."""
     with Line(messages, baud) as line, served(line, folder, baud) as service:
         service.said_s("ready: ")
         time.sleep(_SETTLE_S)
-        begun_s, begun_cpu_s = time.monotonic(), _cpu_s(service.pid)
+        begun_s, begun_cpu_s, n_before = time.monotonic(), _cpu_s(service.pid), _n_wake_ups(service.pid)
         time.sleep(seconds)
-        return (_cpu_s(service.pid) - begun_cpu_s) / (time.monotonic() - begun_s)
+        took_s = time.monotonic() - begun_s
+        return Cost((_cpu_s(service.pid) - begun_cpu_s) / took_s, (_n_wake_ups(service.pid) - n_before) / took_s)
 
 
 def latency(seconds: float, folder: Path, baud: int) -> Latency:
@@ -337,6 +347,11 @@ def _cpu_s(pid: int) -> float:
 def _waited_s(pid: int) -> float:
     """For how long the main thread of a process could have run, but had no core."""
     return int(Path(f"/proc/{pid}/schedstat").read_text("ascii").split()[1]) / 1e9
+
+
+def _n_wake_ups(pid: int) -> int:
+    """How often the main thread of a process has gone to sleep, to be woken."""
+    return int(re.findall(r"\nvoluntary_ctxt_switches:\s+(\d+)", Path(f"/proc/{pid}/status").read_text("ascii"))[0])
 
 
 def _children(pid: int) -> list[int]:

@@ -11,7 +11,7 @@ import pytest
 from auv_mcm.cli import main
 from drivers.framing import Framer
 from drivers.sonar.ping_protocol import PingGrammar
-from sim_replay.benches.ports import GARBAGE, Line, cpu_share, latency, pings, start_up
+from sim_replay.benches.ports import GARBAGE, Line, cost, latency, pings, start_up
 
 BAUD = 921_600
 
@@ -68,4 +68,6 @@ def test_a_part_is_measured_without_the_others(capsys: pytest.CaptureFixture[str
 
 
 def test_a_service_takes_processor_time_for_pings(tmp_path: Path) -> None:
-    assert cpu_share(pings(1_000_000), 1, tmp_path / "run", BAUD) > 0.0
+    measured = cost(pings(1_000_000), 1, tmp_path / "run", BAUD)
+    assert measured.share > 0.0
+    assert measured.wake_ups_hz > 0.0
