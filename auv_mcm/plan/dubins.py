@@ -23,6 +23,7 @@ Flags: TypeAlias = NDArray[np.bool_]
 _TURN: Final[dict[int, Turn]] = {-1: "left", 0: "straight", 1: "right"}
 # Sign of each part's turn: right turns add heading. Equal lengths are settled by this order.
 _WORDS: Final = ((-1, 0, -1), (1, 0, 1), (-1, 0, 1), (1, 0, -1), (-1, 1, -1), (1, -1, 1))
+_N_STRAIGHT: Final = 4  # that have a straight, first in order
 _ROUNDING: Final = 1e-12  # radians, and lengths over the radius, that rounding alone makes
 
 
@@ -57,14 +58,27 @@ def dubins_path(start: Pose, end: Pose, turn_radius_m: float, leave: Flags | Non
     """
     if not (turn_radius_m > 0.0 and all(map(math.isfinite, (*start, *end, turn_radius_m)))):
         raise ValueError(f"no path from {start} to {end} with turn radius {turn_radius_m} m: needs finite poses and a positive radius")
-    parts = _allowed(_word_parts(np.array(start), np.array(end), turn_radius_m), leave, arrive)
-    word = int(np.argmin(parts.sum(axis=-1)))
-    if not np.isfinite(parts[word]).all():
+    leave, arrive = (None if flags is None else flags[np.newaxis] for flags in (leave, arrive))
+    (path,) = dubins_paths(np.array([[start, end]]), turn_radius_m, leave, arrive)
+    if path is None:
         raise ValueError(f"no path from {start} to {end} with the turns that are allowed")
-    first, second, third = (
-        Segment(_TURN[turn], float(length)) for turn, length in zip(_WORDS[word], parts[word] * turn_radius_m, strict=True)
-    )
-    return DubinsPath(start, turn_radius_m, first.length_m + second.length_m + third.length_m, (first, second, third))
+    return path
+
+
+def dubins_paths(ends: Array, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None) -> list[DubinsPath | None]:
+    """`dubins_path` for each of (n, 2, 3) starts and ends, finite ones; None where no allowed path exists. leave, arrive: (n, 2)."""
+    parts = _allowed_parts(ends[:, 0], ends[:, 1], turn_radius_m, leave, arrive)
+    word = np.argmin(parts.sum(axis=-1), axis=0)
+    length_m = parts[word, np.arange(len(ends))] * turn_radius_m
+    paths: list[DubinsPath | None] = []
+    for number, (start, lengths) in enumerate(zip(ends[:, 0].tolist(), length_m.tolist(), strict=True)):
+        if not math.isfinite(sum(lengths)):
+            paths.append(None)
+            continue
+        first, second, third = (Segment(_TURN[turn], length) for turn, length in zip(_WORDS[word[number]], lengths, strict=True))
+        total_m = first.length_m + second.length_m + third.length_m
+        paths.append(DubinsPath(Pose(*start), turn_radius_m, total_m, (first, second, third)))
+    return paths
 
 
 def dubins_lengths(
@@ -76,8 +90,7 @@ def dubins_lengths(
     With limits only two arcs with a straight between come into question, for they stay in the hull of the two circles; infinite where there
     is none.
     """
-    parts = _word_parts(np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64), turn_radius_m)
-    parts = _allowed(parts, leave, arrive)
+    parts = _allowed_parts(np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64), turn_radius_m, leave, arrive)
     return np.asarray(parts.sum(axis=-1).min(axis=0) * turn_radius_m, dtype=np.float64)
 
 
@@ -102,15 +115,16 @@ def sample_path(path: DubinsPath, arc_step_rad: float) -> Array:
     return np.array(poses, dtype=np.float64)
 
 
-def _word_parts(start: Array, end: Array, radius: float) -> Array:
-    """(6, ..., 3) lengths of the parts of every word, over the radius; infinite where a word does not exist."""
+def _word_parts(start: Array, end: Array, radius: float, n_words: int) -> Array:
+    """(n_words, ..., 3) lengths of the parts of the first words, over the radius; infinite where a word does not exist."""
     offset = (end[..., :2] - start[..., :2]) / radius
     heading_out, heading_in = start[..., 2], end[..., 2]
+    cosine_out, sine_out, cosine_in, sine_in = np.cos(heading_out), np.sin(heading_out), np.cos(heading_in), np.sin(heading_in)
     words = []
-    for first, middle, last in _WORDS:
+    for first, middle, last in _WORDS[:n_words]:
         # Centre of a turn: one radius to the right (first = 1) or left of the pose. right(h) = (cos h, -sin h) in east, north.
-        east = offset[..., 0] + last * np.cos(heading_in) - first * np.cos(heading_out)
-        north = offset[..., 1] - last * np.sin(heading_in) + first * np.sin(heading_out)
+        east = offset[..., 0] + last * cosine_in - first * cosine_out
+        north = offset[..., 1] - last * sine_in + first * sine_out
         distance = np.hypot(east, north)
         bearing = np.where(distance > _ROUNDING, np.arctan2(east, north), heading_out)
         if middle:  # three arcs: the outer circles touch a middle one whose arc is longer than half a turn
@@ -133,13 +147,15 @@ def _word_parts(start: Array, end: Array, radius: float) -> Array:
     return np.stack(words)
 
 
-def _allowed(parts: Array, leave: Flags | None, arrive: Flags | None) -> Array:
+def _allowed_parts(start: Array, end: Array, radius: float, leave: Flags | None, arrive: Flags | None) -> Array:
+    """(n_words, ..., 3), infinite as well where a circle may not be sailed; with limits of the two arcs with a straight alone."""
     if leave is None or arrive is None:
-        return parts
+        return _word_parts(start, end, radius, len(_WORDS))
+    parts = _word_parts(start, end, radius, _N_STRAIGHT)
     circle = {-1: 0, 1: 1}
-    never = np.zeros(parts.shape[1:-1], dtype=np.bool_)
-    allowed = [never if middle else leave[..., circle[first]] & arrive[..., circle[last]] | never for first, middle, last in _WORDS]
-    return np.where(np.stack(allowed)[..., np.newaxis], parts, np.inf)
+    for word, (first, _, last) in enumerate(_WORDS[:_N_STRAIGHT]):
+        parts[word][~np.broadcast_to(leave[..., circle[first]] & arrive[..., circle[last]], parts.shape[1:-1])] = np.inf
+    return parts
 
 
 def _positive(angle: Array, tolerance: Array | float) -> Array:

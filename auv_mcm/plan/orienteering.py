@@ -11,7 +11,7 @@ A way is 2 * leg, or 2 * leg + 1 for the leg sailed backwards. A route is a list
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.plan.clearance import LookModel
-from auv_mcm.plan.dubins import DubinsPath, Flags, Pose, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.dubins import DubinsPath, Flags, Pose, dubins_lengths, dubins_paths, sample_path
 from auv_mcm.plan.fence import runs_inside
 from auv_mcm.plan.limits import Limits, turns_inside
 from auv_mcm.plan.tour import richest_tour, short_tour, tour_length
@@ -59,22 +59,34 @@ class Turns:
 
     def between(self, start: Pose, end: Pose) -> DubinsPath | None:
         """The shortest way that stays inside the fence with arcs of which the whole circles do; None if there is none."""
-        if (start, end) not in self._known:
-            self._known[start, end] = self._found(start, end)
-        return self._known[start, end]
+        return self.all_between([(start, end)])[0]
 
-    def _found(self, start: Pose, end: Pose) -> DubinsPath | None:
-        room = self.room(np.array([start, end]))
+    def all_between(self, ends: Sequence[tuple[Pose, Pose]]) -> list[DubinsPath | None]:
+        """`between` of each start and end, at once, which is faster."""
+        unknown = [pair for pair in dict.fromkeys(ends) if pair not in self._known]
+        if unknown:
+            self._known.update(zip(unknown, self._found(unknown), strict=True))
+        return [self._known[pair] for pair in ends]
+
+    def _found(self, ends: list[tuple[Pose, Pose]]) -> list[DubinsPath | None]:
+        places = np.array(ends)
+        room = self.room(places)
         if room is None:
-            return dubins_path(start, end, self.radius_m)
-        leave, arrive = room
+            return dubins_paths(places, self.radius_m)
+        leave, arrive = room[:, 0], room[:, 1]
         # The vehicle is where it is: perhaps a part of a circle fits though the whole does not.
-        for circles in (np.ones(2, dtype=np.bool_), leave) if start == self._pose else (leave,):
-            if circles.any() and arrive.any():
-                path = dubins_path(start, end, self.radius_m, circles, arrive)
-                if path_inside(path, self._limits):
-                    return path
-        return None
+        here = np.array([start == self._pose for start, _ in ends])
+        paths = self._inside(dubins_paths(places, self.radius_m, leave | here[:, np.newaxis], arrive))
+        again = [number for number in np.flatnonzero(here).tolist() if paths[number] is None]
+        if again:
+            whole = self._inside(dubins_paths(places[again], self.radius_m, leave[again], arrive[again]))
+            for number, path in zip(again, whole, strict=True):
+                paths[number] = path
+        return paths
+
+    def _inside(self, paths: list[DubinsPath | None]) -> list[DubinsPath | None]:
+        inside = iter(paths_inside([path for path in paths if path is not None], self._limits).tolist())
+        return [path if path is not None and next(inside) else None for path in paths]
 
 
 class Problem(NamedTuple):
@@ -219,6 +231,8 @@ def shifted_legs(problem: Problem, legs: list[int], reach: int, more_time: MoreT
             break
         best, best_m2 = tried, tried_m2
     surveys = [leg for leg in best if problem.tracks.heading[leg] >= 0]
+    if not more_time():
+        return best
     for leg in sorted(surveys, key=lambda leg: _without(problem, best, leg).gain_m2(leg)):
         if not more_time():
             break
@@ -261,6 +275,8 @@ def trimmed_legs(problem: Problem, legs: list[int], more_time: MoreTime) -> tupl
     """The legs cut back to what the others leave to them, as further legs of the problem; those left nothing go."""
     tracks, cells, limits = problem.tracks, problem.cells, problem.limits
     legs = list(legs)
+    if not more_time():
+        return problem, legs
     alone = {leg: _without(problem, legs, leg).gain_m2(leg) for leg in legs if tracks.heading[leg] >= 0}
     for leg in sorted(alone, key=lambda leg: (alone[leg], leg)):
         if not more_time():
@@ -364,17 +380,20 @@ def sailable(problem: Problem, route: list[int]) -> list[int]:
 def route_length_m(problem: Problem, route: list[int]) -> float:
     """Of a route that can be sailed."""
     poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
-    turns = (problem.turns.between(a, b) for a, b in list(pairwise(poses))[::2])
+    turns = problem.turns.all_between(list(pairwise(poses))[::2])
     return sum(path.length_m for path in turns if path is not None) + float(problem.tracks.length_m[[way // 2 for way in route]].sum())
 
 
-def path_inside(path: DubinsPath, limits: Limits) -> bool:
-    """Whether a path, its arcs between the sampled points included, stays inside the fence."""
-    if limits.fence is None:
-        return True
-    places = sample_path(path, _CHECK_STEP_RAD)[:, :2]
-    bulge_m = path.turn_radius_m * (1.0 - math.cos(_CHECK_STEP_RAD / 2.0))
-    return bool(runs_inside(places[:-1], places[1:], limits.fence, limits.fence_margin_m + bulge_m).all())
+def paths_inside(paths: list[DubinsPath], limits: Limits) -> NDArray[np.bool_]:
+    """(n,) whether paths of one radius, their arcs between the sampled points included, stay inside the fence."""
+    if limits.fence is None or not paths:
+        return np.ones(len(paths), dtype=np.bool_)
+    places = [sample_path(path, _CHECK_STEP_RAD)[:, :2] for path in paths]
+    first = np.cumsum([0, *(len(each) - 1 for each in places[:-1])])
+    starts, ends = (np.concatenate([each[part] for each in places]) for part in (slice(-1), slice(1, None)))
+    bulge_m = paths[0].turn_radius_m * (1.0 - math.cos(_CHECK_STEP_RAD / 2.0))
+    inside = runs_inside(starts, ends, limits.fence, limits.fence_margin_m + bulge_m)
+    return np.asarray(np.logical_and.reduceat(inside, first))
 
 
 def ends_of(tracks: Tracks, way: int) -> tuple[Pose, Pose]:
@@ -436,13 +455,9 @@ def _blocked(problem: Problem, route: list[int]) -> list[tuple[int, int]]:
     """Pairs of places in the route, -1 for the start, between which no turn stays inside the fence."""
     if problem.limits.fence is None:
         return []
-    pose, blocked = problem.pose, []
-    for place, way in enumerate(route):
-        entry, leave = ends_of(problem.tracks, way)
-        if problem.turns.between(pose, entry) is None:
-            blocked.append((place - 1, place))
-        pose = leave
-    return blocked
+    poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
+    paths = problem.turns.all_between(list(pairwise(poses))[::2])
+    return [(place - 1, place) for place, path in enumerate(paths) if path is None]
 
 
 def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:

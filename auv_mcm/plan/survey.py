@@ -122,7 +122,8 @@ def clearance_over(clearance: Clearance, first_east: int, first_north: int, shap
 
 
 def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
-    """The plan from here. It gets better as long as `more_time` says so; equal input and equal answers give equal plans.
+    """The plan from here. It gets better as long as `more_time` says so, asked first when the first legs are known; equal input and equal
+    answers give equal plans.
 
     What is left of `previous` is kept unless the new plan gains a tenth more, or as much with a tenth less track.
     Raises ValueError for an area whose shape is not the clearance's, or a required probability outside (0, HIGHEST_REQUIRED].
@@ -141,7 +142,7 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
     cells = _open_cells(world, is_open, wanted)
     known = _left_of(previous, pose)
     looks = contact_legs(asking, world.clearance, world.performance, limits)
-    tracks = survey_tracks(cells, world.performance, limits, [(leg.entry, leg.exit) for leg in known if not leg.contact_id])
+    tracks = survey_tracks(cells, world.performance, limits, [(leg.entry, leg.exit) for leg in known if not leg.contact_id], more_time)
     problem = _problem(tracks, looks, cells, world.performance, pose, limits)._replace(enough_m2=_enough_m2(world))
     if not problem.tracks.n_legs:
         if not is_open.any():
@@ -314,7 +315,7 @@ def _done(world: World) -> str:
 def _why_nothing(world: World, cells: Cells, limits: Limits) -> str:
     reached = area_words(len(cells.need) * float(cells.weight_m2[0]) * -math.log1p(-world.required))
     best = float(world.clearance.p_detected[world.area].mean())
-    without = survey_tracks(cells, world.performance, limits._replace(fence=None), [])
+    without = survey_tracks(cells, world.performance, limits._replace(fence=None), [], lambda: True)
     if not without.n_legs:
         reason = "the sonar finds nothing on such a sea floor"
     else:

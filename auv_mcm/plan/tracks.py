@@ -7,7 +7,7 @@ that the swath reaches. Right below the vehicle nothing is seen. Before and afte
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -20,10 +20,12 @@ from auv_mcm.plan.fence import circles_inside, runs_inside
 from auv_mcm.plan.limits import Limits, turns_inside
 
 Array = NDArray[np.float64]
+MoreTime = Callable[[], bool]
 
 SAME_LOOK_RAD: Final = math.radians(15.0)  # as in `clearance`
 RIGHT: Final = math.pi / 2.0
 _N_HEADINGS: Final = 8
+_IN_TURN: Final = (0, 4, 2, 6, 1, 5, 3, 7)  # headings
 _OWN_HEADING_RAD: Final = math.radians(5.0)  # ripples nearer than this to a heading need none of their own
 _TURNED_RAD: Final = math.radians(3.0)
 _LINES_PER_SWATH: Final = 8
@@ -128,14 +130,18 @@ def headings_rad(cells: Cells) -> list[float]:
         crests = 0.5 * math.atan2(float(np.sin(2.0 * ripple).sum()), float(np.cos(2.0 * ripple).sum())) + math.pi / 2.0
         if all(abs(math.remainder(crests - heading, math.pi)) > _OWN_HEADING_RAD for heading in headings):
             headings.append(crests % math.pi)
-    return headings
+    # Crests before all others, then what differs most from what there is: there may be time for a few only.
+    return headings[_N_HEADINGS:] + [headings[k] for k in _IN_TURN]
 
 
-def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[Pose, Pose]]) -> Tracks:
-    """Legs over open cells, all of which can be entered and left inside the fence. known: runs to be among them."""
+def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[Pose, Pose]], more_time: MoreTime) -> Tracks:
+    """Legs over open cells, all of which can be entered and left inside the fence, in as many headings as there is time for, but at least
+    so many that there is a leg. known: runs to be among them."""
     legs = _Legs(cells, limits)
     for heading in headings_rad(cells):
         legs.add(_lines(cells, heading, _offsets(cells, heading, limits), model, limits))
+        if legs.any_enterable() and not more_time():
+            break
     for entry, leave in known:
         legs.add_run(_lines(cells, entry.heading_rad, np.array([_across(entry)]), model, limits), entry, leave)
     return legs.tracks()
@@ -216,6 +222,10 @@ class _Legs:
         begin, end = (pose.east_m * ahead[0] + pose.north_m * ahead[1] for pose in (entry, leave))
         self._add_run(lines, 0, 0, lines.along_m, (begin, end), (entry, leave))
         self._keep(lines)
+
+    def any_enterable(self) -> bool:
+        """Whether there is a leg that `tracks` will keep."""
+        return bool(self._runs) and bool(enterable(np.array(self._runs[-1:], dtype=np.float64), self._limits).any())
 
     def _keep(self, lines: _Lines) -> None:
         self._lines.append(lines)

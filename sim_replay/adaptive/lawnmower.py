@@ -22,7 +22,7 @@ from sim_replay.simulator.plan import Leg
 
 Array = NDArray[np.float64]
 
-MOST_LINES: Final = 8  # of one direction
+MOST_LINES: Final = 12  # of one direction
 _CELL_M: Final = 4.0
 _N_CRESTS: Final = 6
 

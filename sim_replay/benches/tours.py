@@ -82,7 +82,7 @@ def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
         f"{'contacts':>9}{'time':>9}{'gain':>8}{'track':>9}{'ms':>8}{'yardsticks':>12}",
     ]
     for n_contacts in (0, 10, 40):
-        for limit_ms in (0.0, 50.0, 200.0, 1000.0):
+        for limit_ms in (0.0, 20.0, 200.0, 1000.0):
             timed = []
             for number in range(n_worlds):
                 generator = np.random.Generator(np.random.PCG64([_SEED, n_contacts, number]))

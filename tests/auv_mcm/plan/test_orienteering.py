@@ -44,7 +44,7 @@ def problem_of(state: World, limits: Limits, kept: list[int] | None = None) -> P
         ripple_rad=clearance.ripple_rad[row, column],
         cell_m=clearance.cell_m,
     )
-    tracks = survey_tracks(cells, state.performance, limits, [])
+    tracks = survey_tracks(cells, state.performance, limits, [], always)
     at = np.arange(tracks.n_legs) if kept is None else np.array(kept) % tracks.n_legs
     tracks = tracks._replace(
         run=tracks.run[at], first=tracks.first[at], last=tracks.last[at], line=tracks.line[at], heading=tracks.heading[at]
