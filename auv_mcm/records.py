@@ -273,11 +273,11 @@ def contact_id(number: int) -> str:
     return f"C{number:05d}"
 
 
-def contact_number(contact_id: str) -> int:
-    """The number in an id. Raises ValueError for an id that is not C and a number."""
-    if not contact_id.startswith("C"):
-        raise ValueError(f"'{contact_id}' is no id of a contact: it is not C and a number")
-    return int(contact_id[1:])
+def contact_number(name: str) -> int:
+    """The number in an id. Raises ValueError for one that is not C and a number."""
+    if not (name.startswith("C") and name[1:].isdecimal()):
+        raise ValueError(f"'{name}' is no id of a contact: it is not C and a number")
+    return int(name[1:])
 
 
 SeabedType: TypeAlias = Literal["flat", "ripple", "rough", "vegetation", "unknown"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import signal
 import time
 from collections import Counter
 from collections.abc import Sequence
+from unittest import mock
 
 import drawn_looks
 import msgspec
@@ -159,7 +161,7 @@ class Refusing(Base):
 
 
 class Laying(Base):
-    """Lays its contacts where it is told to, and keeps none."""
+    """Lays its contacts where it is told to, on a disk that is full from the second contact on."""
 
     def __init__(self, config: Config, kept: Contacts) -> None:
         super().__init__(config, kept)
@@ -167,9 +169,11 @@ class Laying(Base):
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         events = super().feed(event)
-        for event_ in events:
-            if isinstance(event_, Contact):
-                self._kept.append(event_)
+        full = mock.patch.object(os, "pwrite", side_effect=OSError(28, "No space left on device"))
+        with full if len(self._kept) else contextlib.nullcontext():
+            for found in events:
+                if isinstance(found, Contact):
+                    self._kept.append(found)
         return events
 
 
@@ -181,6 +185,13 @@ class Unstartable(Base):
 class Dying(Base):
     """Is killed at ping 5, as by the kernel when memory runs out."""
 
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().feed(event)
+
+
+class SeeingThenDying(Seeing):
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         if isinstance(event, Ping) and event.number == 5:
             os.kill(os.getpid(), signal.SIGKILL)

@@ -15,6 +15,7 @@ from auv_mcm.config import PlanConfig
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.outputs import (
     Journal,
+    Snippets,
     Tally,
     area_totals,
     make_directory,
@@ -107,6 +108,30 @@ def test_snippets_of_an_earlier_replay_go_and_other_files_stay(tmp_path: Path) -
     (tmp_path / "snippets" / "notes.txt").write_bytes(b"mine")
     write_snippets(tmp_path, {"C2": b"3"})
     assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {"C2.png": b"3", "notes.txt": b"mine"}
+
+
+def test_pictures_that_a_full_disk_does_not_take_are_written_later_and_none_is_left_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    snippets, write = Snippets(tmp_path), Path.write_bytes
+    snippets.write({"C1": b"one"})
+
+    def a_piece(path: Path, data: bytes) -> int:
+        write(path, data[:1])
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr(Path, "write_bytes", a_piece)
+        for pictures in ({"C2": b"two", "C3": b"three"}, {"C2": b"again"}):
+            with pytest.raises(OSError, match="No space"):
+                snippets.write(pictures)
+        assert [path.name for path in (tmp_path / "snippets").iterdir()] == ["C1.png"]
+    snippets.write()
+    assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {
+        "C1.png": b"one",
+        "C2.png": b"again",
+        "C3.png": b"three",
+    }
 
 
 def test_a_map_of_clearance_comes_with_its_picture_and_goes_where_nothing_was_searched(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -174,6 +175,46 @@ def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeyp
     results = serve(tmp_path, Events(mission(4)), console=lines.append)
     assert [line.split()[1] for line in lines] == ids(results)
     assert summary(results)["counters"]["service.journal_failed"] == 3
+
+
+def test_what_a_full_disk_does_not_take_is_counted_told_and_still_among_the_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as disk:  # of the service alone: perception is a process of its own
+        disk.setattr("auv_mcm.contacts.shelf.os.pwrite", full)
+        disk.setattr("auv_mcm.outputs._write_snippet", full)
+        results = serve(tmp_path, Events(mission(30)), fake.Seeing)
+    assert ids(results) == ["C00001"]
+    counters = summary(results)["counters"]
+    assert counters["service.kept_in_memory"] == 1
+    assert counters["service.snippets_failed"] > 0
+    assert any("pictures of contacts are missing" in record.getMessage() for record in caplog.records)
+
+
+@pytest.mark.parametrize("make", [fake.Base, fake.Dying])
+def test_the_session_holds_what_was_found_and_no_other_file(tmp_path: Path, make: MakePipeline, capfd: pytest.CaptureFixture[str]) -> None:
+    with contextlib.suppress(PerceptionError):
+        serve(tmp_path, Events(mission(30)), make)
+    files = {path.name for path in (tmp_path / "latest").iterdir()}
+    assert files <= {
+        *("contacts.geojson", "contacts.csv", "contacts.kml", "contacts.jsonl"),
+        *("coverage.geojson", "clearance.geojson", "waypoints.geojson", "summary.json", "snippets"),
+    }
+
+
+def test_pictures_are_there_when_a_contact_is_announced_and_outlive_perception(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    def console(line: str) -> None:
+        if line.startswith("contact"):
+            seen.append((tmp_path / "latest" / "snippets" / f"{line.split()[1]}.png").read_bytes()[:4])
+
+    seen: list[bytes] = []
+    with pytest.raises(PerceptionError):
+        serve(tmp_path, Events(mission(30)), fake.SeeingThenDying, console)
+    assert set(seen) == {b"\x89PNG"}
+    assert [path.name for path in (tmp_path / "latest" / "snippets").iterdir()] == ["C00001.png"]
 
 
 def test_a_live_source_is_recorded_and_stopped_gently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

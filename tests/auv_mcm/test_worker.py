@@ -109,6 +109,13 @@ def test_contacts_come_without_what_their_pictures_were_made_of() -> None:
     assert answered.snippets["C00001"].startswith(b"\x89PNG")
 
 
+def test_a_disk_that_takes_no_more_contacts_is_told_of_once_and_counted() -> None:
+    answered = asyncio.run(answers([fake.ping(number) for number in range(12)], fake.Laying))
+    assert [event.code for event in answered.events if isinstance(event, Notice)] == ["perception.disk_full"]
+    assert len([event for event in answered.events if isinstance(event, Contact)]) == 5
+    assert answered.finished.counters == {"ping.received": 12, "perception.kept_in_memory": 3}
+
+
 def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
     async def run() -> None:
         perception = Perception(Config(), fake.Base, ring_bytes=4096)
