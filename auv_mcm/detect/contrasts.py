@@ -33,7 +33,7 @@ from auv_mcm.kernels.contrast import (
     dark_places,
     extremes,
     image_sums,
-    local_variance,
+    local_variances,
     ratios,
     shadow_columns,
 )
@@ -54,13 +54,14 @@ Bounds = NDArray[np.float64]
 class Contrasts(NamedTuple):
     """A tile's floor and its scores that reach the threshold.
 
-    background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, and the score where it
-    is at least the threshold, -inf elsewhere. rows: [start, stop) of those scored. clearance_m: by height of the object, (n_rows,) each.
+    background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, in the rows scored, and
+    the score where it is at least the threshold, -inf elsewhere. rows: [start, stop) of those scored. shadows: of all sizes looked for.
     """
 
     tile: Tile
     grid: Grid
     rows: tuple[int, int]
+    shadows: Shadows
     sums: Sums
     background: Values
     known: NDArray[np.bool_]
@@ -70,6 +71,7 @@ class Contrasts(NamedTuple):
     score: Values
 
     def floor(self, row: int, column: int) -> Floor:
+        """The sea floor around a pixel of the rows scored."""
         return Floor(float(self.background[row, column]), float(self.small[row, column]))
 
     def peaks(self, radius_m: float) -> list[Peak]:
@@ -118,9 +120,9 @@ def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
     logarithms = ratios(sums, level, np.array(boxes, dtype=np.int32), 1e-3)
     np.log(logarithms, out=logarithms)
     half = grid.rows(prescreen.LOOKS_ROWS_M), grid.columns(prescreen.LOOKS_COLUMNS_M)
-    thin, small, large = (local_variance(plane, known, half, prescreen.LOG_CLIP, prescreen.MIN_LOG_VARIANCE) for plane in logarithms)
+    thin, small, large = local_variances(logarithms, known, rows, half, prescreen.LOG_CLIP, prescreen.MIN_LOG_VARIANCE)
     score = np.full(tile.mask.shape, -np.inf, dtype=np.float32)
-    found = Contrasts(tile, grid, rows, sums, level, known, thin, small, large, score)
+    found = Contrasts(tile, grid, rows, _shadows(tile, grid), sums, level, known, thin, small, large, score)
     threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
     places, values = _all_scores(found) if threshold < LEAST_THRESHOLD else _high_scores(found, float(threshold))
     high = values >= threshold
@@ -148,7 +150,7 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
     needed = threshold * prescreen.PAIR_NORM - SLACK
     gain = worth(flat[lit])
     left = np.maximum(needed - _best_in_view(tile, blocks, lit, gain), _LEAST_SHADOW)
-    shadow = -prescreen.darkest_behind(_dark(tile, blocks, ranges, left), tile.grid.columns(prescreen.SHADOW_LAG_M)).ravel()
+    shadow = _dark(tile, blocks, ranges, left).ravel()
 
     # Bright enough to need hardly any shadow, and none has been seen: then how little there is counts.
     unseen = lit[(gain > needed - _LEAST_SHADOW) & (shadow[lit] < np.float32(_LEAST_SHADOW))]
@@ -196,12 +198,14 @@ def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges) -> Values:
     highlight = np.full(tile.background.shape, -np.inf, dtype=np.float32)
     flat = highlight.ravel()
     around, _ = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
-    for k, size_m in enumerate(prescreen.HIGHLIGHTS_M):
-        box, area = tile.grid.centred(size_m)
+    boxes, areas = zip(*(tile.grid.centred(size_m) for size_m in prescreen.HIGHLIGHTS_M), strict=True)
+    limits = []
+    for box, area in zip(boxes, areas, strict=True):
         least, most = _inverse_looks(tile, ranges, box[1] - box[0], float(area))
         root = (1.0 - most + (FAINT_HIGHLIGHT - SLACK) * np.sqrt(least)) / (1.0 - around)
-        limits = np.maximum(root - SLACK, 0.0) ** 3
-        places = bright_places(tile.sums, tile.background, tile.known, tile.rows, _box(box), limits, blocks)
+        limits.append(np.maximum(root - SLACK, 0.0) ** 3)
+    wanted = np.array(boxes, dtype=np.int32), np.stack(limits)
+    for k, places in enumerate(bright_places(tile.sums, tile.background, tile.known, tile.rows, *wanted, blocks)):
         flat[places] = np.maximum(flat[places], _highlight_deviates(tile, _Spots.at(tile, places), k))
     return highlight
 
@@ -222,22 +226,24 @@ def _best_in_view(tile: Contrasts, blocks: Blocks, lit: Places, gain: Values) ->
 
 
 def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Values:
-    """Deviates of the darkest shadow at each pixel where it may be -left or less, higher ones or 0 elsewhere."""
+    """What the darkest shadow behind each pixel deviates by, dark positive, where that may be `left` or more, less or 0 elsewhere."""
     darkest = np.zeros(tile.background.shape, dtype=np.float32)
     flat = darkest.ravel()
     _, around = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
     n_rows, n_columns = tile.sums.shape
     last = np.minimum(np.arange(blocks.n_columns - 1, n_columns + blocks.n_columns - 1, blocks.n_columns), n_columns - 1)
-    for k, _ in enumerate(prescreen.SHADOWS_M):
-        shadows = _shadows(tile, k)
-        lowest_m = np.minimum.reduceat(shadows.clearance_m, np.arange(0, n_rows, blocks.n_rows))
-        longest = shadow_columns(shadows._replace(clearance_m=lowest_m), np.arange(len(lowest_m))[:, None], last[None, :])
-        width = 2 * shadows.half_rows + 1
+    lowest = tile.shadows._replace(clearance_m=np.minimum.reduceat(tile.shadows.clearance_m, np.arange(0, n_rows, blocks.n_rows), axis=1))
+    limits = []
+    for k, width in enumerate((2 * tile.shadows.half_rows + 1).tolist()):
+        longest = shadow_columns(lowest, k, np.arange(left.shape[0])[:, None], last[None, :])
         least, _ = _inverse_looks(tile, ranges, width, (width * longest).astype(np.float64))
         root = (1.0 - least - (left - SLACK) * np.sqrt(least)) / (1.0 - around)
-        limits = (np.maximum(root, 0.0) + SLACK) ** 3
-        places = dark_places(tile.sums, tile.background, tile.rows, shadows, limits, blocks)
+        limits.append((np.maximum(root, 0.0) + SLACK) ** 3)
+    for k, places in enumerate(dark_places(tile.sums, tile.background, tile.rows, tile.shadows, np.stack(limits), blocks)):
         flat[places] = np.minimum(flat[places], _shadow_deviates(tile, _Spots.at(tile, places), k))
+    # Beyond the rows scored nothing is dark.
+    scored = slice(*tile.rows)
+    darkest[scored] = -prescreen.darkest_behind(darkest[scored], tile.grid.columns(prescreen.SHADOW_LAG_M))
     return darkest
 
 
@@ -267,13 +273,13 @@ def _highlight_deviates(tile: Contrasts, spots: _Spots, k: int) -> Values:
 
 
 def _shadow_deviates(tile: Contrasts, spots: _Spots, k: int) -> Values:
-    shadows = _shadows(tile, k)
-    lengths = shadow_columns(shadows, *np.divmod(spots.places, tile.sums.shape[1]))
+    half_rows = int(tile.shadows.half_rows[k])
+    lengths = shadow_columns(tile.shadows, k, *np.divmod(spots.places, tile.sums.shape[1]))
     boxes = np.empty((len(lengths), 4), dtype=np.int32)
-    boxes[:] = -shadows.half_rows, shadows.half_rows + 1, 0, 0
+    boxes[:] = -half_rows, half_rows + 1, 0, 0
     boxes[:, 3] = lengths
     mean, count = box_means(tile.sums, spots.places, boxes)
-    n_rows = 2 * shadows.half_rows + 1
+    n_rows = 2 * half_rows + 1
     area_px = (n_rows * lengths).astype(np.float32)
     deviate = f_deviate(mean * spots.per_background, spots.spread.looks(n_rows, area_px), spots.background_looks)
     return np.where(count > prescreen.MIN_SHADOW * area_px, deviate, np.float32(0.0))
@@ -313,13 +319,12 @@ def _shadows_at(tile: Contrasts, places: Places) -> Values:
     return -lowest
 
 
-def _shadows(tile: Contrasts, k: int) -> Shadows:
-    along_m, height_m = prescreen.SHADOWS_M[k]
+def _shadows(tile: Tile, grid: Grid) -> Shadows:
     return Shadows(
-        half_rows=tile.grid.rows(along_m) // 2,
-        height_m=height_m,
-        clearance_m=prescreen.clearance_m(tile.tile, height_m),
-        column_m=tile.grid.column_m,
+        half_rows=np.array([grid.rows(along_m) // 2 for along_m, _ in prescreen.SHADOWS_M], dtype=np.int64),
+        height_m=np.array([height_m for _, height_m in prescreen.SHADOWS_M]),
+        clearance_m=np.stack([prescreen.clearance_m(tile, height_m) for _, height_m in prescreen.SHADOWS_M]),
+        column_m=grid.column_m,
         length_m=prescreen.SHADOW_LENGTH_M,
         least_share=prescreen.MIN_SHADOW,
     )

@@ -9,7 +9,7 @@
 #include <string.h>
 
 enum { TOP, BOTTOM, LEFT, RIGHT, SIDES };
-enum { CHUNK = 8 };
+enum { CHUNK = 8, PLANES = 3 };
 
 /* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
@@ -133,85 +133,72 @@ WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const doubl
         }
 }
 
-/* Running sums of a row's values, clipped and 0 where not known, and of their squares. n: known so far. */
-static inline void run_along(int64_t n_columns, const float *restrict values, const uint8_t *restrict known, float clip,
-                             float *restrict clipped, double *restrict sums, double *restrict squares, int32_t *restrict n)
-{
-    double sum = 0.0, square_sum = 0.0;
-    int32_t count = 0;
-    for (int64_t column = 0; column < n_columns; column++) {
-        float value = values[column];
-        value = value < -clip ? -clip : value;
-        value = value > clip ? clip : value;
-        clipped[column] = value * (float)known[column];
-    }
-    sums[0] = squares[0] = 0.0;
-    n[0] = 0;
-    for (int64_t column = 0; column < n_columns; column++) {
-        sums[column + 1] = sum += clipped[column];
-        squares[column + 1] = square_sum += clipped[column] * clipped[column];
-        n[column + 1] = count += known[column];
-    }
-}
-
-static inline void add(int64_t n, const double *restrict more, double *restrict total)
-{
-    for (int64_t i = 0; i < n; i++)
-        total[i] += more[i];
-}
-
-/* values, known (n_rows, n_columns). clipped (n_columns): overwritten. rows (8, n_columns + 1), n_rows_known (2, n_columns + 1): zeros,
- * overwritten. variance: out. Sums above and below the box's rows go down the tile with them.
+/* Adds the running sums of a row's values, clipped and 0 where not known, and of their squares to what stands in `total`, by plane first
+ * the sums and then the squares. The planes go together since each sum waits for the one before.
  */
-WIDE void auv_mcm_contrast_variance(int64_t n_rows, int64_t n_columns, const float *restrict values, const uint8_t *restrict known,
-                                    int64_t half_rows, int64_t half_columns, float clip, double least, float *restrict clipped,
-                                    double *restrict rows, int32_t *restrict n_rows_known, float *restrict variance)
+static inline void add_along(int64_t n_columns, int64_t step, const float *restrict values, const uint8_t *restrict known, float clip,
+                             double *restrict total, int32_t *restrict n, int32_t sign)
 {
     const int64_t width = n_columns + 1;
-    double *restrict upper = rows, *restrict upper_square = rows + width, *restrict lower = rows + 2 * width;
-    double *restrict lower_square = rows + 3 * width, *restrict band = rows + 4 * width, *restrict band_square = rows + 5 * width;
-    double *restrict sums = rows + 6 * width, *restrict squares = rows + 7 * width;
-    int32_t *restrict n_band = n_rows_known, *restrict n = n_rows_known + width;
-    for (int64_t row = -half_rows; row < n_rows; row++) {
-        const int64_t joins = row + half_rows, leaves = row - half_rows - 1;
-        if (joins < n_rows) {
-            run_along(n_columns, values + joins * n_columns, known + joins * n_columns, clip, clipped, sums, squares, n);
-            add(width, sums, lower);
-            add(width, squares, lower_square);
-            for (int64_t column = 0; column < width; column++)
-                n_band[column] += n[column];
+    double sum[PLANES] = {0.0}, square_sum[PLANES] = {0.0};
+    int32_t count = 0;
+    for (int64_t column = 0; column < n_columns; column++) {
+        const float sure = (float)known[column];
+        for (int plane = 0; plane < PLANES; plane++) {
+            float value = values[plane * step + column];
+            value = value < -clip ? -clip : value;
+            value = value > clip ? clip : value;
+            value *= sure;
+            sum[plane] += value;
+            square_sum[plane] += value * value;
+            total[2 * plane * width + column + 1] += sum[plane];
+            total[(2 * plane + 1) * width + column + 1] += square_sum[plane];
         }
-        if (leaves >= 0) {
-            run_along(n_columns, values + leaves * n_columns, known + leaves * n_columns, clip, clipped, sums, squares, n);
-            add(width, sums, upper);
-            add(width, squares, upper_square);
-            for (int64_t column = 0; column < width; column++)
-                n_band[column] -= n[column];
-        }
-        if (row < 0)
+        n[column + 1] += sign * (count += known[column]);
+    }
+}
+
+/* values (PLANES, n_rows, n_columns), known (n_rows, n_columns). sums (6 PLANES, n_columns + 1), n_known (n_columns + 1): zeros,
+ * overwritten. variance (PLANES, n_rows, n_columns): out, rows [first, last). Sums above and below the box's rows go down the tile with
+ * them, from its first row on.
+ */
+WIDE void auv_mcm_contrast_variances(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const float *restrict values,
+                                     const uint8_t *restrict known, int64_t half_rows, int64_t half_columns, float clip, double least,
+                                     double *restrict sums, int32_t *restrict n_known, float *restrict variance)
+{
+    const int64_t width = n_columns + 1, size = n_rows * n_columns, n_sums = 2 * PLANES * width;
+    double *restrict lower = sums, *restrict upper = sums + n_sums, *restrict band = sums + 2 * n_sums;
+    for (int64_t row = -half_rows; row < last; row++) {
+        const int64_t joins = (row + half_rows) * n_columns, leaves = (row - half_rows - 1) * n_columns;
+        if (joins < size)
+            add_along(n_columns, size, values + joins, known + joins, clip, lower, n_known, 1);
+        if (leaves >= 0)
+            add_along(n_columns, size, values + leaves, known + leaves, clip, upper, n_known, -1);
+        if (row < first)
             continue;
-        for (int64_t column = 0; column < width; column++) {
-            band[column] = lower[column] - upper[column];
-            band_square[column] = lower_square[column] - upper_square[column];
-        }
-        float *restrict out = variance + row * n_columns;
+        for (int64_t i = 0; i < n_sums; i++)
+            band[i] = lower[i] - upper[i];
         const int64_t begin = half_columns < n_columns ? half_columns : n_columns;
         const int64_t end = n_columns - half_columns > begin ? n_columns - half_columns : begin;
+        for (int plane = 0; plane < PLANES; plane++) {
+            const double *restrict total = band + 2 * plane * width, *restrict squares = total + width;
+            float *restrict out = variance + plane * size + row * n_columns;
 #define VARIANCE(FAR, NEAR)                                                                                                              \
     {                                                                                                                                    \
-        const int32_t inside = n_band[FAR] - n_band[NEAR];                                                                               \
+        const int32_t inside = n_known[FAR] - n_known[NEAR];                                                                             \
         const double count = (double)(inside > 1 ? inside : 1);                                                                          \
-        const double mean = (band[FAR] - band[NEAR]) / count;                                                                            \
-        const double value = (band_square[FAR] - band_square[NEAR]) / count - mean * mean;                                               \
+        const double mean = (total[FAR] - total[NEAR]) / count;                                                                          \
+        const double value = (squares[FAR] - squares[NEAR]) / count - mean * mean;                                                       \
         out[column] = (float)(value > least ? value : least);                                                                            \
     }
-        for (int64_t column = 0; column < begin; column++)
-            VARIANCE(within(column + half_columns + 1, n_columns), 0)
-        for (int64_t column = begin; column < end; column++)
-            VARIANCE(column + half_columns + 1, column - half_columns)
-        for (int64_t column = end; column < n_columns; column++)
-            VARIANCE(n_columns, within(column - half_columns, n_columns))
+            for (int64_t column = 0; column < begin; column++)
+                VARIANCE(within(column + half_columns + 1, n_columns), 0)
+            for (int64_t column = begin; column < end; column++)
+                VARIANCE(column + half_columns + 1, column - half_columns)
+            for (int64_t column = end; column < n_columns; column++)
+                VARIANCE(n_columns, within(column - half_columns, n_columns))
 #undef VARIANCE
+        }
     }
 }
 
@@ -253,36 +240,48 @@ static int64_t collect(int64_t n, uint8_t *restrict flags, int32_t place, int32_
     return found;
 }
 
-/* Pixels of rows [first, last) around which the sum over `box` reaches its block's limit times background and valid pixels.
+/* For each box the pixels of rows [first, last) around which its sum reaches its block's limit times background and valid pixels.
  *
- * limits (blocks of rows, blocks of columns). flags (n_columns, and CHUNK more): zeros. places: out, n_places (1): how many.
+ * boxes (n_boxes, SIDES), limits (n_boxes, blocks of rows, blocks of columns). flags (n_columns, and CHUNK more): zeros. places (n_boxes,
+ * room): out, n_places (n_boxes): how many.
  */
 WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
                                   const int32_t *restrict counts, const float *restrict background, const uint8_t *restrict known,
-                                  const int32_t *restrict box, const double *restrict limits, int64_t block_rows, int64_t block_columns,
-                                  int64_t pad, double *restrict band, int32_t *restrict count_band, uint8_t *restrict flags,
-                                  int32_t *restrict places, int64_t *restrict n_places)
+                                  int64_t n_boxes, const int32_t *restrict boxes, const double *restrict limits, int64_t block_rows,
+                                  int64_t block_columns, int64_t pad, int64_t room, double *restrict band, int32_t *restrict count_band,
+                                  uint8_t *restrict flags, int32_t *restrict places, int64_t *restrict n_places)
 {
     const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
-    int64_t n = 0;
+    const int64_t blocks_each = (n_rows + block_rows - 1) / block_rows * n_blocks;
+    memset(n_places, 0, (size_t)n_boxes * sizeof *n_places);
     for (int64_t row = first; row < last; row++) {
-        band_of_sums(n_rows, n_columns, sums, row + box[TOP], row + box[BOTTOM], pad, band);
-        band_of_counts(n_rows, n_columns, counts, row + box[TOP], row + box[BOTTOM], pad, count_band);
-        const double *restrict far = band + pad + box[RIGHT], *restrict near = band + pad + box[LEFT];
-        const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad + box[LEFT];
         const float *restrict level = background + row * n_columns;
         const uint8_t *restrict sure = known + row * n_columns;
-        for (int64_t block = 0; block < n_blocks; block++) {
-            const double limit = limits[row / block_rows * n_blocks + block];
-            const int64_t begin = block * block_columns, end = within(begin + block_columns, n_columns);
-            for (int64_t column = begin; column < end; column++) {
-                const double least = limit * (double)level[column] * (double)(n_far[column] - n_near[column]);
-                flags[column] = (uint8_t)((far[column] - near[column] >= least) & sure[column]);
+        for (int64_t k = 0; k < n_boxes; k++) {
+            const int32_t *box = boxes + k * SIDES;
+            if (k == 0 || box[TOP] != box[TOP - SIDES] || box[BOTTOM] != box[BOTTOM - SIDES]) {
+                band_of_sums(n_rows, n_columns, sums, row + box[TOP], row + box[BOTTOM], pad, band);
+                band_of_counts(n_rows, n_columns, counts, row + box[TOP], row + box[BOTTOM], pad, count_band);
             }
+            const double *restrict far = band + pad + box[RIGHT], *restrict near = band + pad + box[LEFT];
+            const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad + box[LEFT];
+            const int32_t tall = box[BOTTOM] - box[TOP], wide = box[RIGHT] - box[LEFT], full = tall * wide;
+            const double *restrict limit = limits + k * blocks_each + row / block_rows * n_blocks;
+            for (int64_t block = 0; block < n_blocks; block++) {
+                const double bound = limit[block];
+                const int64_t begin = block * block_columns, end = within(begin + block_columns, n_columns);
+                if (n_far[end - 1] - n_near[begin] == tall * (int32_t)(end - 1 - begin + wide))
+                    for (int64_t column = begin; column < end; column++) /* nothing is missing anywhere */
+                        flags[column] = (uint8_t)((far[column] - near[column] >= bound * (double)level[column] * (double)full) & sure[column]);
+                else
+                    for (int64_t column = begin; column < end; column++) {
+                        const double least = bound * (double)level[column] * (double)(n_far[column] - n_near[column]);
+                        flags[column] = (uint8_t)((far[column] - near[column] >= least) & sure[column]);
+                    }
+            }
+            n_places[k] += collect(n_columns, flags, (int32_t)(row * n_columns), places + k * room + n_places[k]);
         }
-        n += collect(n_columns, flags, (int32_t)(row * n_columns), places + n);
     }
-    *n_places = n;
 }
 
 /* The length in columns of the shadow at a column; see shadow_columns of contrast.py. */
@@ -296,58 +295,76 @@ static inline int64_t shadow_columns(int64_t column, double height_m, double cle
     return whole > 1.0 ? (int64_t)whole : 1;
 }
 
-/* Pixels of rows [first, last) from which on the sum over a shadow is at most its block's limit times background and valid pixels, which
- * are more than least_share of it.
- *
- * clearance_m (n_rows): what the height's grazing ray has below it. The rest as in auv_mcm_contrast_bright. Lengths never fall with the
- * column, so that a row is a few runs of equal length.
+/* One height's shadow in a row, whose band of sums begins at `sums`: flags where it is at most its block's limit times background and valid
+ * pixels, which are more than least_share of it. Lengths never fall with the column, so that a row is a few runs of equal length.
  */
-WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
-                                const int32_t *restrict counts, const float *restrict background, int64_t half_rows, float least_share, double height_m, const double *restrict clearance_m,
-                                double column_m, double least_m, double most_m, const double *restrict limits, int64_t block_rows,
-                                int64_t block_columns, int64_t pad, double *restrict band, int32_t *restrict count_band,
-                                uint8_t *restrict flags, int32_t *restrict places, int64_t *restrict n_places)
+static inline void flag_dark(int64_t n_columns, const double *restrict sums, const int32_t *restrict counts, const float *restrict level,
+                             int64_t half_rows, float least_share, double height_m, double clear_m, double column_m, double least_m,
+                             double most_m, const double *restrict limit, int64_t block_columns, uint8_t *restrict flags)
 {
-    const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
-    int64_t n = 0;
-    for (int64_t row = first; row < last; row++) {
-        const double clear_m = clearance_m[row], columns_per_length = clear_m / height_m;
-        const float *restrict level = background + row * n_columns;
-        const double *restrict limit = limits + row / block_rows * n_blocks;
-        const double *restrict near = band + pad;
-        const int32_t *restrict n_near = count_band + pad;
-        const int64_t longest = shadow_columns(n_columns - 1, height_m, clear_m, column_m, least_m, most_m);
-        int64_t length = shadow_columns(0, height_m, clear_m, column_m, least_m, most_m);
-        band_of_sums(n_rows, n_columns, sums, row - half_rows, row + half_rows + 1, pad, band);
-        band_of_counts(n_rows, n_columns, counts, row - half_rows, row + half_rows + 1, pad, count_band);
-        for (int64_t begin = 0; begin < n_columns; length++) {
-            int64_t end = n_columns;
-            if (length < longest) {
-                const double guess = ((double)length + 0.5) * columns_per_length - 0.5;
-                end = guess < (double)n_columns ? (int64_t)guess + 1 : n_columns;
-                end = end < begin ? begin : end;
-                while (end > begin && shadow_columns(end - 1, height_m, clear_m, column_m, least_m, most_m) > length)
-                    end--;
-                while (end < n_columns && shadow_columns(end, height_m, clear_m, column_m, least_m, most_m) <= length)
-                    end++;
-            }
-            const int32_t least_count = (int32_t)(least_share * (float)((2 * half_rows + 1) * length));
-            const double *restrict far = near + length;
-            const int32_t *restrict n_far = n_near + length;
-            while (begin < end) {
-                const int64_t block = begin / block_columns, next = (block + 1) * block_columns, stop = next < end ? next : end;
-                const double bound = limit[block];
+    const double columns_per_length = clear_m / height_m;
+    const int64_t longest = shadow_columns(n_columns - 1, height_m, clear_m, column_m, least_m, most_m);
+    int64_t length = shadow_columns(0, height_m, clear_m, column_m, least_m, most_m);
+    for (int64_t begin = 0; begin < n_columns; length++) {
+        int64_t end = n_columns;
+        if (length < longest) {
+            const double guess = ((double)length + 0.5) * columns_per_length - 0.5;
+            end = guess < (double)n_columns ? (int64_t)guess + 1 : n_columns;
+            end = end < begin ? begin : end;
+            while (end > begin && shadow_columns(end - 1, height_m, clear_m, column_m, least_m, most_m) > length)
+                end--;
+            while (end < n_columns && shadow_columns(end, height_m, clear_m, column_m, least_m, most_m) <= length)
+                end++;
+        }
+        const int32_t n_rows = (int32_t)(2 * half_rows + 1), full = n_rows * (int32_t)length;
+        const int32_t least_count = (int32_t)(least_share * (float)full);
+        const double *restrict far = sums + length;
+        const int32_t *restrict n_far = counts + length;
+        while (begin < end) {
+            const int64_t block = begin / block_columns, next = (block + 1) * block_columns, stop = next < end ? next : end;
+            const double bound = limit[block];
+            if (full > least_count && n_far[stop - 1] - counts[begin] == n_rows * (int32_t)(stop - 1 + length - begin))
+                for (int64_t column = begin; column < stop; column++) /* nothing is missing anywhere */
+                    flags[column] = (uint8_t)(far[column] - sums[column] <= bound * (double)level[column] * (double)full);
+            else
                 for (int64_t column = begin; column < stop; column++) {
-                    const int32_t count = n_far[column] - n_near[column];
-                    flags[column] = (uint8_t)((far[column] - near[column] <= bound * (double)level[column] * (double)count) &
+                    const int32_t count = n_far[column] - counts[column];
+                    flags[column] = (uint8_t)((far[column] - sums[column] <= bound * (double)level[column] * (double)count) &
                                               (count > least_count));
                 }
-                begin = stop;
-            }
+            begin = stop;
         }
-        n += collect(n_columns, flags, (int32_t)(row * n_columns), places + n);
     }
-    *n_places = n;
+}
+
+/* For each height the pixels of rows [first, last) from which on its shadow's sum is low enough, see flag_dark.
+ *
+ * half_rows, height_m (n_heights), clearance_m (n_heights, n_rows): what the height's grazing ray has below it. The rest as in
+ * auv_mcm_contrast_bright.
+ */
+WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
+                                const int32_t *restrict counts, const float *restrict background, int64_t n_heights,
+                                const int64_t *restrict half_rows, const double *restrict height_m, const double *restrict clearance_m,
+                                float least_share, double column_m, double least_m, double most_m, const double *restrict limits,
+                                int64_t block_rows, int64_t block_columns, int64_t pad, int64_t room, double *restrict band,
+                                int32_t *restrict count_band, uint8_t *restrict flags, int32_t *restrict places,
+                                int64_t *restrict n_places)
+{
+    const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
+    const int64_t blocks_each = (n_rows + block_rows - 1) / block_rows * n_blocks;
+    memset(n_places, 0, (size_t)n_heights * sizeof *n_places);
+    for (int64_t row = first; row < last; row++)
+        for (int64_t k = 0; k < n_heights; k++) {
+            const int64_t half = half_rows[k];
+            if (k == 0 || half != half_rows[k - 1]) {
+                band_of_sums(n_rows, n_columns, sums, row - half, row + half + 1, pad, band);
+                band_of_counts(n_rows, n_columns, counts, row - half, row + half + 1, pad, count_band);
+            }
+            flag_dark(n_columns, band + pad, count_band + pad, background + row * n_columns, half, least_share, height_m[k],
+                      clearance_m[k * n_rows + row], column_m, least_m, most_m, limits + k * blocks_each + row / block_rows * n_blocks,
+                      block_columns, flags);
+            n_places[k] += collect(n_columns, flags, (int32_t)(row * n_columns), places + k * room + n_places[k]);
+        }
 }
 
 /* places (n), boxes (n, SIDES): means and numbers of valid pixels (n) of the boxes around these pixels. */

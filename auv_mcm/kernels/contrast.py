@@ -64,11 +64,12 @@ class Blocks(NamedTuple):
 
 
 class Shadows(NamedTuple):
-    """Shadows that an object of one height casts: half_rows, rows to either side of a pixel. clearance_m: (n_rows,) float64, altitude
-    over the object's top. length_m: least and most. least_share: of its pixels, more than which must be valid."""
+    """Shadows that objects of several heights cast: half_rows (n_heights,) int64, rows to either side of a pixel. height_m: (n_heights,),
+    clearance_m: (n_heights, n_rows) float64, altitude over the object's top. length_m: least and most. least_share: of its pixels, more
+    than which must be valid."""
 
-    half_rows: int
-    height_m: float
+    half_rows: NDArray[np.int64]
+    height_m: NDArray[np.float64]
     clearance_m: NDArray[np.float64]
     column_m: float
     length_m: tuple[float, float]
@@ -141,27 +142,37 @@ def ratios_numpy(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
     return np.stack([np.maximum(mean / level, np.float32(least)) for mean in means])
 
 
-def local_variance(values: Plane, known: Flags, half: tuple[int, int], clip: float, least: float) -> Plane:
-    """Variance of values, clipped to +-clip, over the known pixels within `half` rows and columns of each pixel; at least `least`."""
-    function = _c("contrast_variance", _I, _I, _P, _P, _I, _I, _F, _D, *[_P] * 4)
+def local_variances(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, least: float) -> Plane:
+    """Variances of the values of three planes (3, n_rows, n_columns), clipped to +-clip, over the known pixels within `half` rows and
+    columns of each pixel; at least `least`. Of rows [start, stop), one or more; the others repeat the nearest of them."""
+    function = _c("contrast_variances", *[_I] * 4, _P, _P, _I, _I, _F, _D, *[_P] * 3)
     if function is None:
-        return local_variance_numpy(values, known, half, clip, least)
-    values, known = np.ascontiguousarray(values), np.ascontiguousarray(known)
-    n_columns = values.shape[1]
-    clipped, variance = np.empty(n_columns, dtype=np.float32), np.empty(values.shape, dtype=np.float32)
-    rows, n_known = np.zeros((8, n_columns + 1)), np.zeros((2, n_columns + 1), dtype=np.int32)
-    function(*values.shape, *_pointers(values, known), *half, clip, least, *_pointers(clipped, rows, n_known, variance))
-    return variance
+        return local_variances_numpy(planes, known, rows, half, clip, least)
+    planes, known = np.ascontiguousarray(planes), np.ascontiguousarray(known)
+    width = planes.shape[2] + 1
+    variances = np.empty(planes.shape, dtype=np.float32)
+    sums, n_known = np.zeros((6 * len(planes), width)), np.zeros(width, dtype=np.int32)
+    function(*planes.shape[1:], *rows, *_pointers(planes, known), *half, clip, least, *_pointers(sums, n_known, variances))
+    return _beyond(variances, rows)
 
 
-def local_variance_numpy(values: Plane, known: Flags, half: tuple[int, int], clip: float, least: float) -> Plane:
-    """local_variance in numpy alone."""
-    clipped = np.clip(values, np.float32(-clip), np.float32(clip)) * known
+def local_variances_numpy(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, least: float) -> Plane:
+    """local_variances in numpy alone."""
     box = np.array((-half[0], half[0] + 1, -half[1], half[1] + 1), dtype=np.int32)
     count = np.maximum(_box(_integral(known, np.int32), box), 1)
-    mean = _box(_integral(clipped, np.float64), box) / count
-    mean_square = _box(_integral(clipped * clipped, np.float64), box) / count
-    return np.asarray(np.maximum(mean_square - mean * mean, least), dtype=np.float32)
+    variances = np.empty(planes.shape, dtype=np.float32)
+    for values, variance in zip(planes, variances, strict=True):
+        clipped = np.clip(values, np.float32(-clip), np.float32(clip)) * known
+        mean = _box(_integral(clipped, np.float64), box) / count
+        mean_square = _box(_integral(clipped * clipped, np.float64), box) / count
+        variance[:] = np.maximum(mean_square - mean * mean, least)
+    return _beyond(variances, rows)
+
+
+def _beyond(planes: Plane, rows: tuple[int, int]) -> Plane:
+    planes[:, : rows[0]] = planes[:, rows[0] : rows[0] + 1]
+    planes[:, rows[1] :] = planes[:, rows[1] - 1 : rows[1]]
+    return planes
 
 
 def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
@@ -183,80 +194,96 @@ def extremes_numpy(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
 
 
 def bright_places(
-    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], box: Boxes, limits: NDArray[np.float64], blocks: Blocks
-) -> Places:
-    """Known pixels of rows [start, stop) around which the sum over a box is at least limit times level times number of valid pixels.
+    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
+) -> tuple[Places, ...]:
+    """For each box (n_boxes, 4) the known pixels of rows [start, stop) around which its sum is at least limit times level times number of
+    valid pixels.
 
-    limits: one for each block, float64. Places rise.
+    limits: for each box one for each block, (n_boxes, blocks down, blocks across) float64. Places rise.
     """
-    function = _c("contrast_bright", *[_I] * 4, *[_P] * 6, *[_I] * 3, *[_P] * 5)
+    function = _c("contrast_bright", *[_I] * 4, *[_P] * 4, _I, _P, _P, *[_I] * 4, *[_P] * 5)
     if function is None:
-        return bright_places_numpy(sums, level, known, rows, box, limits, blocks)
-    pad, bands = _bands(sums, 1, box)
-    flags, places, n_places = _room(sums.shape, rows)
+        return bright_places_numpy(sums, level, known, rows, boxes, limits, blocks)
+    pad, bands = _bands(sums, 1, boxes)
+    flags, places, n_places = _room(sums.shape, rows, len(boxes))
+    boxes, limits = np.ascontiguousarray(boxes), np.ascontiguousarray(limits)
     function(
         *sums.shape,
         *rows,
-        *_pointers(sums.total, sums.n_valid, level, known, box, limits),
+        *_pointers(sums.total, sums.n_valid, level, known),
+        len(boxes),
+        *_pointers(boxes, limits),
         *blocks,
         pad,
+        places.shape[1],
         *_pointers(*bands, flags, places, n_places),
     )
-    return places[: n_places[0]].copy()
+    return _found(places, n_places)
 
 
 def bright_places_numpy(
-    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], box: Boxes, limits: NDArray[np.float64], blocks: Blocks
-) -> Places:
+    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
+) -> tuple[Places, ...]:
     """bright_places in numpy alone."""
-    least = _spread(limits, blocks, sums.shape) * level * _box(sums.n_valid, box)
-    return _places_of((_box(sums.total, box) >= least) & known, rows)
+    found = []
+    for box, limit in zip(boxes, limits, strict=True):
+        least = _spread(limit, blocks, sums.shape) * level * _box(sums.n_valid, box)
+        found.append(_places_of((_box(sums.total, box) >= least) & known, rows))
+    return tuple(found)
 
 
-def dark_places(sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks) -> Places:
-    """Pixels of rows [start, stop) where shadows begin whose sum is at most limit times level times number of valid pixels. Places rise."""
-    function = _c("contrast_dark", *[_I] * 4, _P, _P, _P, _I, _F, _D, _P, *[_D] * 3, _P, *[_I] * 3, *[_P] * 5)
+def dark_places(
+    sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
+) -> tuple[Places, ...]:
+    """For each height the pixels of rows [start, stop) where shadows begin whose sum is at most limit times level times number of valid
+    pixels. limits: (n_heights, blocks down, blocks across). Places rise."""
+    function = _c("contrast_dark", *[_I] * 4, *[_P] * 3, _I, *[_P] * 3, _F, *[_D] * 3, _P, *[_I] * 4, *[_P] * 5)
     if function is None:
         return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
     pad, bands = _bands(sums, 1, np.array((round(shadows.length_m[1] / shadows.column_m) + 1,)))
-    flags, places, n_places = _room(sums.shape, rows)
+    flags, places, n_places = _room(sums.shape, rows, len(shadows.height_m))
+    clearance_m, limits = np.ascontiguousarray(shadows.clearance_m), np.ascontiguousarray(limits)
     function(
         *sums.shape,
         *rows,
         *_pointers(sums.total, sums.n_valid, level),
-        shadows.half_rows,
+        len(shadows.height_m),
+        *_pointers(shadows.half_rows, shadows.height_m, clearance_m),
         shadows.least_share,
-        shadows.height_m,
-        *_pointers(shadows.clearance_m),
         shadows.column_m,
         *shadows.length_m,
         *_pointers(limits),
         *blocks,
         pad,
+        places.shape[1],
         *_pointers(*bands, flags, places, n_places),
     )
-    return places[: n_places[0]].copy()
+    return _found(places, n_places)
 
 
 def dark_places_numpy(
     sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
-) -> Places:
+) -> tuple[Places, ...]:
     """dark_places in numpy alone."""
     every_row, every_column = np.indices(sums.shape, sparse=True)
-    lengths = shadow_columns(shadows, every_row, every_column)
-    top, bottom = (np.clip(every_row + k, 0, sums.shape[0]) for k in (-shadows.half_rows, shadows.half_rows + 1))
-    stop = np.minimum(every_column + lengths, sums.shape[1])
-    total, count = (
-        (of[bottom, stop] - of[top, stop]) - (of[bottom, every_column] - of[top, every_column]) for of in (sums.total, sums.n_valid)
-    )
-    enough = count > np.float32(shadows.least_share) * ((2 * shadows.half_rows + 1) * lengths).astype(np.float32)
-    return _places_of((total <= _spread(limits, blocks, sums.shape) * level * count) & enough, rows)
+    found = []
+    for k, half_rows in enumerate(shadows.half_rows.tolist()):
+        lengths = shadow_columns(shadows, k, every_row, every_column)
+        top, bottom = (np.clip(every_row + reach, 0, sums.shape[0]) for reach in (-half_rows, half_rows + 1))
+        stop = np.minimum(every_column + lengths, sums.shape[1])
+        total, count = (
+            (of[bottom, stop] - of[top, stop]) - (of[bottom, every_column] - of[top, every_column]) for of in (sums.total, sums.n_valid)
+        )
+        enough = count > np.float32(shadows.least_share) * ((2 * half_rows + 1) * lengths).astype(np.float32)
+        found.append(_places_of((total <= _spread(limits[k], blocks, sums.shape) * level * count) & enough, rows))
+    return tuple(found)
 
 
-def shadow_columns(shadows: Shadows, row: NDArray[np.integer], column: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Lengths in columns of the shadows that begin at pixels: h y / (H - h) on a flat bottom. row, column: of one broadcast shape."""
+def shadow_columns(shadows: Shadows, k: int, row: NDArray[np.integer], column: NDArray[np.integer]) -> NDArray[np.intp]:
+    """Lengths in columns of the shadows of height k that begin at pixels: h y / (H - h) on a flat bottom. row, column: of one broadcast
+    shape."""
     ground_m = (column + 0.5) * shadows.column_m
-    length_m = np.clip(shadows.height_m * ground_m / shadows.clearance_m[row], *shadows.length_m)
+    length_m = np.clip(shadows.height_m[k] * ground_m / shadows.clearance_m[k, row], *shadows.length_m)
     return np.asarray(np.maximum(np.rint(length_m / shadows.column_m), 1.0), dtype=np.intp)
 
 
@@ -288,9 +315,9 @@ def peaks(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int
     function = _c("contrast_peaks", *[_I] * 4, _P, _I, _I, _P, _P)
     if function is None:
         return peaks_numpy(plane, rows, half_rows, half_columns)
-    _, places, n_places = _room((plane.shape[0], plane.shape[1]), rows)
+    _, places, n_places = _room((plane.shape[0], plane.shape[1]), rows, 1)
     function(*plane.shape, *rows, *_pointers(np.ascontiguousarray(plane)), half_rows, half_columns, *_pointers(places, n_places))
-    return places[: n_places[0]].copy()
+    return _found(places, n_places)[0]
 
 
 def peaks_numpy(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int) -> Places:
@@ -335,14 +362,18 @@ def _bands(sums: Sums, n: int, *boxes: NDArray[np.integer]) -> tuple[int, tuple[
     return pad, (np.empty((n, width)), np.empty((n, width), dtype=np.int32))
 
 
-def _room(shape: tuple[int, int], rows: tuple[int, int]) -> tuple[NDArray[np.uint8], Places, NDArray[np.int64]]:
-    """For a row's flags, for as many places as there can be and those that a chunk of flags passes over, and for their number."""
+def _room(shape: tuple[int, int], rows: tuple[int, int], n: int) -> tuple[NDArray[np.uint8], Places, NDArray[np.int64]]:
+    """For a row's flags, for n times as many places as there can be and those that a chunk of flags passes over, and for their numbers."""
     n_columns = shape[1]
     return (
         np.zeros(n_columns + 8, dtype=np.uint8),
-        np.empty((rows[1] - rows[0]) * n_columns + 8, dtype=np.int32),
-        np.zeros(1, dtype=np.int64),
+        np.empty((n, max(rows[1] - rows[0], 0) * n_columns + 8), dtype=np.int32),
+        np.zeros(n, dtype=np.int64),
     )
+
+
+def _found(places: Places, n_places: NDArray[np.int64]) -> tuple[Places, ...]:
+    return tuple(some[:n].copy() for some, n in zip(places, n_places.tolist(), strict=True))
 
 
 def _pointers(*arrays: NDArray[Any]) -> list[int]:

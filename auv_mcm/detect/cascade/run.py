@@ -165,7 +165,7 @@ class _Run:
         _, windows = self._opened(1)
         for group in range(1, self._n_open):
             if not self._affords(len(windows.place), group, group + 1):
-                return n_windows, _some(windows, slice(0, 0)), len(windows.place)
+                return n_windows, _none(windows), len(windows.place)
             windows = self._run(windows, group, group + 1)
         return n_windows, windows, 0
 
@@ -188,7 +188,8 @@ class _Run:
             if affordable < min(n - done, least):
                 break
             length = n - done if affordable >= n - done else affordable - least + 1
-            chosen = np.sort(ranked[done : done + length])
+            chosen = np.zeros(n, dtype=np.bool_)
+            chosen[ranked[done : done + length]] = True
             finished.append(self._run(_some(windows, chosen), first, last))
             done += length
         return _together(finished, windows), n - done
@@ -219,14 +220,18 @@ class _Run:
         self.n_alive[first:last] += n_alive
 
 
-def _some(windows: Windows, chosen: NDArray[np.int32] | slice) -> Windows:
-    """Windows by their indices, which rise."""
-    indices = np.arange(len(windows.place))[chosen]
+def _some(windows: Windows, chosen: NDArray[np.bool_]) -> Windows:
+    """Those windows that are chosen, (n,)."""
+    indices = np.flatnonzero(chosen)
     return Windows(windows.place[indices], windows.score[indices], np.searchsorted(indices, windows.band_stop).astype(np.int64))
+
+
+def _none(windows: Windows) -> Windows:
+    return Windows(windows.place[:0], windows.score[:0], np.zeros_like(windows.band_stop))
 
 
 def _together(parts: list[Windows], of: Windows) -> Windows:
     """All windows of some runs on parts of `of`; by run, not by band."""
-    parts = [_some(of, slice(0, 0)), *parts]
+    parts = [_none(of), *parts]
     place, score = (np.concatenate([part[k] for part in parts]) for k in range(2))
     return Windows(place, score, np.full_like(of.band_stop, len(place)))

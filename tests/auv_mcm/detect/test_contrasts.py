@@ -17,7 +17,7 @@ from auv_mcm.detect.prescreen import CONTEXT_M, ScoreMaps, find_peaks, score_til
 from auv_mcm.kernels import contrast as kernel
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 
-FACES = ("image_sums", "background", "ratios", "local_variance", "extremes", "bright_places", "dark_places", "box_means", "peaks")
+FACES = ("image_sums", "background", "ratios", "local_variances", "extremes", "bright_places", "dark_places", "box_means", "peaks")
 
 
 def threshold_of(p_false_alarm: float) -> np.float32:
@@ -50,7 +50,8 @@ def assert_same(tile: Tile, p_false_alarm: float) -> None:
     maps, found = score_tile(tile), contrasts(tile, p_false_alarm)
     threshold = threshold_of(p_false_alarm)
     np.testing.assert_array_equal(found.background, maps.background, strict=True)
-    np.testing.assert_array_equal(found.small, maps.small_box_variance, strict=True)
+    scored = slice(*found.rows)
+    np.testing.assert_array_equal(found.small[scored], maps.small_box_variance[scored], strict=True)
     np.testing.assert_array_equal(found.score, np.where(maps.score >= threshold, maps.score, np.float32(-np.inf)), strict=True)
     for radius_m in (0.1, 0.4):
         assert found.peaks(radius_m) == find_peaks(tile, maps, p_false_alarm, radius_m)
@@ -59,7 +60,8 @@ def assert_same(tile: Tile, p_false_alarm: float) -> None:
     half_rows, half_columns = (int(n) for n in random.integers(0, 9, 2))
     for peak, row, column in zip(found.clearest(rows, columns, half_rows, half_columns), rows, columns, strict=True):
         assert peak == clearest(maps, row, column, half_rows, half_columns)
-    assert found.floor(rows[0], columns[0]) == maps.floor(rows[0], columns[0])
+    row = min(max(rows[0], scored.start), scored.stop - 1)
+    assert found.floor(row, columns[0]) == maps.floor(row, columns[0])
 
 
 def clearest(maps: ScoreMaps, row: int, column: int, half_rows: int, half_columns: int) -> tuple[float, int, int]:
@@ -156,15 +158,18 @@ def test_every_kernel_gives_the_bits_of_its_twin_in_numpy(seed: int, shape: tupl
     assert_alike("background", sums, tile.mask, frame, np.float32(1e-6))
     level, known = kernel.background(sums, tile.mask, frame, np.float32(1e-6))
     assert_alike("ratios", sums, level, boxes[:3], 1e-3)
-    values = np.log(kernel.ratios(sums, level, boxes[:1], 1e-3)[0])
+    planes = np.log(kernel.ratios(sums, level, boxes[:3], 1e-3))
     half = (int(random.integers(0, 50)), int(random.integers(0, 100)))
-    assert_alike("local_variance", values, known, half, 1.2, 1e-3)
+    start = int(random.integers(0, shape[0]))
+    rows = (start, int(random.integers(start + 1, shape[0] + 1)))
+    assert_alike("local_variances", planes, known, rows, half, 1.2, 1e-3)
     blocks = kernel.Blocks(*(int(n) for n in random.integers(1, 40, 2)))
-    assert_alike("extremes", values, blocks)
-    rows = (int(random.integers(0, shape[0])), shape[0])
-    limits = random.uniform(0.3, 2.0, blocks.shape(shape))
-    assert_alike("bright_places", sums, level, known, rows, boxes[2], limits, blocks)
-    shadows = kernel.Shadows(int(random.integers(0, 4)), 0.35, random.uniform(0.05, 20.0, shape[0]), 0.06, (0.18, 6.0), 0.6)
+    assert_alike("extremes", planes[0], blocks)
+    limits = random.uniform(0.3, 2.0, (3, *blocks.shape(shape)))
+    boxes[3, :2] = boxes[2, :2]
+    assert_alike("bright_places", sums, level, known, rows, boxes[2:5], limits, blocks)
+    half_rows, clearance_m = random.integers(0, 2, 3), random.uniform(0.05, 20.0, (3, shape[0]))
+    shadows = kernel.Shadows(half_rows, np.array([0.1, 0.35, 0.7]), clearance_m, 0.06, (0.18, 6.0), 0.6)
     assert_alike("dark_places", sums, level, rows, shadows, limits, blocks)
     places = random.integers(0, tile.mask.size, 50).astype(np.int32)
     assert_alike("box_means", sums, places, boxes[random.integers(0, 8, 50)])
