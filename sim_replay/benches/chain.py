@@ -1,6 +1,7 @@
 """Cost of the whole chain on one core, from file to contacts, per stage and at two mission lengths.
 
-Medians over fresh processes. Times on a shared machine move by half; compare figures of one run only.
+Medians over fresh processes. Times on a shared machine move by half; compare figures of one run only. With --beside a second log, as of a
+busy scene beside a quiet one, both run in turn and the processor time of one over the other is told too.
 """
 
 from __future__ import annotations
@@ -32,12 +33,15 @@ from sim_replay.xtf_writer import write_xtf
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=duration_min, default=30.0, help="length of the tiled version (default 30)")
+    parser.add_argument("--beside", type=Path, metavar="LOG", help="another log, whose processor time to compare with")
     add_log(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     with given_or_flown(arguments.log) as (log, folder):
         _bench(log, folder, arguments.minutes, arguments.repeat)
+        if arguments.beside is not None:
+            print("\n" + _beside(log, arguments.beside, arguments.repeat))
     return 0
 
 
@@ -69,6 +73,13 @@ def _bench(log: Path, folder: Path, minutes: float, repeat: int) -> None:
     print(f"--exhaustive (nothing skipped) takes {saved:.2f} times as long on the short log")
 
 
+def _beside(log: Path, other: Path, repeat: int) -> str:
+    pairs = [(_run_chain(log), _run_chain(other)) for _ in range(repeat)]
+    ratio = statistics.median(ours["processor_s"] / theirs["processor_s"] for ours, theirs in pairs)
+    ours_s, theirs_s = (statistics.median(pair[k]["processor_s"] for pair in pairs) for k in range(2))
+    return f"processor time: {log} {ours_s:.2f} s, {other} {theirs_s:.2f} s, ratio {ratio:.2f}, median of {repeat} pairs"
+
+
 def _run_chain(log: Path, *options: str) -> dict[str, Any]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "sim_replay.benches.chain", str(log), *options]
@@ -90,7 +101,8 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
 
     pipeline = Pipeline(Config(), exhaustive=exhaustive, timer=time.perf_counter)
     pings, first_s, last_s, read_s = 0, math.nan, math.nan, 0.0
-    start = mark = time.perf_counter()
+    processor_s, start = time.process_time(), time.perf_counter()
+    mark = start
     for event in XtfLog(log, Config().sonar):
         read_s += time.perf_counter() - mark
         if isinstance(event, Ping):
@@ -105,6 +117,7 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
         "pings": pings,
         "duration_s": last_s - first_s,
         "total_s": total_s,
+        "processor_s": time.process_time() - processor_s,
         "costs_s": {"read": read_s, **pipeline.costs_s},
         "contacts": len(pipeline.contacts),
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
