@@ -1,7 +1,7 @@
 """Records of a long mission on disk, so that what is far away and long ago costs a few bytes of memory; read back when asked for.
 
-The file has no name: it goes with the process, however that ends, and nothing is ever recovered from it. Space of records that were
-replaced is not used again. What the disk does not take stays in memory, packed, and is counted.
+The file has no name: it goes with the process, however that ends, and nothing is ever recovered from it. A record that was replaced gets
+room to grow, so that the file stays within a few times what is in it. What the disk does not take stays in memory, packed, and is counted.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Shelf(Generic[T]):
         """folder: on the disk to use, that of temporary files if None. Where no file can be opened everything stays in memory."""
         self.n_unreadable = 0
         self._decoder = msgspec.msgpack.Decoder(kind, dec_hook=_unpacked_array)
-        self._starts, self._sizes = array("q"), array("I")  # in bytes
+        self._starts, self._sizes, self._rooms = array("q"), array("I"), array("I")  # in bytes
         self._in_memory: dict[int, bytes] = {}
         self._end = 0
         self._file: IO[bytes] | None = None
@@ -52,19 +52,24 @@ class Shelf(Generic[T]):
         """Never raises for a disk that is full or gone."""
         self._starts.append(_IN_MEMORY)
         self._sizes.append(0)
+        self._rooms.append(0)
         self[len(self) - 1] = record
 
     def __setitem__(self, number: int, record: T) -> None:
         """Never raises for a disk that is full or gone. Raises IndexError for a number that there is not."""
         data = _ENCODER.encode(record)
-        self._sizes[number] = len(data)
+        start, room = self._starts[number], self._rooms[number]
+        if len(data) > room:
+            start, room = self._end, 2 * len(data) if self._sizes[number] else len(data)
         try:
-            self._starts[number] = self._written(data)
+            self._write(data, start)
         except OSError:
-            self._starts[number] = _IN_MEMORY
+            start, room = _IN_MEMORY, 0
             self._in_memory[number] = data
         else:
+            self._end = max(self._end, start + room)
             self._in_memory.pop(number, None)
+        self._starts[number], self._sizes[number], self._rooms[number] = start, len(data), room
 
     def __getitem__(self, number: int) -> T:
         """The record, with arrays that cannot be written to. Raises OSError if the disk does not give it back, IndexError without it."""
@@ -84,15 +89,13 @@ class Shelf(Generic[T]):
         if self._file is not None:
             self._file.close()
 
-    def _written(self, data: bytes) -> int:
-        """Where the data now begin in the file. Raises OSError; what was written in part is written over by what comes next."""
+    def _write(self, data: bytes, start: int) -> None:
+        """Raises OSError."""
         if self._file is None:
             raise OSError(errno.ENOENT, "there is no file")
         written = 0
         while written < len(data):
-            written += os.pwrite(self._file.fileno(), data[written:], self._end + written)
-        start, self._end = self._end, self._end + len(data)
-        return start
+            written += os.pwrite(self._file.fileno(), data[written:], start + written)
 
     def _read(self, start: int, size: int) -> bytes:
         assert self._file is not None

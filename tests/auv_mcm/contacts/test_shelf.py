@@ -73,6 +73,22 @@ def test_a_shelf_leaves_nothing_in_its_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_record_that_grows_again_and_again_takes_a_few_times_its_space(shelf: Shelf[Contact], monkeypatch: pytest.MonkeyPatch) -> None:
+    ends, write = [0], os.pwrite
+
+    def noted(descriptor: int, data: bytes, start: int) -> int:
+        ends.append(start + len(data))
+        return write(descriptor, data, start)
+
+    monkeypatch.setattr("auv_mcm.contacts.shelf.os.pwrite", noted)
+    for n_signs in range(1, 1000):
+        if len(shelf) == 0:
+            shelf.append(contact(1))
+        shelf[0] = contact(1, "x" * 100 * n_signs)
+    assert shelf[0].reasons == ("x" * 99_900,)
+    assert max(ends) < 4 * 100_000
+
+
 def test_where_no_file_can_be_opened_everything_stays_in_memory(tmp_path: Path) -> None:
     with closing(Shelf(tmp_path / "missing", Contact)) as shelf:
         shelf.append(contact(7))
