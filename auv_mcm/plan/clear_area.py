@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from auv_mcm.config import Config
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.area import Area, area_state, in_plane, middles_m, over_area, plane_of
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel, look_bit
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.limits import Limits, obstacle
 from auv_mcm.plan.look_again import LEAVES_LEG_M, PlanRequest, Proposal, Run
@@ -154,7 +154,10 @@ class ClearArea:
         for leg in self._untold:
             exponent = self._with_look(ground, leg, limits, ground.exponent)
             looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(np.uint8)
-            ground = msgspec.structs.replace(ground, exponent=exponent, looks=looks)
+            heading = _heading_rad(in_plane(leg.ends_deg, plane_of(ground)))
+            both_sides = np.bitwise_or.reduce(look_bit([heading - 0.5 * math.pi, heading + 0.5 * math.pi]))
+            towards = np.where(exponent > ground.exponent, ground.towards | both_sides, ground.towards)
+            ground = msgspec.structs.replace(ground, exponent=exponent, looks=looks, towards=towards)
         return ground
 
     def _with_look(self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -168,7 +171,7 @@ class ClearArea:
         length_m = float(np.hypot(*(leave - entry)))
         seen = (np.abs(to_right_m) >= near_m) & (np.abs(to_right_m) <= far_m)
         seen &= (ahead_m >= limits.settling_m) & (ahead_m <= length_m - limits.settling_m)
-        heading = math.atan2(along[0], along[1])
+        heading = _heading_rad(np.stack([entry, leave]))
         look = np.mod(heading + np.sign(to_right_m[seen]) * 0.5 * math.pi, 2.0 * math.pi).astype(np.float32)
         p = self._model.p_look(
             ground.seabed[seen],
@@ -205,6 +208,11 @@ def _pose(request: PlanRequest, plane: LocalFrame) -> Pose:
     ahead_deg = here.to_geodetic([math.sin(request.heading_rad), math.cos(request.heading_rad), 0.0])[:2]
     start, ahead = in_plane([(request.latitude_deg, request.longitude_deg), (float(ahead_deg[0]), float(ahead_deg[1]))], plane)
     return Pose(float(start[0]), float(start[1]), math.atan2(ahead[0] - start[0], ahead[1] - start[1]))
+
+
+def _heading_rad(ends: NDArray[np.float64]) -> float:
+    east, north = (ends[1] - ends[0]).tolist()
+    return math.atan2(east, north)
 
 
 def _reach_m(trace: EchoTrace | None) -> float:

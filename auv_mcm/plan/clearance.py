@@ -12,13 +12,14 @@ from typing import Final, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, Side, SurveyedCells
 
 Array = NDArray[np.float64]
 
 HIGHEST_P: Final = 0.98  # of one look: nothing is ever seen for certain
+N_LOOKS: Final = 64  # directions told apart
 _SAME_LOOK_RAD: Final = math.radians(15.0)
 _SAME_PASS_S: Final = 60.0
 _ROUNDING_RAD: Final = 1e-6
@@ -52,7 +53,8 @@ class LookModel(Protocol):
 class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """How the search stands, (n_north, n_east) cells of the mission's plane; element [0, 0] is cell (first_east, first_north).
 
-    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. seabed uint8, ripple_rad,
+    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. towards uint64: the
+    directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
     wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where
     nothing was seen these are `unknown` and NaN.
     """
@@ -64,6 +66,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     first_north: int
     exponent: Array
     looks: NDArray[np.uint8]
+    towards: NDArray[np.uint64]
     seabed: NDArray[np.uint8]
     ripple_rad: NDArray[np.float32]
     wavelength_m: NDArray[np.float32]
@@ -77,6 +80,12 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     @property
     def seen(self) -> NDArray[np.bool_]:
         return self.looks > 0
+
+
+def look_bit(look_rad: ArrayLike) -> NDArray[np.uint64]:
+    """The bit, of N_LOOKS, that stands for the direction nearest to where a look goes; any shape."""
+    number = np.rint(np.asarray(look_rad, dtype=np.float64) * (N_LOOKS / (2.0 * math.pi))).astype(np.int64) % N_LOOKS
+    return np.asarray(np.uint64(1) << number.astype(np.uint64))
 
 
 class _Look(NamedTuple):
@@ -141,7 +150,7 @@ class ClearanceMap:
         cell, first = np.unique(key, return_index=True)
         n_looks = np.diff(np.append(first, len(key)))
         exponent = self._added_up(-np.log1p(-p_seen), look, first, n_looks)
-        return self._laid_out(cell, exponent, n_looks)
+        return self._laid_out(cell, exponent, n_looks, np.bitwise_or.reduceat(look_bit(look), first))
 
     def _pass_of(self, patch: CoveragePatch) -> int:
         assert patch.cells is not None
@@ -175,7 +184,7 @@ class ClearanceMap:
             total += np.where(there[:, k], weight * exponent[row[:, k]], 0.0)
         return total
 
-    def _laid_out(self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp]) -> Clearance:
+    def _laid_out(self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]) -> Clearance:
         east = (cell + _KEY // 2) // _KEY
         north = cell - east * _KEY
         first_east, first_north = int(east.min()), int(north.min())
@@ -185,6 +194,8 @@ class ClearanceMap:
         dense[at] = exponent
         looks = np.zeros(shape, dtype=np.uint8)
         looks[at] = np.minimum(n_looks, 255)
+        looked_towards = np.zeros(shape, dtype=np.uint64)
+        looked_towards[at] = towards
         # The surest look tells what kind of sea floor it is; of equals the first.
         confidence = np.full(shape, -1.0, dtype=np.float32)
         seabed = np.full(shape, SEABED_TYPES.index("unknown"), dtype=np.uint8)
@@ -210,6 +221,7 @@ class ClearanceMap:
             first_north=first_north,
             exponent=dense,
             looks=looks,
+            towards=looked_towards,
             seabed=seabed,
             ripple_rad=ripple,
             wavelength_m=wavelength,

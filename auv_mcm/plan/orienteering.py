@@ -37,6 +37,9 @@ _ROUNDS: Final = 4
 _SWEEPS: Final = 10
 EXACT_LEGS: Final = 9
 _OVERFULL: Final = 1.25  # of the budget, chosen by rough ways; what is too much by exact ones is left out then
+LEAST_ALIKE: Final = 0.7
+"""Of a look from where one was had before, what tells nothing new at least: of such pairs tables know little, and what hides from one side
+may show from another."""
 _LEAST_CUT_M: Final = 2.0
 _MADE_GOOD: Final = 0.1  # of all that is gained, what moving the others can make good for a leg that is left out
 
@@ -114,9 +117,9 @@ class Wanting:
         self._problem = problem
         self._need = problem.cells.need.copy()
         self._missed_m2 = problem.cells.weight_m2.copy()
-        self._towards = np.zeros(len(problem.cells.need), dtype=np.uint64)  # looks of the plan alone
+        self._towards = problem.cells.towards.copy()
         self._seen_again = 1.0 - problem.model.other_look_correlation
-        self._seen_alike = 1.0 - problem.model.same_look_correlation
+        self._seen_alike = 1.0 - max(problem.model.same_look_correlation, LEAST_ALIKE)
         self._renewed = np.where(problem.cells.looked, self._seen_again, 1.0)
 
     def copy(self) -> Wanting:
@@ -465,7 +468,7 @@ def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
 
     For any set of legs already taken, a route gains at most what that set does and the gains that single legs would add to it, of which the
     track pays for only so many (fractional knapsack over each leg's length and its shortest connection). The least over the given sets.
-    What a leg counts for here is never less than in a route: only earlier looks than the plan's diminish it.
+    What a leg counts for here is never less than in a route: of what was seen before it counts as a look from elsewhere.
     """
     tracks, cells, limits = problem.tracks, problem.cells, problem.limits
     if not tracks.n_legs:

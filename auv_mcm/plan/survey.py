@@ -96,6 +96,7 @@ def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: 
         first_north=0,
         exponent=np.zeros((0, 0)),
         looks=np.zeros((0, 0), dtype=np.uint8),
+        towards=np.zeros((0, 0), dtype=np.uint64),
         seabed=np.zeros((0, 0), dtype=np.uint8),
         ripple_rad=np.zeros((0, 0), dtype=np.float32),
         wavelength_m=np.zeros((0, 0), dtype=np.float32),
@@ -115,7 +116,7 @@ def clearance_over(clearance: Clearance, first_east: int, first_north: int, shap
         box[rows, columns] = layer[rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)]
         return box
 
-    outside = {"exponent": 0.0, "looks": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
+    outside = {"exponent": 0.0, "looks": 0.0, "towards": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
     outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
     layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
     return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)
@@ -178,6 +179,7 @@ def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cell
         need=wanted - clearance.exponent[at_cell],
         weight_m2=share * clearance.cell_m**2 / -np.expm1(-wanted) * np.exp(-clearance.exponent[at_cell]),
         looked=clearance.looks[at_cell] > 0,
+        towards=clearance.towards[at_cell],
         seabed=clearance.seabed[at_cell],
         ripple_rad=clearance.ripple_rad[at_cell],
         cell_m=clearance.cell_m,

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.plan.clearance import HIGHEST_P, LookModel
+from auv_mcm.plan.clearance import HIGHEST_P, N_LOOKS, LookModel, look_bit
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.fence import circles_inside, runs_inside
 from auv_mcm.plan.limits import Limits, turns_inside
@@ -33,16 +33,15 @@ _MOST_LINES: Final = 64  # side by side
 _MOST_SAMPLES: Final = 32  # of a line, to find where it is inside the fence
 _LEAST_EXPONENT: Final = 1e-4
 _ROUNDING_RAD: Final = 1e-6
-_N_LOOKS: Final = 64  # directions told apart
 
 
 def _bits_alike() -> NDArray[np.uint64]:
-    look_rad = 2.0 * math.pi / _N_LOOKS * np.arange(_N_LOOKS)
+    look_rad = 2.0 * math.pi / N_LOOKS * np.arange(N_LOOKS)
     apart = np.abs(np.mod(look_rad[:, np.newaxis] - look_rad + math.pi, 2.0 * math.pi) - math.pi) <= SAME_LOOK_RAD + _ROUNDING_RAD
     return np.asarray((apart * _LOOK_BIT).sum(axis=1, dtype=np.uint64))
 
 
-_LOOK_BIT: Final = np.uint64(1) << np.arange(_N_LOOKS, dtype=np.uint64)
+_LOOK_BIT: Final = look_bit(2.0 * math.pi / N_LOOKS * np.arange(N_LOOKS))
 _ALIKE: Final = _bits_alike()
 """(64,) uint64: per look direction the bits of those from nearly the same side."""
 
@@ -51,7 +50,7 @@ class Cells(NamedTuple):
     """Cells that are not cleared yet, (n,) each. need: miss exponent that is wanting. weight_m2: what it is worth, as area, that mines
     there are found for sure which up to now are not.
 
-    looked: whether it was looked at before, and thus a further look tells less.
+    looked: whether it was looked at before, and thus a further look tells less; towards: in which directions, bits as `look_bit` has them.
     """
 
     east_m: Array
@@ -59,6 +58,7 @@ class Cells(NamedTuple):
     need: Array
     weight_m2: Array
     looked: NDArray[np.bool_]
+    towards: NDArray[np.uint64]
     seabed: NDArray[np.uint8]
     ripple_rad: NDArray[np.float32]
     cell_m: float
@@ -110,7 +110,7 @@ def half_extent_m(cell_m: float, heading_rad: float) -> float:
 
 def look_number(look_rad: float) -> int:
     """Which of the directions told apart is nearest."""
-    return round(look_rad / (2.0 * math.pi) * _N_LOOKS) % _N_LOOKS
+    return round(look_rad / (2.0 * math.pi) * N_LOOKS) % N_LOOKS
 
 
 def headings_rad(cells: Cells) -> list[float]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel, look_bit
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import clearance_over, unsearched
 from auv_mcm.records import SIDES, Side
@@ -64,19 +64,21 @@ def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Sid
         return np.asarray(np.bincount(key, value, len(count))[cell] / count[cell])
 
     place = np.unravel_index(cell, ground.exponent.shape)
+    look_rad = np.mod(np.arctan2(mean(np.sin(look)), mean(np.cos(look))), 2.0 * math.pi).astype(np.float32)
     p = model.p_look(
         ground.seabed[place],
         mean(np.broadcast_to(ground_m, inside.shape)[inside]).astype(np.float32),
         np.full(len(cell), limits.altitude_m, dtype=np.float32),
-        np.mod(np.arctan2(mean(np.sin(look)), mean(np.cos(look))), 2.0 * math.pi).astype(np.float32),
+        look_rad,
         ground.ripple_rad[place],
     )
     fraction = np.minimum(count[cell] * step_m * _ACROSS_M / ground.cell_m**2, 1.0)
     renewed = np.where(ground.looks[place] > 0, 1.0 - model.other_look_correlation, 1.0)
-    exponent, looks = ground.exponent.copy(), ground.looks.copy()
+    exponent, looks, towards = ground.exponent.copy(), ground.looks.copy(), ground.towards.copy()
     exponent[place] -= renewed * np.log1p(-fraction * np.clip(p, 0.0, HIGHEST_P))
     looks[place] = np.minimum(looks[place], 254) + 1
-    return msgspec.structs.replace(ground, exponent=exponent, looks=looks)
+    towards[place] |= look_bit(look_rad)
+    return msgspec.structs.replace(ground, exponent=exponent, looks=looks, towards=towards)
 
 
 def would_come_to(ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, model: LookModel, limits: Limits) -> float:

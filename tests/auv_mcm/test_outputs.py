@@ -177,6 +177,7 @@ def searched_half() -> Clearance:
         first_north=0,
         exponent=-np.log1p(-np.array([[0.5, 0.9001], [0.96, 0.0]])),
         looks=np.array([[1, 1], [2, 0]], dtype=np.uint8),
+        towards=np.array([[1, 1], [3, 0]], dtype=np.uint64),
         seabed=np.array([[0, 1], [2, 4]], dtype=np.uint8),
         ripple_rad=nothing,
         wavelength_m=nothing,

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, ClearanceMap
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, ClearanceMap, look_bit
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side, SurveyedCells
 
 
@@ -199,3 +199,19 @@ def test_cells_of_another_mission_are_refused() -> None:
     searched.add(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)])))
     with pytest.raises(ValueError, match="two missions"):
         searched.add(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)]), origin_deg=44.0))
+
+
+def test_directions_a_hair_apart_share_a_bit_and_opposite_ones_never_do() -> None:
+    turned = 0.001 + np.linspace(0.0, 2.0 * math.pi, 640, endpoint=False)
+    bits = look_bit(turned)
+    assert (np.bitwise_count(bits) == 1).all()
+    assert len(np.unique(bits)) == 64
+    assert (look_bit(turned + math.pi) != bits).all()
+    assert (look_bit(turned + 2.0 * math.pi) == bits).all()
+
+
+def test_the_map_holds_the_directions_that_each_cell_was_looked_at_in() -> None:
+    told = [Told(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)]), Told(500.0, "port", 100.0, [(0, 0, 1.0, 25.0), (1, 0, 1.0, 25.0)])]
+    towards = snapshot(*map(patch, told)).towards
+    north, east = look_bit(np.radians([10.0, 100.0]))
+    assert towards.tolist() == [[north | east, east]]

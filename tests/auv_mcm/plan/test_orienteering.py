@@ -40,6 +40,7 @@ def problem_of(state: World, limits: Limits, kept: list[int] | None = None) -> P
         need=np.full(n, wanted),
         weight_m2=np.full(n, clearance.cell_m**2 / state.required),
         looked=np.zeros(n, dtype=np.bool_),
+        towards=np.zeros(n, dtype=np.uint64),
         seabed=clearance.seabed[row, column],
         ripple_rad=clearance.ripple_rad[row, column],
         cell_m=clearance.cell_m,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from survey_worlds import CELL_M, LIMITS, ORIGIN, Sonar, contact, world
 
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance
+from auv_mcm.plan.clearance import HIGHEST_P, Clearance, look_bit
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import HIGHEST_REQUIRED, Plan, PlannedLeg, World, clearance_over, replan, unsearched
@@ -341,3 +341,13 @@ def test_where_a_mean_suffices_the_plan_gets_it_with_less_track() -> None:
     assert mean.length_m < 0.8 * every.length_m
     assert mean.gain_m2 * state.required >= 0.99 * 0.5 * state.area.sum() * CELL_M**2
     assert mean.verdict == ""
+
+
+def test_floor_that_was_seen_from_two_sides_is_looked_at_from_elsewhere() -> None:
+    state = world(20, 20)
+    state.clearance.exponent[:] = 0.8
+    state.clearance.looks[:] = 2
+    state.clearance.towards[:] = np.bitwise_or.reduce(look_bit([0.5 * math.pi, 1.5 * math.pi]))
+    plan = replan(state, POSE, LIMITS, None, steps(100))
+    longest = max(plan.legs, key=lambda leg: leg.gain_m2)
+    assert abs(math.sin(longest.entry.heading_rad)) > math.sin(math.radians(15.0))
