@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.plan.clearance import HIGHEST_P, N_LOOKS, LookModel, look_bit
 from auv_mcm.plan.dubins import Pose
@@ -33,6 +33,11 @@ _MOST_LINES: Final = 64  # side by side
 _MOST_SAMPLES: Final = 32  # of a line, to find where it is inside the fence
 _LEAST_EXPONENT: Final = 1e-4
 _ROUNDING_RAD: Final = 1e-6
+
+
+def bits_alike(look_rad: ArrayLike) -> NDArray[np.uint64]:
+    """Bits of the directions that are nearly the same as those of looks; any shape."""
+    return np.asarray(_ALIKE[np.rint(np.asarray(look_rad) * (N_LOOKS / (2.0 * math.pi))).astype(np.int64) % N_LOOKS])
 
 
 def _bits_alike() -> NDArray[np.uint64]:

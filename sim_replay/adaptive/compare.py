@@ -12,9 +12,10 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import Clearance, LookModel
+from auv_mcm.plan.clearance import Clearance
 from auv_mcm.plan.dubins import Pose
-from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.plan.orienteering import LEAST_ALIKE
+from auv_mcm.plan.performance import Performance, shipped_performance
 from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
 from sim_replay.adaptive.ground import would_come_to
@@ -96,9 +97,10 @@ class Flights(NamedTuple):
     lawnmower: Lawnmower
 
 
-def fly_all(seed: int, order: Order, model: LookModel) -> Flights:
+def fly_all(seed: int, order: Order, model: Performance) -> Flights:
     """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The replanned flight goes
-    on until the order is met and its map is ABOVE what the lawnmower would come to on the same sea floor, as the map has it by then.
+    on until the order is met and its map is ABOVE what the lawnmower would come to on the same sea floor, as the map has it by then. Maps
+    and plans count of a look from where one was had before LEAST_ALIKE as nothing new.
 
     Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with.
     """
@@ -110,12 +112,13 @@ def fly_all(seed: int, order: Order, model: LookModel) -> Flights:
     if lawnmower is None:
         raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
     origin, legs = local_frame(scene.origin), lawnmower.legs
+    careful = msgspec.structs.replace(model, same_look_correlation=max(model.same_look_correlation, LEAST_ALIKE))
 
     def wanted(ground: Clearance) -> float:
-        return max(order.required, would_come_to(ground, legs, origin, model, limits) + ABOVE)
+        return max(order.required, would_come_to(ground, legs, origin, careful, limits) + ABOVE)
 
-    adaptive = fly_adaptive(scene, order, by_replanning(order, model, limits, origin), limits, model, config, wanted)
-    return Flights(adaptive, fly_fixed(scene, order, legs, model, config), lawnmower)
+    adaptive = fly_adaptive(scene, order, by_replanning(order, careful, limits, origin), limits, careful, config, wanted)
+    return Flights(adaptive, fly_fixed(scene, order, legs, careful, config), lawnmower)
 
 
 def _arm(flight: Flight, order: Order) -> Arm:

@@ -14,6 +14,7 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel, look_bit
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import clearance_over, unsearched
+from auv_mcm.plan.tracks import bits_alike
 from auv_mcm.records import SIDES, Side
 from sim_replay.adaptive.order import Order
 from sim_replay.simulator.plan import Leg
@@ -73,7 +74,9 @@ def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Sid
         ground.ripple_rad[place],
     )
     fraction = np.minimum(count[cell] * step_m * _ACROSS_M / ground.cell_m**2, 1.0)
-    renewed = np.where(ground.looks[place] > 0, 1.0 - model.other_look_correlation, 1.0)
+    again = np.where(ground.looks[place] > 0, 1.0 - model.other_look_correlation, 1.0)
+    alike = (ground.towards[place] & bits_alike(look_rad)) != 0
+    renewed = np.where(alike, 1.0 - model.same_look_correlation, again)
     exponent, looks, towards = ground.exponent.copy(), ground.looks.copy(), ground.towards.copy()
     exponent[place] -= renewed * np.log1p(-fraction * np.clip(p, 0.0, HIGHEST_P))
     looks[place] = np.minimum(looks[place], 254) + 1
@@ -88,7 +91,9 @@ def would_come_to(ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, mo
     """
     here = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
     corner = here.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)
-    flown = msgspec.structs.replace(ground, exponent=np.zeros_like(ground.exponent), looks=np.zeros_like(ground.looks))
+    flown = msgspec.structs.replace(
+        ground, exponent=np.zeros_like(ground.exponent), looks=np.zeros_like(ground.looks), towards=np.zeros_like(ground.towards)
+    )
     for leg in legs:
         along = np.arange(0.5 * _ALONG_M, leg.length_m, _ALONG_M)
         east = leg.east_m + float(corner[0]) + along * math.sin(leg.direction_rad)
