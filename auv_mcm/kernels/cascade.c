@@ -351,32 +351,52 @@ void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t
     }
 }
 
-/* order (n): out, indices of scores from the highest down, of equal ones the first first. scratch (n): overwritten. */
-void auv_mcm_cascade_rank(int64_t n, const int32_t *restrict score, int32_t *order, int32_t *scratch)
+/* order (n): out, indices of scores from the highest down, of equal ones the first first: of the n_first (1 to n) highest, and of all that
+ * equal the last of those. scratch (n): overwritten. n_ranked (1): out, how many.
+ */
+void auv_mcm_cascade_rank(int64_t n, const int32_t *restrict score, int64_t n_first, int32_t *order, int32_t *scratch,
+                          int64_t *restrict n_ranked)
 {
-    int32_t highest = INT32_MIN;
+    int32_t highest = INT32_MIN, lowest = INT32_MAX;
     for (int64_t i = 0; i < n; i++) {
         highest = score[i] > highest ? score[i] : highest;
-        order[i] = (int32_t)i;
+        lowest = score[i] < lowest ? score[i] : lowest;
+    }
+    /* Coarsely first, so that only those that may be among the first are sorted. */
+    int64_t alike[1 << DIGIT_BITS] = {0}, some = 0, high = 0;
+    uint32_t last = 0;
+    int coarse = 0;
+    while (((uint32_t)highest - (uint32_t)lowest) >> coarse >= 1 << DIGIT_BITS)
+        coarse++;
+    for (int64_t i = 0; i < n; i++)
+        alike[((uint32_t)highest - (uint32_t)score[i]) >> coarse]++;
+    while ((high += alike[last]) < n_first)
+        last++;
+    for (int64_t i = 0; i < n; i++) {
+        order[some] = (int32_t)i;
+        some += ((uint32_t)highest - (uint32_t)score[i]) >> coarse <= last;
     }
     int32_t *from = order, *to = scratch;
     for (int shift = 0; shift < 32; shift += DIGIT_BITS) {
         int64_t start[1 << DIGIT_BITS] = {0}, before = 0;
-        for (int64_t i = 0; i < n; i++)
-            start[((uint32_t)highest - (uint32_t)score[i]) >> shift & ((1 << DIGIT_BITS) - 1)]++;
-        if (start[0] == n)
+        for (int64_t i = 0; i < high; i++)
+            start[((uint32_t)highest - (uint32_t)score[from[i]]) >> shift & ((1 << DIGIT_BITS) - 1)]++;
+        if (start[0] == high)
             continue;
         for (int digit = 0; digit < 1 << DIGIT_BITS; digit++) {
-            const int64_t alike = start[digit];
+            const int64_t equal = start[digit];
             start[digit] = before;
-            before += alike;
+            before += equal;
         }
-        for (int64_t i = 0; i < n; i++)
+        for (int64_t i = 0; i < high; i++)
             to[start[((uint32_t)highest - (uint32_t)score[from[i]]) >> shift & ((1 << DIGIT_BITS) - 1)]++] = from[i];
         int32_t *const sorted = to;
         to = from;
         from = sorted;
     }
     if (from != order)
-        memcpy(order, from, (size_t)n * sizeof *order);
+        memcpy(order, from, (size_t)high * sizeof *order);
+    while (n_first < high && score[order[n_first]] == score[order[n_first - 1]])
+        n_first++;
+    *n_ranked = n_first;
 }

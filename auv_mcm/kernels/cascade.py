@@ -241,20 +241,24 @@ def run_groups_numpy(
     return Windows(np.concatenate(places), np.concatenate(scores), band_stop), n_alive
 
 
-def rank(score: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Indices of scores (n,) int32 from the highest down, of equal ones the first first; (n,) int32."""
+def rank(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
+    """Indices of scores (n,) int32 from the highest down, of equal ones the first first: of the n_first highest, 1 at least, and of all
+    that equal the last of those; int32."""
+    n_first = min(max(n_first, 1), score.size)
     function = _c_rank()
-    if function is None:
-        return rank_numpy(score)
+    if function is None or score.size == 0:
+        return rank_numpy(score, n_first)
     score = np.ascontiguousarray(score)
-    order, scratch = np.empty(score.size, dtype=np.int32), np.empty(score.size, dtype=np.int32)
-    function(score.size, *_pointers(score, order, scratch))
-    return order
+    order, scratch, n_ranked = np.empty(score.size, dtype=np.int32), np.empty(score.size, dtype=np.int32), np.empty(1, dtype=np.int64)
+    function(score.size, *_pointers(score), n_first, *_pointers(order, scratch, n_ranked))
+    return order[: n_ranked[0]]
 
 
-def rank_numpy(score: NDArray[np.int32]) -> NDArray[np.int32]:
+def rank_numpy(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
     """rank in numpy alone."""
-    return np.argsort(-score.astype(np.int64), kind="stable").astype(np.int32)
+    n_first = min(max(n_first, 1), score.size)
+    order = np.argsort(-score.astype(np.int64), kind="stable").astype(np.int32)
+    return order[: np.count_nonzero(score >= score[order[n_first - 1]])] if order.size else order
 
 
 def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
@@ -330,4 +334,4 @@ def _c_run() -> Callable[..., None] | None:
 
 @functools.cache
 def _c_rank() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_rank", _I, *[_P] * 3)
+    return kernels.c_function("cascade_rank", _I, _P, _I, *[_P] * 3)

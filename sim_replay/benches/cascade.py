@@ -124,6 +124,9 @@ def run(arguments: argparse.Namespace) -> int:
     speed = measure_speed(model, ROW_M, COLUMN_M)
     budget = budget_for(speed, _PERIOD_S, 0.1)
     print(f"{speed / 1e6:.0f} million evaluations per second where nothing is rejected")
+    if (worst := tiles[-1]).budget:
+        share = (worst.plane_ms + worst.run_ms) * 1e-3 * speed / worst.budget
+        print(f"the {worst.name} tile takes {share:.2f} times as long as its budget at that speed")
     print(f"a tenth of one core with a tile every {_PERIOD_S:g} s is a budget of {budget / 1e6:.0f} million evaluations per tile")
     return 0
 

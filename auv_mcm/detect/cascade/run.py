@@ -178,16 +178,18 @@ class _Run:
         if self._affords(n, first, last):
             return self._run(windows, first, last), 0
         # Best score first, then in the order of windows: by band, row, column.
-        ranked = rank(windows.score)
         most, least = int(self._sizes[first:].sum()), max(1, n // _SLICES)
         done = 0
         finished: list[Windows] = []
+        ranked = rank(windows.score, self._left() // most)  # if none is dropped there will be no others
         while done < n:
             # A window starts if it and a few behind it could go all the way: then it makes no difference how they are sliced.
             affordable = self._left() // most
             if affordable < min(n - done, least):
                 break
             length = n - done if affordable >= n - done else affordable - least + 1
+            if done + length > len(ranked):
+                ranked = rank(windows.score, n)
             chosen = np.zeros(n, dtype=np.bool_)
             chosen[ranked[done : done + length]] = True
             finished.append(self._run(_some(windows, chosen), first, last))

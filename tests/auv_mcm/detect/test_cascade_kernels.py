@@ -144,8 +144,13 @@ def test_integral_images_go_where_they_are_told_or_nowhere() -> None:
         encode(np.ones((2, 2), dtype=np.float32), np.ones((2, 3), dtype=np.uint8))
 
 
-@given(score=hnp.arrays(np.int32, st.integers(0, 60), elements=st.integers(-(2**31), 2**31 - 1) | st.integers(-3, 3)))
+@given(
+    score=hnp.arrays(np.int32, st.integers(0, 60), elements=st.integers(-(2**31), 2**31 - 1) | st.integers(-3, 3)),
+    n_first=st.integers(0, 70),
+)
 @settings(deadline=None)
-def test_ranks_are_from_the_highest_down_the_first_of_equals_first(score: NDArray[np.int32]) -> None:
+def test_ranks_are_from_the_highest_down_the_first_of_equals_first(score: NDArray[np.int32], n_first: int) -> None:
     expected = sorted(range(score.size), key=lambda k: (-int(score[k]), k))
-    assert rank(score).tolist() == rank_numpy(score).tolist() == expected
+    least = min((int(score[k]) for k in expected[: max(n_first, 1)]), default=0)
+    expected = [k for k in expected if score[k] >= least]
+    assert rank(score, n_first).tolist() == rank_numpy(score, n_first).tolist() == expected
