@@ -107,6 +107,13 @@ class Memory(NamedTuple):
     n_contacts: int
 
 
+class Watched(NamedTuple):
+    """Memory of a run until it was told to stop, and the most of either process after that, when the results are written."""
+
+    memory: list[Memory]
+    ending: list[Memory]
+
+
 class Kill(NamedTuple):
     """What was left of a service that was killed.
 
@@ -280,9 +287,15 @@ def _bench_soak(minutes: float, speed: float, folder: Path) -> None:
             evidence = run_scenario(read, folder, lambda line: print(line, file=sys.stderr, flush=True))
         finally:
             over.set()
-        memory = watching.result()
+        watched = watching.result()
     print(f"{duration_s / 60.0:.1f} min of mission at {speed:g} times real time; service, perception and 2 devices as processes\n")
-    _print_memory(memory, speed)
+    _print_memory(watched.memory, speed)
+    if watched.ending:
+        service_bytes, perception_bytes = (max(found[index] for found in watched.ending) for index in (1, 2))
+        print(
+            f"while the results were written: service at most {service_bytes / _BYTES_PER_MB:.1f} MB, "
+            f"perception {perception_bytes / _BYTES_PER_MB:.1f} MB\n"
+        )
     unexplained = print_counters(evidence)
     dead = found_dead(evidence)
     print(f"\nunexplained: {', '.join(unexplained) or 'none'}")
@@ -298,7 +311,8 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
     for index in np.unique(np.linspace(0, len(memory) - 1, _MOST_ROWS).astype(int)):
         at_s, service_bytes, perception_bytes, n_contacts = memory[index]
         print(f"{at_s:>8.1f}{service_bytes / _BYTES_PER_MB:>12.1f}{perception_bytes / _BYTES_PER_MB:>15.1f}{n_contacts:>10}")
-    late = np.asarray(memory[len(memory) // 2 :])  # the first half fills caches
+    # The first half fills caches. Medians, since memory that is used for a moment comes and goes.
+    late = np.array([np.median(part, axis=0) for part in np.array_split(np.asarray(memory[len(memory) // 2 :]), _MOST_ROWS) if len(part)])
     mission_h = (late[:, 0] - late[0, 0]) * speed / 3600.0
     service, perception, contacts = np.polynomial.polynomial.polyfit(mission_h, late[:, 1:], 1)[1]
     print(
@@ -306,7 +320,7 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
         f"perception {perception / _BYTES_PER_MB:+.1f} MB, {contacts:+.0f} contacts"
     )
     if contacts > 0.0:
-        print(f"contacts are kept: of each, service {service / contacts / 1e3:.1f} kB, perception {perception / contacts / 1e3:.1f} kB")
+        print(f"per contact: service {service / contacts:+.0f} bytes, perception {perception / contacts:+.0f} bytes")
     print()
 
 
@@ -355,21 +369,31 @@ def _raised(lines: Sequence[str]) -> str:
     return f"{' '.join(lines[n_frames : n_frames + 1])} ({', '.join(places[-1:])})"
 
 
-def _watched_memory(folder: Path, over: threading.Event) -> list[Memory]:
+def _watched_memory(folder: Path, over: threading.Event) -> Watched:
+    watched = Watched([], [])
     if not _said(folder, " ready: ", over) or (pid := _service_pid(folder)) is None:
-        return []
+        return watched
     begun_s = time.monotonic()
-    memory = []
     with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has ended
-        while not over.wait(_SAMPLE_S) and _STOPPING not in (console := _console(folder)):
+        while not over.wait(_SAMPLE_S if not watched.ending else _POLL_S):
+            console = _console(folder)
             children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()]
-            perception_bytes = max((_resident_bytes(child) for child in children), default=0)  # the other one tracks shared memory
-            memory.append(Memory(time.monotonic() - begun_s, _resident_bytes(pid), perception_bytes, _n_contacts(console)))
-    return memory  # without the end, at which pictures and results are made
+            perception_bytes = max(map(_resident_bytes_or_0, children), default=0)  # the other one tracks shared memory
+            found = Memory(time.monotonic() - begun_s, _resident_bytes(pid), perception_bytes, _n_contacts(console))
+            (watched.ending if _STOPPING in console else watched.memory).append(found)
+    return watched
 
 
 def _resident_bytes(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _resident_bytes_or_0(pid: int) -> int:
+    """0 for a process that has ended."""
+    try:
+        return _resident_bytes(pid)
+    except (FileNotFoundError, ProcessLookupError):
+        return 0
 
 
 def _console(folder: Path) -> str:
