@@ -28,7 +28,7 @@ def at(north_m: float, p_mine: float) -> ReportedContact:
     return ReportedContact(float(latitude), float(longitude), p_mine)
 
 
-def truth_of(*norths_m: float, kind: str = "sphere", is_target: bool = True) -> dict[str, object]:
+def truth_of(*norths_m: float, kind: str = "sphere", is_target: bool = True) -> dict[str, Any]:
     places = [PLACE.to_geodetic((0.0, north_m, 0.0)) for north_m in norths_m]
     things = [{"kind": kind, "lat": float(lat), "lon": float(lon), "is_target": is_target} for lat, lon, _ in places]
     return {"area_km2": 0.01, "objects": things}
@@ -38,6 +38,16 @@ def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed() -> N
     contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6), at(200.0, 0.5))
     score = score_missions([Mission(contacts, parse_truth(truth_of(0.0, 100.0, 200.0), "here"), "here")])
     assert [best_pd(score, limit)[:4] for limit in (0.0, 100.0, 200.0)] == ["0.33", "0.67", "1.00"]
+
+
+def test_false_alarms_on_rocks_can_be_left_out() -> None:
+    truth = truth_of(0.0, 100.0)
+    rocks = truth_of(50.0, kind="rock", is_target=False)
+    both = {"area_km2": 0.01, "objects": [*truth["objects"], *rocks["objects"]]}
+    contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6))
+    score = score_missions([Mission(contacts, parse_truth(both, "here"), "here")])
+    assert best_pd(score, 0.0).startswith("0.50")
+    assert best_pd(score, 0.0, on_objects=False).startswith("1.00")
 
 
 def test_without_contacts_the_best_pd_is_none_of_the_targets() -> None:
