@@ -24,6 +24,7 @@ SINGLE_LOOK_STD_DB: Final = 10.0 / math.log(10.0) * math.pi / math.sqrt(6.0)
 _WINDOW: Final = 64
 _MIN_WINDOWS: Final = 16
 _USUAL_DB_PER_COUNT: Final = 0.35  # 8 bits over 90 dB, where speckle cannot tell
+_INTENSITY_STD: Final = 0.72  # of the mean, in the more even windows: amplitude 0.45 to 0.6 over any sea floor, intensity 0.85 and more
 _SKEWED: Final = 1.3  # skewness over relative deviation: amplitude at most 1.2, intensity 2, less 0.4 in windows of 64 samples
 _MAX_AMPLITUDE: Final = np.float64(1e19)  # in double precision, so that half-precision samples compare too
 _MAX_INTENSITY: Final = np.float64(1e38)
@@ -39,10 +40,15 @@ class Transfer(NamedTuple):
 
 
 class SpeckleEvidence(NamedTuple):
-    """Medians over short windows: skewness, standard deviation over the mean's magnitude, and standard deviation in counts."""
+    """Over short windows, medians: skewness, standard deviation over the mean's magnitude, and standard deviation in counts.
+
+    even_relative_std: lower quartile of the second. Patches of plants or stones spread samples beyond what speckle does, and nothing
+    spreads them less: the more even windows tell of speckle alone.
+    """
 
     skewness: float
     relative_std: float
+    even_relative_std: float
     std_counts: float
     n_windows: int
 
@@ -89,7 +95,7 @@ def speckle_evidence(traces: Sequence[EchoTrace]) -> SpeckleEvidence:
         windows.append(window)
         surroundings.append(0.5 * (np.concatenate([mean[1:2], mean[:-1]]) + np.concatenate([mean[1:], mean[-2:-1]])))
     if not windows:
-        return SpeckleEvidence(NAN, NAN, NAN, 0)
+        return SpeckleEvidence(NAN, NAN, NAN, NAN, 0)
     stack, brightness = np.concatenate(windows), np.concatenate(surroundings)
     finite = np.isfinite(stack[:, 0]) & np.isfinite(brightness)
     # A clipped window has no tail left to judge.
@@ -103,12 +109,13 @@ def speckle_evidence(traces: Sequence[EchoTrace]) -> SpeckleEvidence:
     good = std > 1e-9 * np.abs(stack).max(axis=1, initial=0.0)
     n_good = int(np.count_nonzero(good))
     if n_good < _MIN_WINDOWS:
-        return SpeckleEvidence(NAN, NAN, NAN, n_good)
+        return SpeckleEvidence(NAN, NAN, NAN, NAN, n_good)
     bright = good & (brightness >= np.median(brightness[good]))
     mean, std, residual = mean[bright, 0], std[bright], residual[bright]
     skewness = ((residual / std[:, None]) ** 3).mean(axis=1)
     relative_std = std / np.maximum(np.abs(mean), 1e-9 * std)
-    return SpeckleEvidence(float(np.median(skewness)), float(np.median(relative_std)), float(np.median(std)), n_good)
+    even, middle = np.quantile(relative_std, (0.25, 0.5)).tolist()
+    return SpeckleEvidence(float(np.median(skewness)), middle, even, float(np.median(std)), n_good)
 
 
 def kind_from_speckle(evidence: SpeckleEvidence) -> TransferKind:
@@ -119,7 +126,7 @@ def kind_from_speckle(evidence: SpeckleEvidence) -> TransferKind:
     # and its skewness negative; around 0 dB the mean says nothing and the skewness must be plain.
     if evidence.skewness < -0.3 or (evidence.skewness < 0.05 and evidence.relative_std < 0.4):
         return "log"
-    return "intensity" if evidence.relative_std > 0.75 else "amplitude"
+    return "intensity" if evidence.even_relative_std > _INTENSITY_STD else "amplitude"
 
 
 def recheck_transfer(transfer: Transfer, traces: Sequence[EchoTrace], place: str) -> Notice | None:

@@ -57,6 +57,19 @@ def test_averaged_looks_leave_amplitude_and_logarithm_apart(looks: int, profile:
     assert kind_of(20.0 * np.log10(np.sqrt(averaged)) + 60.0) == "log"
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("seed", range(3))
+def test_plants_and_stones_over_most_of_the_floor_do_not_make_amplitude_look_like_intensity(share: float, seed: int) -> None:
+    """Patches with echoes up to 13 dB above and below, changing within half a metre: they spread samples more than speckle does."""
+    random = np.random.default_rng(seed)
+    single = intensity_pings(1, "level", seed)
+    gain_db = np.repeat(random.uniform(-13.0, 13.0, (single.shape[0], N_SAMPLES // 20)), 20, axis=1)
+    covered = np.repeat(random.random((single.shape[0], N_SAMPLES // 300)) < share, 300, axis=1)
+    textured = single * 10.0 ** (0.1 * np.where(covered, gain_db, 0.0))
+    assert kind_of(np.sqrt(textured)) == "amplitude"
+    assert kind_of(textured) == "intensity"
+
+
 def test_quantised_samples_are_recognised_too() -> None:
     single = intensity_pings(1, "level")
     assert kind_of(np.clip(60.0 * np.sqrt(single), 0, 255).astype(np.uint8)) == "amplitude"
