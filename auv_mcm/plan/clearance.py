@@ -89,12 +89,9 @@ def look_bit(look_rad: ArrayLike) -> NDArray[np.uint64]:
 
 
 class _Look(NamedTuple):
-    """Cells that one pass saw; fraction and means by area, (n,) each."""
+    """Cells that one pass saw, and what a look at the whole of each was worth, (n,). Kept for a whole mission: nothing is in it twice."""
 
-    key: NDArray[np.int64]
-    fraction: Array
     p: Array
-    look_rad: Array
     cells: SurveyedCells
 
 
@@ -129,17 +126,19 @@ class ClearanceMap:
         p = np.clip(
             self._model.p_look(cells.seabed, cells.ground_range_m, cells.altitude_m, cells.look_rad, cells.ripple_rad), 0.0, HIGHEST_P
         )
-        key = cells.east_index.astype(np.int64) * _KEY + cells.north_index
-        self._looks.append(_Look(key, cells.fraction.astype(np.float64), p, cells.look_rad.astype(np.float64), cells))
+        self._looks.append(_Look(p, cells))
         self._numbers.append(self._pass_of(patch))
 
     def snapshot(self) -> Clearance | None:
         """How the search stands; None if nothing was seen yet."""
         if not self._looks:
             return None
-        key = np.concatenate([look.key for look in self._looks])
-        number = np.repeat(self._numbers, [len(look.key) for look in self._looks])
-        fraction, p, look_rad = (np.concatenate([part[i] for part in self._looks]) for i in (1, 2, 3))
+        seen = [look.cells for look in self._looks]
+        key = np.concatenate([cells.east_index.astype(np.int64) * _KEY + cells.north_index for cells in seen])
+        number = np.repeat(self._numbers, [len(cells.fraction) for cells in seen])
+        fraction = np.concatenate([cells.fraction for cells in seen]).astype(np.float64)
+        look_rad = np.concatenate([cells.look_rad for cells in seen]).astype(np.float64)
+        p = np.concatenate([look.p for look in self._looks])
         order = np.lexsort((number, key))  # stable: of one cell and pass in order of time
         key, number = key[order], number[order]
         starts = np.flatnonzero(np.append(True, (np.diff(key) != 0) | (np.diff(number) != 0)))
@@ -210,8 +209,9 @@ class ClearanceMap:
             confidence[surer] = sure[better]
             for layer, values in ((seabed, told.cells.seabed), (ripple, told.cells.ripple_rad), (wavelength, told.cells.wavelength_m)):
                 layer[surer] = values[better]
-            altitude[place] += told.fraction * told.cells.altitude_m
-            weight[place] += told.fraction
+            fraction = told.cells.fraction.astype(np.float64)
+            altitude[place] += fraction * told.cells.altitude_m
+            weight[place] += fraction
         plane = self._looks[0].cells
         return Clearance(
             origin_latitude_deg=plane.origin_latitude_deg,
