@@ -111,7 +111,7 @@ class LookAgain:
         self._flown: list[Run] = []  # survey legs not told of yet
         self._sailed_m = 0.0
         self._sailed_from: LocalFrame | None = None
-        self._looks: dict[str, _Looks] = {}
+        self._looks: dict[str, _Looks] = {}  # of contacts that asked for another look, a few of all there are
         self._legs: list[_Leg] = []  # of the plan, not yet flown
         self._on_leg: _Leg | None = None
         self._along_m = 0.0
@@ -131,11 +131,14 @@ class LookAgain:
 
     def learn(self, contact: Contact) -> None:
         """A contact, new or changed."""
-        looks = self._looks.setdefault(contact.id, _Looks())
-        if len(contact.views) > looks.n_views:
-            looks.n_views, looks.n_vain = len(contact.views), 0
         planned = any(leg.contact_id == contact.id for leg in self._legs)
-        self._changed |= planned or needs_second_look(contact, self._config.plan.min_p_mine)
+        asks = planned or needs_second_look(contact, self._config.plan.min_p_mine)
+        self._changed |= asks
+        if asks and contact.id not in self._looks:
+            self._looks[contact.id] = _Looks()
+        looks = self._looks.get(contact.id)
+        if looks is not None and len(contact.views) > looks.n_views:
+            looks.n_views, looks.n_vain = len(contact.views), 0
 
     def move(self, latitude_deg: float, longitude_deg: float, commanding: bool, now_s: float) -> None:
         """Where the vehicle is, once a second or more often. commanding: the payload has control."""

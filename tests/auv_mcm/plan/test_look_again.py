@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from itertools import pairwise
 
 import msgspec
@@ -14,7 +15,7 @@ from test_propose import FRAME, SQUARE, contact, fenced, geodetic
 from auv_mcm.config import Config
 from auv_mcm.plan.look_again import MOST_LOOKS, MOST_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, PlanRequest
 from auv_mcm.plan.propose import propose
-from auv_mcm.records import Contact, Waypoint
+from auv_mcm.records import Contact, Waypoint, contact_id
 
 CONFIG = Config(vehicle=fenced(SQUARE))
 HERE = (43.0, 5.0, 0.0)
@@ -72,6 +73,19 @@ def test_a_contact_worth_a_look_is_asked_for_at_once_and_one_that_is_not_never()
     assert len(legs(mission.plan())) == 1
     decided = msgspec.structs.replace(contact(2, 40.0, 40.0), next_look_deg=())
     assert Mission([decided]).plan() is None
+
+
+def test_contacts_that_ask_for_no_look_cost_no_memory() -> None:
+    mission = Mission([contact(1, 40.0, 40.0)])
+    decided = msgspec.structs.replace(mission.contacts["C00001"], next_look_deg=())
+    ids = [contact_id(number) for number in range(2, 3000)]
+    tracemalloc.start()
+    before, _ = tracemalloc.get_traced_memory()
+    for name in ids:
+        mission.look_again.learn(msgspec.structs.replace(decided, id=name))
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert after - before < 10 * len(ids)
 
 
 def test_a_plan_that_waits_for_permission_begins_anew_where_the_vehicle_is_and_one_that_is_flown_does_not() -> None:
