@@ -149,7 +149,7 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
         if not is_open.any():
             verdict = _done(world) + f"; {len(asking)} contacts ask for a look that no leg can give"
         else:
-            verdict = f"cannot, because {_why_nothing(world, cells, limits)}"
+            verdict = f"cannot, because {_why_nothing(world, cells, is_open, limits)}"
         return Plan(verdict=verdict)
     if problem.tracks.length_m.min() > limits.budget_m:
         return Plan(verdict=_verdict(problem, [], world, is_open))
@@ -314,15 +314,15 @@ def _done(world: World) -> str:
     return f"done: required clearance of {world.required:.2f} reached in all of {area_words(world.area.sum() * world.clearance.cell_m**2)}"
 
 
-def _why_nothing(world: World, cells: Cells, limits: Limits) -> str:
-    reached = area_words(len(cells.need) * float(cells.weight_m2[0]) * -math.log1p(-world.required))
+def _why_nothing(world: World, cells: Cells, is_open: NDArray[np.bool_], limits: Limits) -> str:
+    not_clear = area_words(np.count_nonzero(is_open) * cells.cell_m**2)
     best = float(world.clearance.p_detected[world.area].mean())
     without = survey_tracks(cells, world.performance, limits._replace(fence=None), [], lambda: True)
     if not without.n_legs:
         reason = "the sonar finds nothing on such a sea floor"
     else:
         reason = "no straight leg over it with room for a turn at both ends fits into the fence"
-    return f"{reached} are not clear and no leg adds to that: {reason}. The best that can be reached is {best:.2f} on average"
+    return f"{not_clear} are not clear and no leg adds to that: {reason}. The best that can be reached is {best:.2f} on average"
 
 
 def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[np.bool_]) -> str:

@@ -227,6 +227,14 @@ def test_a_sonar_that_finds_nothing_plans_nothing_and_says_so(highest_p: float) 
     assert "finds nothing" in plan.verdict
 
 
+def test_what_no_leg_adds_to_is_told_as_the_area_that_is_not_clear() -> None:
+    state = world(5, 8, required=0.9, sonar=Sonar(0.0))
+    state.clearance.exponent[:, 0] = 3.0  # clear
+    state.clearance.exponent[:, 1:4] = 1.0
+    verdict = replan(state, POSE, LIMITS, None, steps(50)).verdict
+    assert verdict.startswith(f"cannot, because {5 * 7 * CELL_M**2:.0f} m² are not clear and no leg adds to that")
+
+
 def test_what_cannot_be_reached_is_said_with_the_best_that_can() -> None:
     plan = replan(world(sonar=Sonar(0.02)), POSE, LIMITS, None, steps(20))
     assert "cannot be brought to 0.90 by any leg; the best that can be reached is 0." in plan.verdict
