@@ -69,7 +69,7 @@ def means(traces: Sampled, edges_m: Values) -> tuple[Values, Flags, Flags]:
     """Between neighbouring slant ranges: mean intensity, 0 where not valid; whether valid samples cover half; whether clipped ones are a
     quarter of those. edges_m: (n_pings, n_edges) or (1, n_edges), rising along rows. Each (n_pings, n_edges - 1)."""
     function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _D, _D, _P, _I, *[_P] * 5)
-    if function is None:
+    if function is None or traces.intensity.shape[1] < 2:  # without samples there is nothing to point at
         return means_numpy(traces, edges_m)
     edges_m = np.ascontiguousarray(edges_m)
     n_pings, n_edges = traces.intensity.shape[0], edges_m.shape[1]
