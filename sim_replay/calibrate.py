@@ -9,9 +9,10 @@ passage; further detections of it count for nothing, and all else is what mines 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,8 +22,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import Features, detector_features
-from auv_mcm.classify.odds import MineOdds, Weights
+from auv_mcm.classify.odds import MineOdds, Tree, Weights
 from auv_mcm.classify.stage import region_of, take
 from auv_mcm.config import Config
 from auv_mcm.detect.cascade.choose import NONE, SHIPPED
@@ -37,6 +39,7 @@ from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
+from sim_replay.training.trees import boost
 
 Array = NDArray[np.float64]
 
@@ -47,10 +50,12 @@ _PASSAGE_S: Final = 60.0
 _FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less than this, one in so many is kept, and counts as many
 _RIDGE: Final = 2.0
 _DIGITS: Final = 5
+N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 250, "shape": 250}
+"""Trees of each step; of the first, fewer, since it is asked of every detection."""
 
 
 class Example(NamedTuple):
-    """A detection with what every step measured, and what it is. weight: how many it stands for."""
+    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for."""
 
     scene: str
     is_target: bool
@@ -58,6 +63,7 @@ class Example(NamedTuple):
     detector: Features
     contours: Features
     shape: Features
+    details: dict[LookStep, Features]
 
 
 class _Seen(NamedTuple):
@@ -65,6 +71,7 @@ class _Seen(NamedTuple):
     weight: float
     contours: Features
     shape: Features
+    details: Features
 
 
 def examples_of(name: str, seed: int, detector: Detector) -> list[Example]:
@@ -81,7 +88,8 @@ def examples_of(name: str, seed: int, detector: Detector) -> list[Example]:
             passed_over.append(detection)
             return detection
         found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
-        seen.append(_Seen(detection, float(_FAINT_KEPT) if faint else 1.0, found.contour_features, found.features))
+        weight = float(_FAINT_KEPT) if faint else 1.0
+        seen.append(_Seen(detection, weight, found.contour_features, found.features, found.details))
         return detection
 
     mission = Mission(scene)
@@ -92,14 +100,19 @@ def examples_of(name: str, seed: int, detector: Detector) -> list[Example]:
     return _labelled(name, seen, passed_over, mission.truth()["objects"])
 
 
-def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
-    """Weights for each step. Raises UsageError if there are no targets, or nothing else, among the examples."""
+def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+    """Weights for each step, and as many trees as told. Raises UsageError if there are no targets, or nothing else, among the examples."""
     is_target = np.array([example.is_target for example in examples], dtype=np.bool_)
     weight = np.array([example.weight for example in examples])
     if not is_target.any() or is_target.all():
         raise UsageError(f"{fitted_on}: {is_target.sum()} targets in {len(examples)} detections. Fly more missions, with --seeds")
     prior = math.log(float(weight[is_target].sum()) / float(weight[~is_target].sum()))
-    steps = {step: _fit_step([getattr(example, step) for example in examples], is_target, weight) for step in _STEPS}
+    steps = {}
+    for step in _STEPS:
+        features = [getattr(example, step) for example in examples]
+        sums = _fit_sum(features, is_target, weight)
+        asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
+        steps[step] = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
 
 
@@ -126,14 +139,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
             examples += found
             print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    odds = fit(examples, f"{len(examples)} detections of simulated missions: {', '.join(scenes)}; seeds {seeds.start} to {seeds.stop - 1}")
+    odds = fit(
+        examples, f"{len(examples)} detections of simulated missions: {', '.join(scenes)}; seeds {seeds.start} to {seeds.stop - 1}", N_TREES
+    )
     _report(examples)
-    data = msgspec.json.format(msgspec.json.encode(odds, order="deterministic"), indent=1) + b"\n"
     try:
-        write_file(chosen.out, data)
+        write_file(chosen.out, written(odds))
     except OSError as error:
         raise UsageError(f"--out {chosen.out} cannot be written: {error.strerror}") from error
     return 0
+
+
+def written(odds: MineOdds) -> bytes:
+    """JSON with a line per weight and per tree."""
+    told: dict[str, Any] = {"fitted_on": odds.fitted_on, "prior": odds.prior}
+    parts = [f' "{name}": {json.dumps(value)}' for name, value in told.items()]
+    for step in _STEPS:
+        weighed: Weights = getattr(odds, step)
+        weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
+        trees = ",\n".join(f"   {msgspec.json.encode(tree).decode()}" for tree in weighed.trees)
+        parts.append(f' "{step}": {{\n  "offset": {weighed.offset!r},\n  "weights": {{\n{weights}\n  }},\n  "trees": [\n{trees}\n  ]\n }}')
+    return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
 
 
 _STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
@@ -172,11 +198,13 @@ def _labelled(scene: str, seen: list[_Seen], passed_over: list[Detection], objec
         if beside and index not in stands_for_it:
             continue
         is_target = bool(on_object[index]) and bool(objects[int(nearest[index])]["is_target"])
-        examples.append(Example(scene, is_target, item.weight, detector_features(item.detection), item.contours, item.shape))
+        known = detection_details(item.detection)
+        details: dict[LookStep, Features] = {"detector": known, "contours": known, "shape": item.details}
+        examples.append(Example(scene, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details))
     return examples
 
 
-def _fit_step(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
+def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
     """Logistic regression on standardised features with a ridge, so that features that tell the same share their weight."""
     names = list(features[0])
     values = np.array([[item[name] for name in names] for item in features])
@@ -190,6 +218,25 @@ def _fit_step(features: Sequence[Features], is_target: NDArray[np.bool_], weight
     return Weights(
         offset=round(offset, _DIGITS), weights={name: round(float(slope), _DIGITS) for name, slope in zip(names, slopes, strict=True)}
     )
+
+
+def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int) -> tuple[Tree, ...]:
+    """Trees that add to `sums` what it misses."""
+    names = list(features[0])
+    values = np.array([[item[name] for name in names] for item in features])
+    start = np.array([sums.log_odds(item) for item in features])
+    return tuple(
+        Tree(
+            ask=tuple((names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)),
+            nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
+        )
+        for tree in boost(values, is_target, weight, start, n_trees)
+    )
+
+
+def _rounded(value: float) -> float:
+    """To as many significant digits as tell neighbouring values apart."""
+    return float(f"{value:.{_DIGITS + 2}g}")
 
 
 def _logistic(columns: Array, target: Array, weight: Array) -> Array:
@@ -214,10 +261,12 @@ def _report(examples: Sequence[Example]) -> None:
     p = {step: np.zeros(len(examples)) for step in _STEPS}
     for scene in sorted({example.scene for example in examples}):
         inside = np.array([example.scene == scene for example in examples])
-        others = fit([example for example in examples if example.scene != scene], "others")
+        others = fit([example for example in examples if example.scene != scene], "others", N_TREES)
         for step in _STEPS:
             p[step][inside] = [
-                others.p_mine(others.log_ratio(step, getattr(example, step))) for example in examples if example.scene == scene
+                others.p_mine(others.log_ratio(step, getattr(example, step) | example.details[step]))
+                for example in examples
+                if example.scene == scene
             ]
     raw = np.array([1.0 / (1.0 + math.exp(-odds)) for odds in _raw_odds(examples)])
     print(f"{is_target.sum()} looks at targets, {weight[~is_target].sum():.0f} others; each scene judged with the weights of the others\n")

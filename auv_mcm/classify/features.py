@@ -42,17 +42,17 @@ def detector_features(detection: Detection) -> Features:
     """
     ratio = detection.ground_range_m / detection.altitude_m if detection.altitude_m > 0.0 else math.nan
     odds = min(max(odds_of(detection.p_mine), -_MOST_ODDS), _MOST_ODDS)
-    highlight_db = _known(detection.highlight_db, 0.0)
+    highlight_db = known(detection.highlight_db, 0.0)
     log_range = min(max(math.log(ratio), _RANGE[0]), _RANGE[1]) if 0.0 < ratio < math.inf else 0.0
     trained: Features = {}
     if not math.isnan(detection.cascade_score):
         score = min(max(detection.cascade_score, -_MOST_SCORE), _MOST_SCORE)
-        contrast = min(max(_known(detection.score, 0.0), -_MOST_SCORE), _MOST_SCORE)
+        contrast = min(max(known(detection.score, 0.0), -_MOST_SCORE), _MOST_SCORE)
         trained = {"cascade_score": score, "cascade_score_by_range": score * log_range, "contrast": contrast}
     return {
         "detector_odds": odds,
         "highlight_db": highlight_db,
-        "shadow_db": _known(detection.shadow_db, 0.0),
+        "shadow_db": known(detection.shadow_db, 0.0),
         **_told(detection.reasons, ("no_highlight", "no_shadow", "too_large", "crowded")),
         "range": log_range,
         "range_squared": log_range**2,
@@ -67,10 +67,10 @@ def contour_features(contours: Contours) -> Features:
     shadow = contours.shadow_mean / contours.background_mean if contours.background_mean > 0.0 else math.nan
     broken = sum(code in snake_rules.REJECTING for code in contours.reasons)
     return {
-        "contour_gain": compressed(_known(contours.gain, -10.0 * _NATS)),
-        "contour_repetition": math.log1p(min(max(_known(contours.repetition, 5.0), 0.0), 50.0)),
-        "contour_height_m": _known(contours.height_m, 0.0),
-        "contour_shadow": _known(shadow, 1.0),
+        "contour_gain": compressed(known(contours.gain, -10.0 * _NATS)),
+        "contour_repetition": math.log1p(min(max(known(contours.repetition, 5.0), 0.0), 50.0)),
+        "contour_height_m": known(contours.height_m, 0.0),
+        "contour_shadow": known(shadow, 1.0),
         "contour_rules_broken": float(min(broken, 3)),
         "contour_without_highlight": float(len(contours.highlight) == 0),
         "contour_without_shadow": float(len(contours.shadow) == 0),
@@ -134,16 +134,16 @@ def _roughness_m(edge_m: NDArray[np.float64]) -> float:
 def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
     """Of the solids fitted and of the labels (n_rows, n_columns) of the Markov field."""
     best = fits.fits[0] if fits.fits else None
-    explained = [(_known(fit.best.cost, _NO_SOLID), _known(fit.plausibility, 0.0)) for fit in fits.fits]
+    explained = [(known(fit.best.cost, _NO_SOLID), known(fit.plausibility, 0.0)) for fit in fits.fits]
     cost, plausible = explained[0] if explained else (_NO_SOLID, 0.0)
     weighed = min((nats - _TEMPER * math.log(max(share, _LEAST_PLAUSIBILITY)) for nats, share in explained), default=2.0 * _NO_SOLID)
-    contour = cost if fits.contour_cost is None else _known(fits.contour_cost, cost)
+    contour = cost if fits.contour_cost is None else known(fits.contour_cost, cost)
     return {
         "shape_evidence": -compressed(cost),
         "shape_evidence_of_usual_size": -compressed(weighed),
         "shape_plausibility": plausible,
         "shape_over_contours": compressed(contour - cost),
-        "shape_altitude_off": _NO_ALTITUDE if best is None else _known(abs(best.best.altitude_ratio - 1.0), _NO_ALTITUDE),
+        "shape_altitude_off": _NO_ALTITUDE if best is None else known(abs(best.best.altitude_ratio - 1.0), _NO_ALTITUDE),
         **_told(() if best is None else best.flags, ("at_bound", "cut_off")),
         "labelled_highlight": float((labels == HIGHLIGHT).mean()) if labels.size else 0.0,
         "highlight_deeper_m": 0.0 if best is None else _deeper_m(best.highlight),
@@ -158,7 +158,7 @@ def with_shape(before: Features, shape: Features) -> Features:
 
 def _deeper_m(highlight: Highlight) -> float:
     """By how much a highlight reaches further across the track than its solid's."""
-    return min(max(_known(highlight.observed_across_m - highlight.model_across_m, 0.0), -_MOST_M), _MOST_M)
+    return min(max(known(highlight.observed_across_m - highlight.model_across_m, 0.0), -_MOST_M), _MOST_M)
 
 
 def compressed(nats: float) -> float:
@@ -166,7 +166,8 @@ def compressed(nats: float) -> float:
     return math.copysign(math.log1p(abs(nats) / _NATS), nats)
 
 
-def _known(value: float, otherwise: float) -> float:
+def known(value: float, otherwise: float) -> float:
+    """`value` if it is a finite number."""
     return value if math.isfinite(value) else otherwise
 
 

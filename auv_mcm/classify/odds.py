@@ -1,9 +1,9 @@
 """How likely a mine is after each step of a close look, and the belief mass that stands for it.
 
-Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), fitted on
-simulated missions with seeds that nothing is scored on. The log-odds of mines among the detections fitted on are taken off: what is
-left is the evidence of the view alone, a log-likelihood ratio that several views may add up. How rare mines are is put back once per
-contact, as one more source.
+Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), and boosted
+trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on simulated missions with seeds that nothing
+is scored on. The log-odds of mines among the detections fitted on are taken off: what is left is the evidence of the view alone, a
+log-likelihood ratio that several views may add up. How rare mines are is put back once per contact, as one more source.
 """
 
 from __future__ import annotations
@@ -30,11 +30,42 @@ _Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 _Prior: TypeAlias = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
 
 
-class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """log-odds = offset + sum of weight * feature."""
+DEPTH: Final = 3
+"""Questions that a tree asks one after the other."""
+
+_Question: TypeAlias = tuple[str, float]
+_Leaves: TypeAlias = Annotated[tuple[_Weight, ...], msgspec.Meta(min_length=2**DEPTH, max_length=2**DEPTH)]
+_Questions: TypeAlias = Annotated[tuple[_Question, ...], msgspec.Meta(min_length=2**DEPTH - 1, max_length=2**DEPTH - 1)]
+
+
+class Tree(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Three questions one after the other, and what each of the eight ways through them adds to the log-odds.
+
+    ask: name and threshold of question i, after which no leads to question 2 i + 1 and yes, the feature is above, to 2 i + 2. nats: of the
+    leaves, from three times no to three times yes.
+    """
+
+    ask: _Questions
+    nats: _Leaves
+
+
+class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """log-odds = offset + sum of weight * feature + what each tree adds. A NaN is above no threshold."""
 
     offset: _Weight
     weights: dict[str, _Weight]
+    trees: tuple[Tree, ...] = ()
+
+    def log_odds(self, features: Mapping[str, float]) -> float:
+        """Raises KeyError for a feature that is missing."""
+        total = self.offset + sum(weight * features[name] for name, weight in self.weights.items())
+        for tree in self.trees:
+            place = 0
+            for _ in range(DEPTH):
+                name, threshold = tree.ask[place]
+                place = 2 * place + (2 if features[name] > threshold else 1)
+            total += tree.nats[place - len(tree.ask)]
+        return total
 
 
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -49,12 +80,13 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
         """Evidence in nats for a mine against anything else, without the prior, at most 12 either way.
 
-        Raises ValueError if the step's features are not those it was fitted with.
+        features: all that the step was fitted with, and others perhaps. Raises ValueError if one of those is missing.
         """
         weighed: Weights = getattr(self, step)
-        if weighed.weights.keys() != features.keys():
-            raise ValueError(f"{step}: fitted with {sorted(weighed.weights)}, asked with {sorted(features)}")
-        odds = weighed.offset + sum(weight * features[name] for name, weight in weighed.weights.items())
+        try:
+            odds = weighed.log_odds(features)
+        except KeyError as missing:
+            raise ValueError(f"{step}: fitted with {missing}, asked with {sorted(features)} alone") from missing
         return min(max(odds - self.prior, -_BOUND), _BOUND)
 
     def p_mine(self, log_ratio: float) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import vacuous
+from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
 from auv_mcm.classify.fit import ShapeFit, ShapeFits, fit_shapes
@@ -42,7 +43,8 @@ _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 class Look(NamedTuple):
     """Everything one close look found. None for steps that were not taken.
 
-    contour_features: of the first contours; features: of the last step taken. p_contours: p_mine after the first contours.
+    contour_features: of the first contours; features: of the last step taken, and details: what of it only trees weigh. p_contours: p_mine
+    after the first contours.
     """
 
     region: Region
@@ -51,6 +53,7 @@ class Look(NamedTuple):
     fits: ShapeFits | None
     contour_features: Features
     features: Features
+    details: Features
     p_contours: float
 
 
@@ -60,7 +63,7 @@ def look_closely(detection: Detection, beam_width_rad: float, odds: MineOdds, co
     p_by_step tells p_mine after each step. A detection that went no further than the detector carries in its reasons `not_looked_at`, or
     `geometry_unknown` where altitude or range are none that a sonar can have, or `region_too_small`.
     """
-    p_detector = odds.p_mine(odds.log_ratio("detector", detector_features(detection)))
+    p_detector = odds.p_mine(_detector_ratio(detection, odds))
     if detection.surroundings is None or p_detector < config.min_p_mine:
         return passed_over(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
@@ -72,7 +75,7 @@ def look_closely(detection: Detection, beam_width_rad: float, odds: MineOdds, co
         return passed_over(detection, odds, "geometry_unknown")
     look = take(detection, region, odds, config.min_p_mine)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": look.p_contours}
-    log_ratio = odds.log_ratio("contours" if look.fits is None else "shape", look.features)
+    log_ratio = odds.log_ratio("contours" if look.fits is None else "shape", look.features | look.details)
     if look.fits is not None:
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
@@ -86,15 +89,19 @@ def look_closely(detection: Detection, beam_width_rad: float, odds: MineOdds, co
 
 def is_worth_a_look(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:
     """Whether what the detector measured leaves odds of a mine that matter."""
-    return odds.p_mine(odds.log_ratio("detector", detector_features(detection))) >= config.min_p_mine
+    return odds.p_mine(_detector_ratio(detection, odds)) >= config.min_p_mine
 
 
 def passed_over(detection: Detection, odds: MineOdds, reason: str) -> Detection:
     """The detection with its p_mine from what the detector measured alone, for the reason told."""
-    p_detector = odds.p_mine(odds.log_ratio("detector", detector_features(detection)))
+    p_detector = odds.p_mine(_detector_ratio(detection, odds))
     return msgspec.structs.replace(
         detection, p_mine=p_detector, p_by_step={"detector": p_detector}, reasons=(*detection.reasons, reason), surroundings=None
     )
+
+
+def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
+    return odds.log_ratio("detector", detector_features(detection) | detection_details(detection))
 
 
 def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: float) -> Region:
@@ -119,9 +126,10 @@ def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine
     contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
     before = detector_features(detection)
     first = before | contour_features(contours) | outline_features(contours, region)
-    p_contours = math.nan if odds is None else odds.p_mine(odds.log_ratio("contours", first))
+    seen = detection_details(detection)
+    p_contours = math.nan if odds is None else odds.p_mine(odds.log_ratio("contours", first | seen))
     if p_contours < min_p_mine:
-        return Look(region, contours, None, None, first, first, p_contours)
+        return Look(region, contours, None, None, first, first, seen, p_contours)
     segmentation = segment(region)
     own = labels_near(segmentation.labels, region)
     if own is not None and not isinstance(ground, Contours):
@@ -132,7 +140,8 @@ def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine
     fits = fit_shapes(region, contour_cost(region, contours, area), area)
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
-    return Look(region, contours, segmentation, fits, first, features, p_contours)
+    details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
+    return Look(region, contours, segmentation, fits, first, features, details, p_contours)
 
 
 def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:

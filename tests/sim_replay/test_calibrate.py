@@ -15,13 +15,15 @@ import drawn_looks
 import numpy as np
 import pytest
 
+from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
 from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
 from sim_replay import calibrate
 from sim_replay.benches.scenes import HELD_OUT, SCENES
-from sim_replay.calibrate import Example, examples_of, fit, main
+from sim_replay.calibrate import N_TREES, Example, examples_of, main
+from sim_replay.calibrate import fit as fit_all
 
 ROOT = Path(__file__).resolve().parents[2]
 WEIGHTS = {"a": 1.5, "b": -0.7, "c": 0.0}
@@ -31,7 +33,12 @@ OFFSET = -1.0
 def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat") -> Example:
     """All steps measured the same; the detector's own odds among them, which the report asks for."""
     known = {"detector_odds": 0.0, **features}
-    return Example(scene, is_target, weight, known, known, known)
+    return Example(scene, is_target, weight, known, known, known, {step: {} for step in N_TREES})
+
+
+def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
+    """Sums alone, of which it is known what they must be."""
+    return fit_all(examples, fitted_on, dict.fromkeys(N_TREES, 0))
 
 
 def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]:
@@ -149,6 +156,22 @@ def test_equal_examples_give_equal_weights() -> None:
     assert fit(drawn(200, 9), "drawn") == fit(drawn(200, 9), "drawn")
 
 
+def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
+    """A target where `a` is middling and the detail `d` is high."""
+    random = np.random.Generator(np.random.PCG64(11))
+    values = random.normal(0.0, 1.0, (1500, 2))
+    is_target = (np.abs(values[:, 0]) < 0.7) & (values[:, 1] > 0.0)
+    examples = [
+        example({"a": a}, bool(target))._replace(details={step: {"d": d} for step in N_TREES})
+        for (a, d), target in zip(values.tolist(), is_target.tolist(), strict=True)
+    ]
+    odds = fit_all(examples, "a bump", {"detector": 0, "contours": 5, "shape": 80})
+    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [0, 5, 80]
+    right = [(odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples]
+    assert np.mean(right) > 0.95
+    assert parse_odds(calibrate.written(odds), "written.json") == odds
+
+
 @pytest.mark.parametrize("targets", [[], [False] * 4, [True] * 4])
 def test_without_targets_or_without_others_nothing_is_fitted(targets: list[bool]) -> None:
     examples = [example({"a": 1.0}, is_target) for is_target in targets]
@@ -221,9 +244,12 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         class Looked(NamedTuple):
             contour_features: dict[str, float]
             features: dict[str, float]
+            details: dict[str, float]
 
         measured = Looked(
-            dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5), dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5)
+            dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5),
+            dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5),
+            {"solid_nats": -10.0},
         )
         monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
@@ -284,6 +310,8 @@ def test_every_step_has_its_features(fly: Fly) -> None:
         odds.contours.weights.keys(),
         odds.shape.weights.keys(),
     )
+    assert found.details["shape"] == {"solid_nats": -10.0}
+    assert found.details["detector"] == found.details["contours"] == detection_details(seen_at(0.0))
 
 
 def test_a_mission_that_finds_nothing_has_no_examples(fly: Fly) -> None:
@@ -308,6 +336,7 @@ class Flown:
 def flown(monkeypatch: pytest.MonkeyPatch) -> Flown:
     stand_in = Flown()
     monkeypatch.setattr(calibrate, "examples_of", stand_in)
+    monkeypatch.setattr(calibrate, "N_TREES", dict.fromkeys(N_TREES, 2))
     monkeypatch.setattr(calibrate, "ProcessPoolExecutor", lambda n_workers, mp_context: ThreadPoolExecutor(1))
     return stand_in
 

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -17,13 +17,16 @@ from hypothesis import strategies as st
 
 from auv_mcm.classify import odds as odds_module
 from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, subset, vacuous
+from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.features import contour_features, detector_features, outline_features, shape_features, with_shape
-from auv_mcm.classify.odds import MineOdds, Weights, mass_of_ratio, parse_odds, share_of_ratio, shipped_odds, with_ratio
+from auv_mcm.classify.odds import MineOdds, Tree, Weights, mass_of_ratio, parse_odds, share_of_ratio, shipped_odds, with_ratio
 from auv_mcm.errors import BadInputError
+from auv_mcm.records import NAN, Detector
 
 CLUTTER = subset("clutter")
 NOTHING = Weights(offset=0.0, weights={})
 SHIPPED = Path(odds_module.__file__).with_name("mine_odds_contrast.json")
+DETECTORS: tuple[Detector, ...] = get_args(Detector)
 
 ratios = st.floats(-12.0, 12.0)
 numbers = st.floats(-50.0, 50.0)
@@ -61,10 +64,47 @@ def test_every_step_has_weights_of_its_own() -> None:
     assert odds.log_ratio("shape", {}) == 1.0
 
 
-@pytest.mark.parametrize("features", [{}, {"a": 1.0}, {"a": 1.0, "b": 1.0, "c": 1.0}, {"a": 1.0, "B": 1.0}])
-def test_features_it_was_not_fitted_with_are_refused(features: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=re.escape("detector: fitted with ['a', 'b'], asked with")):
+@pytest.mark.parametrize("features", [{}, {"a": 1.0}, {"a": 1.0, "B": 1.0}])
+def test_features_that_are_missing_are_told(features: dict[str, float]) -> None:
+    with pytest.raises(
+        ValueError, match=re.escape(f"detector: fitted with {'b' if features else 'a'!r}, asked with {sorted(features)} alone")
+    ):
         weighing({"a": 1.0, "b": 1.0}).log_ratio("detector", features)
+
+
+def test_features_beyond_those_it_was_fitted_with_change_nothing() -> None:
+    odds = weighing({"a": 1.0})
+    assert odds.log_ratio("detector", {"a": 2.0, "b": 5.0}) == odds.log_ratio("detector", {"a": 2.0})
+
+
+questions = st.tuples(st.sampled_from("abc"), st.floats(-2.0, 2.0))
+drawn_trees = st.builds(
+    lambda ask, nats: Tree(ask=tuple(ask), nats=tuple(nats)),
+    st.lists(questions, min_size=7, max_size=7),
+    st.lists(st.floats(-1.0, 1.0), min_size=8, max_size=8),
+)
+
+
+def leaf(tree: Tree, features: dict[str, float]) -> float:
+    """What a tree adds, with every way through it written out."""
+
+    def is_above(question: int) -> bool:
+        name, threshold = tree.ask[question]
+        return features[name] > threshold
+
+    if is_above(0):
+        if is_above(2):
+            return tree.nats[7] if is_above(6) else tree.nats[6]
+        return tree.nats[5] if is_above(5) else tree.nats[4]
+    if is_above(1):
+        return tree.nats[3] if is_above(4) else tree.nats[2]
+    return tree.nats[1] if is_above(3) else tree.nats[0]
+
+
+@given(st.lists(drawn_trees, max_size=4), st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))))
+def test_trees_add_what_their_leaves_say(trees: list[Tree], features: dict[str, float]) -> None:
+    weighed = Weights(offset=0.25, weights={}, trees=tuple(trees))
+    assert weighed.log_odds(features) == pytest.approx(0.25 + sum(leaf(tree, features) for tree in trees), abs=1e-12)
 
 
 @given(ratios, st.floats(-20.0, 20.0))
@@ -161,6 +201,9 @@ BAD = {
     "a step missing": json.dumps({key: value for key, value in written().items() if key != "shape"}).encode(),
     "an unknown step": data_of(echo=STEP),
     "an unknown key in a step": data_of(shape={**STEP, "slope": 1.0}),
+    "a tree without leaves": data_of(shape={**STEP, "trees": [{"ask": [["a", 0.5]] * 7, "nats": []}]}),
+    "a tree with a question too few": data_of(shape={**STEP, "trees": [{"ask": [["a", 0.5]] * 6, "nats": [0.0] * 8}]}),
+    "a question without a threshold": data_of(shape={**STEP, "trees": [{"ask": [["a"]] * 7, "nats": [0.0] * 8}]}),
     "weights that are a list": data_of(shape={"offset": 0.0, "weights": [1.0]}),
 }
 
@@ -191,24 +234,30 @@ def test_any_bytes_are_weights_or_refused(data: bytes) -> None:
         parse_odds(data, "f.json")
 
 
-def test_the_shipped_weights_are_for_the_features_there_are() -> None:
-    odds = shipped_odds("contrast")
-    detector = detector_features(detection())
-    contours, outlines = contour_features(no_contours()), outline_features(no_contours(), bare_floor())
-    shape = shape_features(no_fits(), np.zeros((2, 2), dtype=np.uint8))
-    parts = (detector, contours, outlines, shape)
-    assert sum(map(len, parts)) == len({name for part in parts for name in part}), "names are unique"
-    assert odds.detector.weights.keys() == detector.keys()
-    assert odds.contours.weights.keys() == (detector | contours | outlines).keys()
-    assert odds.shape.weights.keys() == with_shape(detector | contours | outlines, shape).keys()
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_the_shipped_weights_are_for_the_features_there_are(detector: Detector) -> None:
+    odds = shipped_odds(detector)
+    seen = detection(cascade_score=2.0 if detector == "cascade" else NAN)
+    region, labels = bare_floor(), np.zeros((2, 2), dtype=np.uint8)
+    first = detector_features(seen)
+    second = first | contour_features(no_contours()) | outline_features(no_contours(), region)
+    last = with_shape(second, shape_features(no_fits(), labels))
+    before = detection_details(seen)
+    after = before | contour_details(no_contours(), region) | solid_details(no_fits(), labels, region)
+    assert len(last | after) == len(last) + len(after), "names are unique"
+    for step, features, details in ((odds.detector, first, before), (odds.contours, second, before), (odds.shape, last, after)):
+        assert step.weights.keys() == features.keys()
+        assert {name for tree in step.trees for name, _ in tree.ask} <= (features | details).keys()
     assert odds.prior < math.log(0.5), "most detections are no mines"
 
 
+@pytest.mark.parametrize("detector", DETECTORS)
 @given(st.integers(0, 1000))
-def test_the_shipped_weights_give_probabilities_for_any_features(seed: int) -> None:
+def test_the_shipped_weights_give_probabilities_for_any_features(detector: Detector, seed: int) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
-    odds = shipped_odds("contrast")
+    odds = shipped_odds(detector)
     for step in (odds.detector, odds.contours, odds.shape):
         assert all(map(math.isfinite, (step.offset, *step.weights.values())))
-    features = {name: float(random.normal(0.0, 10.0)) for name in odds.shape.weights}
+    asked = {name for tree in odds.shape.trees for name, _ in tree.ask}
+    features = {name: float(random.normal(0.0, 10.0)) for name in sorted(odds.shape.weights.keys() | asked)}
     assert 0.0 < odds.p_mine(odds.log_ratio("shape", features)) < 1.0
