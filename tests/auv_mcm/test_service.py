@@ -183,9 +183,12 @@ def test_what_a_full_disk_does_not_take_is_counted_told_and_still_among_the_resu
     def full(*_: object) -> int:
         raise OSError(28, "No space left on device")
 
+    def full_but_for_a_probe(path: Path, data: bytes, write: Callable[[Path, bytes], int] = Path.write_bytes) -> int:
+        return full() if data else write(path, data)
+
     with monkeypatch.context() as disk:  # of the service alone: perception is a process of its own
         disk.setattr("auv_mcm.contacts.shelf.os.pwrite", full)
-        disk.setattr("auv_mcm.outputs._write_snippet", full)
+        disk.setattr(Path, "write_bytes", full_but_for_a_probe)
         results = serve(tmp_path, Events(mission(30)), fake.Seeing)
     assert ids(results) == ["C00001"]
     counters = summary(results)["counters"]
