@@ -22,6 +22,16 @@ _NO_SOLID: Final = 30.0  # nats, of a solid that cannot be seen in the region at
 _NO_GAIN: Final = -50.0
 _NO_REPETITION: Final = 5.0
 _FAR_BEHIND: Final = 20.0  # nats, of a second solution where there is none
+_OF_THE_BEST: Final = (
+    "solid_highlight_contrast",
+    "solid_shadow_contrast",
+    "solid_highlight_across_m",
+    "observed_highlight_across_m",
+    "solid_highlight_samples",
+    "solid_along_off_m",
+    "solid_across_off_m",
+    "second_solid_behind_nats",
+)
 
 
 def detection_details(detection: Detection) -> Features:
@@ -80,15 +90,3 @@ def solid_details(fits: ShapeFits, labels: NDArray[np.uint8], region: Region) ->
         second_nats,
     )
     return told | {name: known(value, 0.0) for name, value in zip(_OF_THE_BEST, measured, strict=True)}
-
-
-_OF_THE_BEST: Final = (
-    "solid_highlight_contrast",
-    "solid_shadow_contrast",
-    "solid_highlight_across_m",
-    "observed_highlight_across_m",
-    "solid_highlight_samples",
-    "solid_along_off_m",
-    "solid_across_off_m",
-    "second_solid_behind_nats",
-)

@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.classify.odds import DEPTH
+
 Array = NDArray[np.float64]
 
-DEPTH: Final = 3
 N_QUESTIONS: Final = 2**DEPTH - 1
 N_LEAVES: Final = 2**DEPTH
 _N_BINS: Final = 64
@@ -63,7 +64,7 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
 
 
 def leaves(tree: Tree, values: Array) -> NDArray[np.int64]:
-    """(n,) leaf of each row of `values` (n, k)."""
+    """(n,) int64 leaf, 0 to 7, of each row of `values` (n, k)."""
     place = np.zeros(len(values), dtype=np.int64)
     rows = np.arange(len(values))
     for _ in range(DEPTH):

@@ -53,7 +53,7 @@ def test_a_whole_search_leaves_nothing() -> None:
 
 
 def test_a_small_search_that_found_much_has_left_much() -> None:
-    """Five mines where each is found with 0.4 leave seven and a half behind, however small the area."""
+    """Five mines where each is found with 0.4 leave some eight behind, however small the area: the prior adds half a mine."""
     for n_cells in (100, 10_000):
         told = remaining_mines(5, np.full(n_cells, 0.4), CELL_M2)
         assert told.expected == pytest.approx(5.5 * 0.6 / 0.4)

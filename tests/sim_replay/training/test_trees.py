@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim_replay.training.trees import DEPTH, N_LEAVES, N_QUESTIONS, Tree, boost, leaves
+from auv_mcm.classify.odds import DEPTH
+from sim_replay.training.trees import N_LEAVES, N_QUESTIONS, Tree, boost, leaves
 
 Array = NDArray[np.float64]
 
