@@ -17,4 +17,10 @@ _SOURCES = {
 # The last two let the compiler use vector instructions; neither changes a result.
 _FLAGS = ["-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
 
-setup(ext_modules=[Extension(name, sources=sources, extra_compile_args=_FLAGS, optional=True) for name, sources in _SOURCES.items()])
+_HEADERS = sorted(glob("auv_mcm/kernels/*.h"))
+
+setup(
+    ext_modules=[
+        Extension(name, sources=sources, depends=_HEADERS, extra_compile_args=_FLAGS, optional=True) for name, sources in _SOURCES.items()
+    ]
+)

@@ -8,19 +8,11 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "wide.h"
+
 enum { LOWER_RIGHT, UPPER_RIGHT, LOWER_LEFT, UPPER_LEFT, CORNERS };
 enum { LANES = 8, SEGMENT = 1024, BLOCK = 8192, LIST = 512, DENSE_SHARE = 2, DIGIT_BITS = 11 };
 enum { RUN_COST = 3, RUN_WINDOWS = 2 }; /* a run costs about as much as 3 / 2 windows by themselves */
-
-/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
-#if __has_attribute(target_clones)
-#define WIDE __attribute__((target_clones("avx2", "default")))
-#endif
-#endif
-#ifndef WIDE
-#define WIDE
-#endif
 
 /* Left to itself, gcc makes vectors of values gathered one by one, which takes half as long again as one window at a time. */
 #if defined(__GNUC__) && !defined(__clang__)

@@ -8,18 +8,10 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "wide.h"
+
 enum { TOP, BOTTOM, LEFT, RIGHT, SIDES };
 enum { CHUNK = 8, PLANES = 3 };
-
-/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
-#if __has_attribute(target_clones)
-#define WIDE __attribute__((target_clones("avx2", "default")))
-#endif
-#endif
-#ifndef WIDE
-#define WIDE
-#endif
 
 static inline int64_t within(int64_t value, int64_t last) { return value < 0 ? 0 : value > last ? last : value; }
 

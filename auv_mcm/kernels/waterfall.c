@@ -8,18 +8,10 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "wide.h"
+
 enum { ROWS_TOGETHER = 4 };
 enum { VALID = 1, SATURATED = 2, LOW_RESOLUTION = 4, TURN = 8 }; /* of records.py */
-
-/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
-#if __has_attribute(target_clones)
-#define WIDE __attribute__((target_clones("avx2", "default")))
-#endif
-#endif
-#ifndef WIDE
-#define WIDE
-#endif
 
 static inline int64_t at_most(int64_t value, int64_t last) { return value < last ? value : last; }
 
