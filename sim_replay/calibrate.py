@@ -1,9 +1,10 @@
 """Fits the weights with which a close look turns what it measures into the odds of a mine: `python -m sim_replay.calibrate`.
 
 Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector has
-weights of its own, those of the trained cascade without the scenes that are held out from its training. Every step of the look is taken
-for all detections, whatever the odds. A target is the most mine-like detection within the gate of one, per side and
-passage; further detections of it count for nothing, and all else is what mines must be told from.
+weights of its own, those of the trained cascade without the scenes that are held out from its training. With --crowded the scenes are
+flown again, over other floors, with more mines and stones, since these are hardest to tell apart; how rare mines are is told by the
+scenes as they are. Every step of the look is taken for all detections, whatever the odds. A target is the most mine-like detection within
+the gate of one, per side and passage; further detections of it count for nothing, and all else is what mines must be told from.
 """
 
 from __future__ import annotations
@@ -38,26 +39,35 @@ from sim_replay.benches.scenes import HELD_OUT, SCENES, config_for
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Scene, TargetKind
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.training.trees import boost
 
 Array = NDArray[np.float64]
 
 FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on, and things were tried on seeds below 500
+CROWD: Final = 3
+"""Times as many mines and rocks."""
+_CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
+_CROWD_APART_M: Final = 9.0
+_CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scenes as they are
 _GATE_M: Final = 2.0
 _CLEAR_M: Final = 3.0
 _PASSAGE_S: Final = 60.0
 _FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less than this, one in so many is kept, and counts as many
 _RIDGE: Final = 2.0
 _DIGITS: Final = 5
+_MOST_SHIFT: Final = 50.0  # nats
 N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 250, "shape": 250}
 """Trees of each step; of the first, fewer, since it is asked of every detection."""
 
 
 class Example(NamedTuple):
-    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for."""
+    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for. usual: of
+    a mission with as many objects as its scene has, so that it tells how rare mines are."""
 
     scene: str
+    usual: bool
     is_target: bool
     weight: float
     detector: Features
@@ -74,9 +84,23 @@ class _Seen(NamedTuple):
     details: Features
 
 
-def examples_of(name: str, seed: int, detector: Detector) -> list[Example]:
-    """All detections of one mission through a named scene by one of the detectors."""
-    scene = msgspec.structs.replace(read_scene(name), seed=seed)
+def crowded(scene: Scene, times: int) -> Scene:
+    """The scene with so many times as many mines and rocks strewn over it, far enough apart for none to count among another's neighbours;
+    where there are more than usual they find their places after all else."""
+    if times == 1:
+        return scene
+    others = [each for each in scene.scatter if each.kind not in _CROWDING]
+    crowd = [
+        msgspec.structs.replace(each, count=times * each.count, apart_m=max(each.apart_m, _CROWD_APART_M))
+        for each in scene.scatter
+        if each.kind in _CROWDING
+    ]
+    return msgspec.structs.replace(scene, scatter=(*others, *crowd))
+
+
+def examples_of(name: str, seed: int, detector: Detector, crowd: int = 1) -> list[Example]:
+    """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the detectors."""
+    scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
     config = _looking_at_everything(config_for(scene), detector)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
@@ -97,22 +121,29 @@ def examples_of(name: str, seed: int, detector: Detector) -> list[Example]:
     for event in mission.events():
         pipeline.feed(event)
     pipeline.finish()
-    return _labelled(name, seen, passed_over, mission.truth()["objects"])
+    return _labelled(name, crowd == 1, seen, passed_over, mission.truth()["objects"])
 
 
 def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
-    """Weights for each step, and as many trees as told. Raises UsageError if there are no targets, or nothing else, among the examples."""
-    is_target = np.array([example.is_target for example in examples], dtype=np.bool_)
+    """Weights for each step, and as many trees as told; p_mine is right on average over the usual examples.
+
+    Raises UsageError if there are no targets, or nothing else, among those.
+    """
+    is_target, usual = (np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("is_target", "usual"))
     weight = np.array([example.weight for example in examples])
-    if not is_target.any() or is_target.all():
-        raise UsageError(f"{fitted_on}: {is_target.sum()} targets in {len(examples)} detections. Fly more missions, with --seeds")
-    prior = math.log(float(weight[is_target].sum()) / float(weight[~is_target].sum()))
+    if not is_target[usual].any() or is_target[usual].all():
+        n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
+        raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
+    prior = math.log(float(weight[is_target & usual].sum()) / float(weight[~is_target & usual].sum()))
     steps = {}
     for step in _STEPS:
         features = [getattr(example, step) for example in examples]
         sums = _fit_sum(features, is_target, weight)
         asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
-        steps[step] = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
+        weights = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
+        odds = np.array([weights.log_odds(known) for known, told in zip(asked, usual.tolist(), strict=True) if told])
+        offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
+        steps[step] = msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
 
 
@@ -121,6 +152,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     detectors: tuple[Detector, ...] = get_args(Detector)
     parser.add_argument("--detector", choices=detectors, default="cascade", help="whose detections to weigh (default cascade)")
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument(
+        "--crowded", type=count, metavar="N", help=f"missions per scene with {CROWD} times as many mines and rocks (default none)"
+    )
     parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the weights go, JSON")
@@ -132,22 +166,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make_directory(chosen.out.parent)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     scenes = [name for name in SCENES if chosen.detector == "contrast" or name not in HELD_OUT]
-    tasks = [(name, seed, chosen.detector) for seed in seeds for name in scenes]
+    crowds = range(chosen.first_seed + _CROWD_SEEDS, chosen.first_seed + _CROWD_SEEDS + (chosen.crowded or 0))
+    tasks = [(name, seed, chosen.detector, crowd) for chunk, crowd in ((seeds, 1), (crowds, CROWD)) for seed in chunk for name in scenes]
     examples: list[Example] = []
     with ProcessPoolExecutor(min(chosen.workers, len(tasks)), mp_context=get_context("spawn")) as pool:
         for done, found in enumerate(pool.map(examples_of, *zip(*tasks, strict=True)), 1):
             examples += found
             print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    odds = fit(
-        examples, f"{len(examples)} detections of simulated missions: {', '.join(scenes)}; seeds {seeds.start} to {seeds.stop - 1}", N_TREES
-    )
+    odds = fit(examples, words_for(len(examples), scenes, seeds, crowds), N_TREES)
     _report(examples)
     try:
         write_file(chosen.out, written(odds))
     except OSError as error:
         raise UsageError(f"--out {chosen.out} cannot be written: {error.strerror}") from error
     return 0
+
+
+def words_for(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
+    """What weights were fitted on."""
+    told = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
+    return f"{told}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else told
 
 
 def written(odds: MineOdds) -> bytes:
@@ -173,7 +212,7 @@ def _looking_at_everything(config: Config, detector: Detector) -> Config:
     )
 
 
-def _labelled(scene: str, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]) -> list[Example]:
+def _labelled(scene: str, usual: bool, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]) -> list[Example]:
     detections = [*(item.detection for item in seen), *passed_over]
     if not detections:
         return []
@@ -200,7 +239,9 @@ def _labelled(scene: str, seen: list[_Seen], passed_over: list[Detection], objec
         is_target = bool(on_object[index]) and bool(objects[int(nearest[index])]["is_target"])
         known = detection_details(item.detection)
         details: dict[LookStep, Features] = {"detector": known, "contours": known, "shape": item.details}
-        examples.append(Example(scene, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details))
+        examples.append(
+            Example(scene, usual, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details)
+        )
     return examples
 
 
@@ -234,6 +275,18 @@ def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[n
     )
 
 
+def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
+    """What to add to log-odds (n,) so that their probabilities add up to the number of targets."""
+    from scipy.optimize import brentq
+
+    n_targets = float(weight[is_target].sum())
+
+    def too_many(shift: float) -> float:
+        return float(weight @ np.exp(-np.logaddexp(0.0, -(odds + shift)))) - n_targets
+
+    return float(brentq(too_many, -_MOST_SHIFT, _MOST_SHIFT, xtol=1e-9))
+
+
 def _rounded(value: float) -> float:
     """To as many significant digits as tell neighbouring values apart."""
     return float(f"{value:.{_DIGITS + 2}g}")
@@ -255,13 +308,14 @@ def _logistic(columns: Array, target: Array, weight: Array) -> Array:
 
 
 def _report(examples: Sequence[Example]) -> None:
-    """What each step is worth on scenes it was not fitted on: every scene judged with the weights of the nine others."""
+    """What each step is worth on scenes it was not fitted on: every scene as it is judged with the weights of all others."""
+    everything, examples = examples, [example for example in examples if example.usual]
     is_target = np.array([example.is_target for example in examples], dtype=np.bool_)
     weight = np.array([example.weight for example in examples])
     p = {step: np.zeros(len(examples)) for step in _STEPS}
     for scene in sorted({example.scene for example in examples}):
         inside = np.array([example.scene == scene for example in examples])
-        others = fit([example for example in examples if example.scene != scene], "others", N_TREES)
+        others = fit([example for example in everything if example.scene != scene], "others", N_TREES)
         for step in _STEPS:
             p[step][inside] = [
                 others.p_mine(others.log_ratio(step, getattr(example, step) | example.details[step]))

@@ -22,18 +22,21 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
 from sim_replay import calibrate
 from sim_replay.benches.scenes import HELD_OUT, SCENES
-from sim_replay.calibrate import N_TREES, Example, examples_of, main
+from sim_replay.calibrate import CROWD, N_TREES, Example, crowded, examples_of, main
 from sim_replay.calibrate import fit as fit_all
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene_file import read_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 WEIGHTS = {"a": 1.5, "b": -0.7, "c": 0.0}
 OFFSET = -1.0
+MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock"}
 
 
-def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat") -> Example:
+def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True) -> Example:
     """All steps measured the same; the detector's own odds among them, which the report asks for."""
     known = {"detector_odds": 0.0, **features}
-    return Example(scene, is_target, weight, known, known, known, {step: {} for step in N_TREES})
+    return Example(scene, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
 
 
 def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
@@ -144,6 +147,18 @@ def test_p_mine_summed_over_the_examples_is_the_number_of_targets() -> None:
     odds = fit(examples, "drawn")
     expected = sum(item.weight * odds.p_mine(odds.log_ratio("shape", item.shape)) for item in examples)
     assert expected == pytest.approx(sum(item.weight for item in examples if item.is_target), rel=1e-3)
+
+
+def test_crowded_examples_teach_what_tells_mines_but_not_how_rare_they_are() -> None:
+    """Ten times as many targets in the crowd, drawn from the same model but for its offset."""
+    usual = drawn(4000, 12)
+    crowd = [item._replace(usual=False) for item in drawn(4000, 13)]
+    kept = [item for number, item in enumerate(crowd) if item.is_target or number % 10 == 0]
+    alone, odds = fit(usual, "usual"), fit([*usual, *kept], "both")
+    assert odds.prior == alone.prior
+    assert odds.shape.weights["a"] == pytest.approx(alone.shape.weights["a"], abs=0.2)
+    expected = sum(odds.p_mine(odds.log_ratio("shape", item.shape)) for item in usual)
+    assert expected == pytest.approx(sum(item.is_target for item in usual), rel=1e-3)
 
 
 def test_separable_examples_give_finite_weights() -> None:
@@ -325,11 +340,11 @@ class Flown:
     """Stands in for flying: examples of the logistic model, other ones for every mission."""
 
     def __init__(self) -> None:
-        self.missions: list[tuple[str, int, Detector]] = []
+        self.missions: list[tuple[str, int, Detector, int]] = []
 
-    def __call__(self, name: str, seed: int, detector: Detector) -> list[Example]:
-        self.missions.append((name, seed, detector))
-        return [item._replace(scene=name) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
+    def __call__(self, name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
+        self.missions.append((name, seed, detector, crowd))
+        return [item._replace(scene=name, usual=crowd == 1) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
 
 
 @pytest.fixture
@@ -353,7 +368,7 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
 ) -> None:
     out = tmp_path / "odds.json"
     assert main(["--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
-    assert flown.missions == [(name, seed, detector) for seed in (7, 8) for name in scenes]
+    assert flown.missions == [(name, seed, detector, 1) for seed in (7, 8) for name in scenes]
     odds = written(out)
     assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
     assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
@@ -362,6 +377,27 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
     rows = [line.split("  ")[0] for line in told.out.splitlines()[-4:]]
     assert rows == ["detector as it is", "detector", "contours", "shape"]
     assert "nan" not in told.out
+
+
+def test_crowded_scenes_are_flown_over_other_floors_and_told(flown: Flown, tmp_path: Path) -> None:
+    out = tmp_path / "odds.json"
+    assert main(["--seeds", "1", "--crowded", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    n = len(flown.missions) // 3
+    assert {mission[1:] for mission in flown.missions[:n]} == {(7, "cascade", 1)}
+    assert {mission[1:] for mission in flown.missions[n:]} == {(57, "cascade", CROWD), (58, "cascade", CROWD)}
+    assert written(out).fitted_on.endswith("shallow, deep, sas; seeds 7 to 7, and 57 to 58 with 3 times as many mines and rocks")
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name not in HELD_OUT])
+def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -> None:
+    scene = read_scene(name)
+    crowd = crowded(scene, CROWD)
+    usual, more = ({each.kind: each.count for each in one.scatter} for one in (scene, crowd))
+    assert more == {kind: number if kind not in MINES_AND_ROCKS else CROWD * number for kind, number in usual.items()}
+    assert min(each.apart_m for each in crowd.scatter if each.kind in MINES_AND_ROCKS) > 8.0, "neighbours within which count as a crowd"
+    assert (crowd.world, crowd.sonar, crowd.track) == (scene.world, scene.sonar, scene.track)
+    assert len(Mission(crowd).truth()["objects"]) > 2.0 * len(Mission(scene).truth()["objects"])
+    assert crowded(scene, 1) == scene
 
 
 @pytest.mark.usefixtures("flown")
@@ -422,7 +458,7 @@ def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None
 
 
 def test_too_few_targets_end_the_command_with_advice(monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path) -> None:
-    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed, detector: [example({"a": 1.0}, False, scene=name)])
+    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed, detector, crowd: [example({"a": 1.0}, False, scene=name)])
     with pytest.raises(UsageError, match="0 targets in 9 detections"):
         main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
     assert not (tmp_path / "odds.json").exists()
