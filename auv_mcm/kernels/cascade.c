@@ -2,9 +2,11 @@
  *
  * Stumps run breadth-first: all windows of a block through one stump before the next, so that the iterations are independent. While many
  * windows of a block are alive, whole rows are weighed, which vectorises; then runs of neighbours, and where hardly any window has a
- * neighbour, one by one. An outcome is looked up or blended, never branched upon: on speckle it is a coin's.
+ * neighbour, one by one. An outcome is looked up or blended, never branched upon: on speckle it is a coin's. Contrasts are mostly
+ * against one and the same box, the whole window's, whose sum is taken once for all stumps of a group.
  */
 
+#include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
@@ -98,11 +100,62 @@ static inline int32_t box(const uint32_t *at, const int32_t *offset)
     return (int32_t)((at[offset[LOWER_RIGHT]] - at[offset[UPPER_RIGHT]]) - (at[offset[LOWER_LEFT]] - at[offset[UPPER_LEFT]]));
 }
 
-ONE_BY_ONE static void weigh_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
-                       int32_t *restrict score)
+/* The first contrast among stumps [from, stop), whose third box others of the group share; NULL if there is none. */
+static const Stump *find_whole(const Stump *stumps, int32_t from, int32_t stop)
+{
+    while (from < stop && !stumps[from].contrast)
+        from++;
+    return from < stop ? stumps + from : NULL;
+}
+
+/* sum if the stump is a contrast against the box of `whole`, else NULL. */
+static inline const float *shared_sum(const Stump *stump, const Stump *whole, const float *sum)
+{
+    return whole && stump->contrast && !memcmp(stump->offset[2], whole->offset[2], sizeof whole->offset[2]) ? sum : NULL;
+}
+
+/* whole (n): out, sums over the third box of a contrast. */
+ONE_BY_ONE static void sum_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
+                                float *restrict whole)
+{
+    for (int64_t i = 0; i < n; i++)
+        whole[i] = (float)box(sums + at[i], stump->offset[2]);
+}
+
+WIDE static void sum_runs(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
+                          float *restrict whole)
 {
     const Stump s = *stump;
-    if (s.contrast)
+    for (int64_t run = 0; run < n; run++) {
+        const uint32_t *here = sums + at[run];
+        float *restrict lane = whole + run * LANES;
+        for (int i = 0; i < LANES; i++)
+            lane[i] = (float)box(here + i, s.offset[2]);
+    }
+}
+
+/* n: a multiple of LANES. */
+WIDE static void sum_row(const uint32_t *restrict here, const Stump *restrict stump, int64_t n, float *restrict whole)
+{
+    const uint32_t *const w0 = here + stump->offset[2][0], *const w1 = here + stump->offset[2][1];
+    const uint32_t *const w2 = here + stump->offset[2][2], *const w3 = here + stump->offset[2][3];
+    n -= n % LANES;
+    for (int64_t i = 0; i < n; i++)
+        whole[i] = (float)(int32_t)((w0[i] - w1[i]) - (w2[i] - w3[i]));
+}
+
+/* whole (n): sums over the third box, NULL for a contrast with a box of its own; the same below. */
+ONE_BY_ONE static void weigh_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
+                                  const float *restrict whole, int32_t *restrict score)
+{
+    const Stump s = *stump;
+    if (s.contrast && whole)
+        for (int64_t i = 0; i < n; i++) {
+            const uint32_t *here = sums + at[i];
+            const float a = (float)box(here, s.offset[0]) * s.weight[0], b = (float)box(here, s.offset[1]) * s.weight[1];
+            score[i] += s.leaf[a - b < whole[i] * s.weight[2]];
+        }
+    else if (s.contrast)
         for (int64_t i = 0; i < n; i++) {
             const uint32_t *here = sums + at[i];
             const float a = (float)box(here, s.offset[0]) * s.weight[0], b = (float)box(here, s.offset[1]) * s.weight[1];
@@ -131,11 +184,21 @@ static int64_t find_runs(int64_t n, const int32_t *restrict place, int32_t *rest
 }
 
 WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
-                            int32_t *restrict score)
+                            const float *restrict whole, int32_t *restrict score)
 {
     const Stump s = *stump;
     const int32_t above = s.leaf[0], below = s.leaf[1];
-    if (s.contrast)
+    if (s.contrast && whole)
+        for (int64_t run = 0; run < n; run++) {
+            const uint32_t *here = sums + at[run];
+            const float *restrict w = whole + run * LANES;
+            int32_t *restrict lane = score + run * LANES;
+            for (int i = 0; i < LANES; i++) {
+                const float a = (float)box(here + i, s.offset[0]) * s.weight[0], b = (float)box(here + i, s.offset[1]) * s.weight[1];
+                lane[i] += a - b < w[i] * s.weight[2] ? below : above;
+            }
+        }
+    else if (s.contrast)
         for (int64_t run = 0; run < n; run++) {
             const uint32_t *here = sums + at[run];
             int32_t *restrict lane = score + run * LANES;
@@ -156,7 +219,8 @@ WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict
 }
 
 /* n: a multiple of LANES. */
-WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict stump, int64_t n, int32_t *restrict score)
+WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict stump, int64_t n, const float *restrict whole,
+                           int32_t *restrict score)
 {
     const int32_t above = stump->leaf[0], below = stump->leaf[1];
     const float weight_a = stump->weight[0], weight_b = stump->weight[1], weight_w = stump->weight[2];
@@ -165,7 +229,13 @@ WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict 
     const uint32_t *const b0 = here + stump->offset[1][0], *const b1 = here + stump->offset[1][1];
     const uint32_t *const b2 = here + stump->offset[1][2], *const b3 = here + stump->offset[1][3];
     n -= n % LANES;
-    if (stump->contrast) {
+    if (stump->contrast && whole) {
+        for (int64_t i = 0; i < n; i++) {
+            const float a = (float)(int32_t)((a0[i] - a1[i]) - (a2[i] - a3[i])) * weight_a;
+            const float b = (float)(int32_t)((b0[i] - b1[i]) - (b2[i] - b3[i])) * weight_b;
+            score[i] += a - b < whole[i] * weight_w ? below : above;
+        }
+    } else if (stump->contrast) {
         const uint32_t *const w0 = here + stump->offset[2][0], *const w1 = here + stump->offset[2][1];
         const uint32_t *const w2 = here + stump->offset[2][2], *const w3 = here + stump->offset[2][3];
         for (int64_t i = 0; i < n; i++) {
@@ -188,21 +258,27 @@ static int64_t run_list(const uint32_t *restrict sums, const Stump *restrict stu
                         int64_t last, int64_t restart, int64_t n, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
 {
     int32_t run_at[LIST], slot[LIST], lanes[LIST * LANES];
+    float sum[LIST * LANES];
     for (int64_t group = first; group < last; group++) {
         const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop, reject = groups[group].reject;
+        const Stump *const whole = find_whole(stumps, from, stop);
         int64_t kept = 0;
         for (int64_t start = 0; start < n; start += LIST) {
             const int64_t length = n - start < LIST ? n - start : LIST;
             const int64_t runs = find_runs(length, at + start, run_at, slot);
             if (restart)
                 memset(score + start, 0, (size_t)length * sizeof *score);
-            if (length * RUN_WINDOWS < runs * RUN_COST)
+            if (length * RUN_WINDOWS < runs * RUN_COST) {
+                if (whole)
+                    sum_list(sums, whole, length, at + start, sum);
                 for (int32_t stump = from; stump < stop; stump++)
-                    weigh_list(sums, stumps + stump, length, at + start, score + start);
-            else {
+                    weigh_list(sums, stumps + stump, length, at + start, shared_sum(stumps + stump, whole, sum), score + start);
+            } else {
                 memset(lanes, 0, (size_t)(runs * LANES) * sizeof *lanes);
+                if (whole)
+                    sum_runs(sums, whole, runs, run_at, sum);
                 for (int32_t stump = from; stump < stop; stump++)
-                    weigh_runs(sums, stumps + stump, runs, run_at, lanes);
+                    weigh_runs(sums, stumps + stump, runs, run_at, shared_sum(stumps + stump, whole, sum), lanes);
                 for (int64_t i = 0; i < length; i++)
                     score[start + i] += lanes[slot[i]];
             }
@@ -257,15 +333,21 @@ static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict s
                           int32_t *restrict alive, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
 {
     int64_t group = 0, total, filled = 0, n = 0;
+    float sum[SEGMENT];
     for (int64_t k = 0; k < n_segments; k++)
         filled += segments[k].padded;
     do {
         const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop;
         if (restart || group == 0)
             memset(block_score, 0, (size_t)filled * sizeof *block_score);
-        for (int64_t k = 0, begin = 0; k < n_segments; begin += segments[k].padded, k++)
+        const Stump *const whole = find_whole(stumps, from, stop);
+        for (int64_t k = 0, begin = 0; k < n_segments; begin += segments[k].padded, k++) {
+            const uint32_t *const here = sums + segments[k].at;
+            if (whole)
+                sum_row(here, whole, segments[k].padded, sum);
             for (int32_t stump = from; stump < stop; stump++)
-                weigh_row(sums + segments[k].at, stumps + stump, segments[k].padded, block_score + begin);
+                weigh_row(here, stumps + stump, segments[k].padded, shared_sum(stumps + stump, whole, sum), block_score + begin);
+        }
         total = keep_alive(filled, block_score, groups[group].reject, alive);
         n_alive[group] += total;
         group++;

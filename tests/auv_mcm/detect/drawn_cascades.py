@@ -41,7 +41,8 @@ def draw_stump(random: np.random.Generator) -> Stump:
     a, b = draw_box(random), draw_box(random)
     if random.random() < 0.5:
         return Stump(kind="ratio", a=a, b=b, threshold=float(np.exp(random.normal(0.0, 0.3))), below=below, above=above)
-    return Stump(kind="contrast", a=a, b=b, w=WINDOW, threshold=float(random.normal(0.0, 0.3)), below=below, above=above)
+    w = WINDOW if random.random() < 0.7 else draw_box(random)
+    return Stump(kind="contrast", a=a, b=b, w=w, threshold=float(random.normal(0.0, 0.3)), below=below, above=above)
 
 
 def draw_model(seed: int, *, kind: str = "soft", sizes: tuple[int, ...] = (2, 3, 9, 7, 12), reject: int | None = None) -> CascadeModel:
