@@ -58,7 +58,7 @@ _FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less th
 _RIDGE: Final = 2.0
 _DIGITS: Final = 5
 _MOST_SHIFT: Final = 50.0  # nats
-N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 250, "shape": 250}
+N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
 """Trees of each step; of the first, fewer, since it is asked of every detection."""
 
 
