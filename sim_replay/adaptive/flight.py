@@ -91,12 +91,10 @@ def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel,
     return _Loop(scene, order, model, config, None, None, lambda ground: math.inf).fly(legs)
 
 
-def fly_adaptive(
-    scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted | None = None
-) -> Flight:
+def fly_adaptive(scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted) -> Flight:
     """Legs decided on at the start and whenever one ends, until the wanted clearance is reached, `decide` has no more, or the budget is
-    used up. wanted: None for what is ordered."""
-    return _Loop(scene, order, model, config, decide, limits, wanted or (lambda ground: order.required)).fly(())
+    used up."""
+    return _Loop(scene, order, model, config, decide, limits, wanted).fly(())
 
 
 class _Flown(NamedTuple):

@@ -63,4 +63,5 @@ def coarse_config() -> Config:
 def fly_small(worth: Worth, order: Order, seed: int = 1) -> Flight:
     scene = small_scene(seed)
     limits = limits_of(scene, order)
-    return fly_adaptive(scene, order, by_replanning(order, worth, limits, local_frame(scene.origin)), limits, worth, coarse_config())
+    replanning = by_replanning(order, worth, limits, local_frame(scene.origin))
+    return fly_adaptive(scene, order, replanning, limits, worth, coarse_config(), lambda ground: order.required)

@@ -113,7 +113,7 @@ def test_a_flight_with_nothing_left_to_decide_waits_for_what_it_has_flown_over()
         asked.append(now)
         return Decision((leg,) if len(asked) == 1 else (), "cannot, because the test has one leg", "one leg")
 
-    flight = fly_adaptive(scene, order, one_leg, limits, Worth(0.3), coarse_config())
+    flight = fly_adaptive(scene, order, one_leg, limits, Worth(0.3), coarse_config(), lambda ground: order.required)
     assert not asked[1].complete
     assert asked[-1].complete
     assert flight.verdict == "cannot, because the test has one leg"
