@@ -44,20 +44,21 @@ _FLOOR: Final = 1e-2  # of the local mean, for logarithms
 _LONGEST_RIPPLE_M: Final = 4.0
 _LONG_M: Final = 1.5
 _SMALLEST: Final = 1e-9
+_LEAST_ALTITUDE_M: Final = 0.1
 
 
 class Texture(NamedTuple):
     """Per cell: features (n_along, n_across, len(NAMES)) float64, NaN where too little is valid.
 
     ripple_rad, wavelength_m (n_along, n_across): of the spectrum's highest peak, whether or not it stands out: direction across the
-    crests, 0 along the track and pi / 2 towards far range, [0, pi). ground_range_m (n_across,): of the cells' middles. cell_m: sides of a
-    cell along and across, as the tile's pixels allow.
+    crests, 0 along the track and pi / 2 towards far range, [0, pi). cot_grazing (n_across,): ground range of the cells' middles over the
+    altitude, which is the cotangent of the grazing angle. cell_m: sides of a cell along and across, as the tile's pixels allow.
     """
 
     features: Array
     ripple_rad: Array
     wavelength_m: Array
-    ground_range_m: Array
+    cot_grazing: Array
     cell_m: tuple[float, float]
 
 
@@ -99,7 +100,8 @@ def measure_texture(tile: Tile) -> Texture:
     )
     features[n_valid < _LEAST_VALID * WINDOW_BLOCKS * WINDOW_BLOCKS] = np.nan
     cell_m = CELL_BLOCKS * block_m[0], CELL_BLOCKS * block_m[1]
-    return Texture(features, across_crests, wavelength, (np.arange(n_across) + 0.5) * cell_m[1], cell_m)
+    altitude_m = max(float(np.median(tile.first_return_m)), _LEAST_ALTITUDE_M)
+    return Texture(features, across_crests, wavelength, (np.arange(n_across) + 0.5) * cell_m[1] / altitude_m, cell_m)
 
 
 def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> tuple[Array, Array]:

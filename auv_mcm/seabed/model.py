@@ -1,7 +1,7 @@
 """Kinds of sea floor by the texture that each shows.
 
-Odds of the kinds are a logistic regression on textures, their products, and range, which changes textures as well (D. R. Cox, J. Royal
-Statistical Society B 20, 1958; with all products it has the borders of Gaussians with covariances of their own, without asking for
+Odds of the kinds are a logistic regression on textures, their products, and the grazing angle, which changes textures as well (D. R. Cox,
+J. Royal Statistical Society B 20, 1958; with all products it has the borders of Gaussians with covariances of their own, without asking for
 Gaussians). Beside it each cover that was learnt has its mean and covariance: what is far from all of them is `unknown`.
 """
 
@@ -21,11 +21,11 @@ from auv_mcm.seabed.features import NAMES
 
 Array = NDArray[np.float64]
 
-INPUTS: Final = (*NAMES, "log_range")
+INPUTS: Final = (*NAMES, "log_cot_grazing")
 N_TERMS: Final = 1 + len(INPUTS) + len(INPUTS) * (len(INPUTS) + 1) // 2
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
-_NEAREST_M: Final = 1.0  # logarithms of range start here
+_STEEPEST: Final = 0.2  # cotangent; logarithms start here
 _FARTHEST: Final = 4.0  # standard deviations; beyond, products would outweigh all else
 
 
@@ -48,9 +48,9 @@ class Cover(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class SeabedModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What each kind of sea floor looks like.
 
-    fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of ground range in m; centre
-    and scale make them comparable. novelty: squared distance in standard deviations from every cover, beyond which a texture is none of
-    them.
+    fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of the cotangent of the grazing
+    angle; centre and scale make them comparable. novelty: squared distance in standard deviations from every cover, beyond which a texture
+    is none of them.
     """
 
     fitted_on: str
@@ -84,9 +84,9 @@ class Odds(NamedTuple):
     nearest: Array
 
 
-def odds_of(features: Array, ground_range_m: Array, model: SeabedModel) -> Odds:
-    """What each kind has for it; features (..., len(NAMES)), ground_range_m of the same shape without the last axis."""
-    x = standardised(features, ground_range_m, np.array(model.centre), np.array(model.scale))
+def odds_of(features: Array, cot_grazing: Array, model: SeabedModel) -> Odds:
+    """What each kind has for it; features (..., len(NAMES)), cot_grazing of the same shape without the last axis."""
+    x = standardised(features, cot_grazing, np.array(model.centre), np.array(model.scale))
     distances = [np.sum(((x - np.array(cover.mean)) @ _square(cover.whitening).T) ** 2, axis=-1) for cover in model.covers]
     log_p = terms(x) @ np.array([kind.weights for kind in model.kinds]).T
     log_p -= log_p.max(axis=-1, keepdims=True)
@@ -94,9 +94,9 @@ def odds_of(features: Array, ground_range_m: Array, model: SeabedModel) -> Odds:
     return Odds(log_p, np.min(distances, axis=0))
 
 
-def standardised(features: Array, ground_range_m: Array, centre: Array, scale: Array) -> Array:
+def standardised(features: Array, cot_grazing: Array, centre: Array, scale: Array) -> Array:
     """(..., len(INPUTS)) inputs, centred and scaled."""
-    logarithm = np.log(np.maximum(ground_range_m, _NEAREST_M))
+    logarithm = np.log(np.maximum(cot_grazing, _STEEPEST))
     return np.asarray((np.concatenate([features, logarithm[..., np.newaxis]], axis=-1) - centre) / scale)
 
 

@@ -25,7 +25,7 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
     texture = measure_texture(tile)
     measured: NDArray[np.bool_] = np.asarray(np.isfinite(texture.features).all(axis=-1))
     features = np.where(measured[..., np.newaxis], texture.features, 0.0)
-    found = odds_of(features, np.broadcast_to(texture.ground_range_m, measured.shape), model)
+    found = odds_of(features, np.broadcast_to(texture.cot_grazing, measured.shape), model)
     posterior = smoothed(found.log_p * measured[..., np.newaxis], measured)
     best = np.argmax(posterior, axis=-1)
     kind = kind_indices(model)[best]

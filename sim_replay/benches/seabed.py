@@ -1,20 +1,26 @@
-"""How well kinds of sea floor are told apart on missions never fitted on, beside Haralick's textures, and what it costs."""
+"""How well kinds of sea floor are told apart on missions never fitted on, beside Haralick's textures, and what it costs.
+
+auv-mcm bench seabed                              flies, scores and prints
+auv-mcm bench seabed --picture FILE --log LOG ... draws recorded lines and what their floor is taken for
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.contacts.picture import encoded
 from auv_mcm.errors import UsageError
 from auv_mcm.outputs import write_file
 from auv_mcm.records import SEABED_TYPES
@@ -25,6 +31,7 @@ from sim_replay.benches.arguments import count
 from sim_replay.benches.layout import columns, markdown
 from sim_replay.seabed.fit import FIT_SEEDS, alike, regression
 from sim_replay.seabed.haralick import haralick_features
+from sim_replay.seabed.picture import seabed_picture
 from sim_replay.seabed.samples import MIXED, TrueTile, kind_of_covers, true_tiles
 from sim_replay.training.farm import Farm, run_tasks
 
@@ -33,6 +40,7 @@ Counts = NDArray[np.int64]
 T = TypeVar("T")
 
 FIRST_SEED: Final = 9320  # nothing of the sea floor was ever fitted or tried on seeds from here on
+_QUALITY: Final = 62
 _SYSTEMS: Final = ("ours", "ours, cell by cell", "Haralick's, smoothed alike")
 
 
@@ -60,10 +68,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the counts to FILE")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing")
+    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="XTF log to draw; may be given again")
+    parser.add_argument("--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fit the rival, score both and print; returns the exit code. Raises UsageError for a file that cannot be written."""
+    """Fit the rival, score both and print, or draw; returns the exit code. Raises UsageError for a file that cannot be written."""
+    if (arguments.picture is None) != (arguments.log is None):
+        raise UsageError("--picture draws what --log names: give both, or neither to score")
+    if arguments.picture is not None:
+        return _draw(arguments.log, arguments.tiles, arguments.picture)
     farm = Farm(arguments.workers)
     rival_seeds = list(islice(FIT_SEEDS, arguments.rival_seeds))
     rival = _fitted(list(_counted(run_tasks(haralick_samples, rival_seeds, farm), len(rival_seeds), "fitted on")))
@@ -83,6 +98,18 @@ def run(arguments: argparse.Namespace) -> int:
             write_file(arguments.json, msgspec.json.format(msgspec.json.encode({"kinds": SEABED_TYPES, **counted})))
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
+    return 0
+
+
+def _draw(logs: Sequence[Path], n_tiles: int, out: Path) -> int:
+    options = {".png": [cv2.IMWRITE_PNG_COMPRESSION, 9], ".jpg": [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]}.get(out.suffix.lower())
+    if options is None:
+        raise UsageError(f"--picture {out}: name a file that ends in .png or .jpg")
+    picture = encoded(seabed_picture(logs, n_tiles, shipped_seabed_model()), out.suffix.lower(), options)
+    try:
+        write_file(out, picture)
+    except OSError as error:
+        raise UsageError(f"--picture {out} cannot be written: {error.strerror}") from error
     return 0
 
 
@@ -107,7 +134,7 @@ def scored(seed: int, rival: Rival, model: SeabedModel) -> Told:
         cells, took_s = _timed(partial(seabed_cells, true.tile, model))
         stage_s.append(took_s)
         measured = np.isfinite(texture.features).all(axis=-1)
-        odds = odds_of(np.nan_to_num(texture.features), np.broadcast_to(texture.ground_range_m, measured.shape), model)
+        odds = odds_of(np.nan_to_num(texture.features), np.broadcast_to(texture.cot_grazing, measured.shape), model)
         alone = kind_indices(model)[np.argmax(odds.log_p, axis=-1)]
         for system, kind in enumerate((cells.kind, alone, _by_rival(true, rival, kind_indices(model)))):
             pure = (true.cover != MIXED) & measured

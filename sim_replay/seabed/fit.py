@@ -29,9 +29,9 @@ _ITERATIONS: Final = 500
 def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
     """The model of samples. All kinds weigh alike, and so do all covers of a kind. Raises BadInputError if a cover, or enough of it, is
     missing."""
-    raw = standardised(samples.features, samples.ground_range_m, np.zeros(len(INPUTS)), np.ones(len(INPUTS)))
+    raw = standardised(samples.features, samples.cot_grazing, np.zeros(len(INPUTS)), np.ones(len(INPUTS)))
     centre, scale = as_stored(raw.mean(axis=0)), as_stored(np.maximum(raw.std(axis=0), 1e-6))
-    x = standardised(samples.features, samples.ground_range_m, np.array(centre), np.array(scale))
+    x = standardised(samples.features, samples.cot_grazing, np.array(centre), np.array(scale))
     covers = []
     for index, name in enumerate(COVERS):
         try:
@@ -50,7 +50,7 @@ def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
         covers=tuple(covers),
         novelty=1e6,
     )
-    nearest = odds_of(samples.features, samples.ground_range_m, model).nearest
+    nearest = odds_of(samples.features, samples.cot_grazing, model).nearest
     return msgspec.structs.replace(model, novelty=float(f"{np.quantile(nearest, _KEPT):.4g}"))
 
 

@@ -26,10 +26,10 @@ MIXED: Final = 255
 
 
 class Samples(NamedTuple):
-    """features (n, len(NAMES)) float64, all finite; ground_range_m (n,); cover (n,) uint8, index into COVERS."""
+    """features (n, len(NAMES)) float64, all finite; cot_grazing (n,), of the grazing angle; cover (n,) uint8, index into COVERS."""
 
     features: NDArray[np.float64]
-    ground_range_m: NDArray[np.float64]
+    cot_grazing: NDArray[np.float64]
     cover: NDArray[np.uint8]
 
 
@@ -63,8 +63,8 @@ def samples_of(seed: int) -> Samples:
     for tile, cover in true_tiles(seed):
         texture = measure_texture(tile)
         pure = (cover != MIXED) & np.isfinite(texture.features).all(axis=-1)
-        ranges = np.broadcast_to(texture.ground_range_m, cover.shape)
-        parts.append((texture.features[pure], ranges[pure], cover[pure]))
+        grazing = np.broadcast_to(texture.cot_grazing, cover.shape)
+        parts.append((texture.features[pure], grazing[pure], cover[pure]))
     return Samples(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 

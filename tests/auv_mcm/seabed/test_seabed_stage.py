@@ -41,9 +41,9 @@ def textures(name: SeabedType, seed: int) -> Array:
     return inner.reshape(-1, len(NAMES))
 
 
-def ranges_m(n: int) -> Array:
-    """Ground ranges of made-up cells; they change nothing in these floors."""
-    return np.random.Generator(np.random.PCG64(9)).uniform(1.0, 40.0, n)
+def cot_grazing(n: int) -> Array:
+    """Of grazing angles of made-up cells; they change nothing in these floors."""
+    return np.random.Generator(np.random.PCG64(9)).uniform(0.3, 12.0, n)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def model() -> SeabedModel:
     names: tuple[SeabedType, ...] = ("flat", "ripple", "rough")
     zero, one = (0.0,) * len(INPUTS), (1.0,) * len(INPUTS)
     floors = {name: np.concatenate([textures(name, seed) for seed in range(4)]) for name in names}
-    floors = {name: standardised(z, ranges_m(len(z)), np.array(zero), np.array(one)) for name, z in floors.items()}
+    floors = {name: standardised(z, cot_grazing(len(z)), np.array(zero), np.array(one)) for name, z in floors.items()}
     centre, scale = (f(np.concatenate(list(floors.values())), axis=0) for f in (np.mean, np.std))
     scale = np.maximum(scale, 1.0)
     floors = {name: (z - centre) / scale for name, z in floors.items()}
@@ -73,7 +73,7 @@ def model() -> SeabedModel:
         novelty=1e5,
     )
     known = np.concatenate([textures(name, seed) for name in names for seed in range(4)])
-    return msgspec.structs.replace(fitted, novelty=3.0 * float(odds_of(known, ranges_m(len(known)), fitted).nearest.max()))
+    return msgspec.structs.replace(fitted, novelty=3.0 * float(odds_of(known, cot_grazing(len(known)), fitted).nearest.max()))
 
 
 @pytest.mark.parametrize("name", ["flat", "ripple", "rough"])

@@ -26,16 +26,16 @@ def made_up(n: int, seed: int) -> Samples:
     rng = np.random.Generator(np.random.PCG64(seed))
     middle = np.random.Generator(np.random.PCG64(0)).normal(0.0, 3.0, (len(COVERS), len(NAMES)))
     cover = rng.choice(len(COVERS), n, p=np.arange(1, len(COVERS) + 1) / sum(range(1, len(COVERS) + 1))).astype(np.uint8)
-    return Samples(middle[cover] + rng.normal(size=(n, len(NAMES))), rng.uniform(1.0, 60.0, n), cover)
+    return Samples(middle[cover] + rng.normal(size=(n, len(NAMES))), rng.uniform(0.5, 15.0, n), cover)
 
 
 def test_kinds_that_differ_are_told_apart() -> None:
     model = fit_model(made_up(3000, 1), "made up")
     held_out = made_up(1000, 2)
-    odds = odds_of(held_out.features, held_out.ground_range_m, model)
+    odds = odds_of(held_out.features, held_out.cot_grazing, model)
     assert (kind_indices(model)[np.argmax(odds.log_p, axis=-1)] == kind_of_covers()[held_out.cover]).mean() > 0.97
     assert (odds.nearest > model.novelty).mean() < 0.02
-    far = odds_of(held_out.features + 100.0, held_out.ground_range_m, model)
+    far = odds_of(held_out.features + 100.0, held_out.cot_grazing, model)
     assert (far.nearest > model.novelty).all()
 
 
