@@ -2,6 +2,7 @@
 
 auv-mcm bench snakes            contour error beside time, for schedules from coarse to fine
 auv-mcm bench snakes --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
+auv-mcm bench snakes --odds     also what the chain hands on to its close look, rejected by the odds after contours
 """
 
 from __future__ import annotations
@@ -20,17 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.stage import region_of, take
+from auv_mcm.classify.reasons import bearing
+from auv_mcm.classify.stage import passed_over, region_of, take
 from auv_mcm.config import Config
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import COARSE, FINE, Contours, Schedule, Start, converge, settings_of
 from auv_mcm.detect.stage import detect_tile
+from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
 from sim_replay.benches.overlap import overlap
+from sim_replay.benches.scenes import config_for
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
@@ -39,6 +43,7 @@ Mask: TypeAlias = NDArray[np.bool_]
 Label: TypeAlias = Literal["target", "clutter"]
 
 N_STARTS: Final = 20
+ODDS_SCENES: Final = ("ripple", "seagrass", "flat", "mixed")
 HELD_OUT_SEEDS: Final = tuple(range(31, 37))  # the rules were set on seeds from 11 to 23
 SCHEDULES: Final[dict[str, tuple[Schedule, Schedule]]] = {
     "4 nodes": (COARSE, ((4, 1.0, 20),)),
@@ -53,6 +58,8 @@ _ROW_M, _COLUMN_M = 0.1, 0.06
 _ALTITUDE_M, _GROUND_M = 6.0, 22.0
 _SHADOW, _HIGHLIGHT = 10.0**-1.0, 10.0**0.8
 _DETECTION_P: Final = 1e-6
+_LOST: Final = 0.02  # of targets
+_ALL: Final = 100_000
 _BESIDE_M: Final = 0.75  # from the middle of a target's end to a detection of it
 _CLEAR_M: Final = 3.0
 
@@ -88,6 +95,28 @@ class SceneRow(NamedTuple):
     n_lost: int
     n_targets_breaking: int
     reasons: Counter[str]
+
+
+class Handed(NamedTuple):
+    """A detection that the chain hands on to its close look. p_detector, p_contours: p_mine before and after its contours. told_against:
+    it carries a code that speaks against a mine."""
+
+    label: Label
+    p_detector: float
+    p_contours: float
+    told_against: bool
+
+
+class OddsRow(NamedTuple):
+    """One scene's clutter below the p_mine that all but _LOST of its targets reach: after contours, told why, and by p_detector alone."""
+
+    scene: str
+    n_clutter: int
+    n_rejected: int
+    n_told: int
+    n_by_detector: int
+    n_targets: int
+    n_lost: int
 
 
 def drawn_pair(seed: int) -> Drawn:
@@ -224,6 +253,58 @@ def scene_rows(
         )
 
 
+def odds_row(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS) -> OddsRow:
+    """What the odds after contours reject of all that the chain's detector hands on, at the threshold that loses no more targets than
+    _LOST. Raises UsageError if no target was detected."""
+    handed = [each for seed in seeds for each in _handed_on(name, seed)]
+    targets, clutter = ([each for each in handed if each.label == label] for label in ("target", "clutter"))
+    if not targets:
+        raise UsageError(f"no target was detected in {name} with seeds {seeds[0]} to {seeds[-1]}: give more seeds")
+    least = _least_kept([each.p_contours for each in targets])
+    rejected = [each for each in clutter if each.p_contours < least]
+    by_detector = _least_kept([each.p_detector for each in targets])
+    return OddsRow(
+        scene=name,
+        n_clutter=len(clutter),
+        n_rejected=len(rejected),
+        n_told=sum(each.told_against for each in rejected),
+        n_by_detector=sum(each.p_detector < by_detector for each in clutter),
+        n_targets=len(targets),
+        n_lost=sum(each.p_contours < least for each in targets),
+    )
+
+
+def _least_kept(p_targets: Sequence[float]) -> float:
+    """The highest threshold below which no more than _LOST of them lie."""
+    return sorted(p_targets)[math.floor(_LOST * len(p_targets))]
+
+
+def _handed_on(name: str, seed: int) -> list[Handed]:
+    scene = msgspec.structs.replace(read_scene(name), seed=seed)
+    config = config_for(scene)
+    config = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL))
+    odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
+    detections: list[Detection] = []
+    looked: list[tuple[float, float, bool]] = []
+
+    def look(detection: Detection) -> Detection:
+        p_detector = p_contours = passed_over(detection, odds, "").p_mine
+        reasons = detection.reasons
+        if detection.surroundings is not None:
+            found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, math.inf)
+            p_contours, reasons = found.p_contours, (*reasons, *found.contours.reasons)
+        detections.append(detection)
+        looked.append((p_detector, p_contours, any(bearing(code) == "against" for code in reasons)))
+        return detection
+
+    mission, pipeline = Mission(scene), Pipeline(config, look=look)
+    for event in mission.events():
+        pipeline.feed(event)
+    pipeline.finish()
+    labels = label_detections(detections, mission.truth()["objects"], scene.track.speed_mps)
+    return [Handed(label, *each) for label, each in zip(labels, looked, strict=True) if label is not None]
+
+
 def _breaks_rules(contours: Contours) -> bool:
     return not snake_rules.REJECTING.isdisjoint(contours.reasons)
 
@@ -272,6 +353,7 @@ def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `auv-mcm bench snakes`."""
     parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
+    parser.add_argument("--odds", action="store_true", help="also fly them and judge what the odds after contours reject")
 
 
 def run(chosen: argparse.Namespace) -> int:
@@ -291,6 +373,16 @@ def run(chosen: argparse.Namespace) -> int:
             print(
                 f"{scene.scene:<10}{scene.n_clutter:>9}{scene.n_rejected / clutter:>10.1%}{scene.n_clutter_breaking / clutter:>10.1%}"
                 f"{scene.n_targets:>9}{scene.n_lost / targets:>8.1%}{scene.n_targets_breaking / targets:>10.1%}  {reasons}",
+                flush=True,
+            )
+    if chosen.odds:
+        print(f"\n{'':<10}{'handed on':>11}{'rejected':>10}{'told why':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
+        for judged in map(odds_row, ODDS_SCENES):
+            shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_told / max(judged.n_rejected, 1))
+            by_detector, lost = judged.n_by_detector / max(judged.n_clutter, 1), judged.n_lost / judged.n_targets
+            print(
+                f"{judged.scene:<10}{judged.n_clutter:>11}{shares[0]:>10.1%}{shares[1]:>10.1%}{by_detector:>10.1%}"
+                f"{judged.n_targets:>9}{lost:>8.1%}",
                 flush=True,
             )
     return 0
