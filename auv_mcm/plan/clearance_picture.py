@@ -17,7 +17,7 @@ Key = list[tuple[str, tuple[int, int, int]]]
 
 # Blue, green, red. Probabilities: a ramp from red over yellow to green that also rises in lightness.
 _BANDS: Final = ((52, 36, 150), (60, 90, 215), (80, 160, 245), (120, 215, 245), (110, 200, 150), (80, 150, 40))
-_KINDS: Final[dict[SeabedType, tuple[int, int, int]]] = {
+KIND_COLOURS: Final[dict[SeabedType, tuple[int, int, int]]] = {
     "flat": (175, 205, 225),
     "ripple": (70, 150, 220),
     "rough": (110, 110, 120),
@@ -42,13 +42,13 @@ def clearance_picture(clearance: Clearance) -> Bytes:
     maps = []
     for colours, chosen in (
         (np.array(_BANDS, dtype=np.uint8), band_of(clearance.p_detected)),
-        (np.array([_KINDS[kind] for kind in SEABED_TYPES], dtype=np.uint8), clearance.seabed),
+        (np.array([KIND_COLOURS[kind] for kind in SEABED_TYPES], dtype=np.uint8), clearance.seabed),
     ):
         drawn = np.where(seen[..., np.newaxis], colours[chosen[::step, ::step]], np.array(_UNSEEN, dtype=np.uint8))
         maps.append(np.repeat(np.repeat(drawn[::-1], per_cell, axis=0), per_cell, axis=1))
     keys: tuple[Key, Key] = (
         [(f"{low:g}-{high:g}", colour) for low, high, colour in zip(BANDS[:-1], BANDS[1:], _BANDS, strict=True)],
-        [(kind, _KINDS[kind]) for kind in SEABED_TYPES],
+        [(kind, KIND_COLOURS[kind]) for kind in SEABED_TYPES],
     )
     width = max(maps[0].shape[1], max(_key_width(key) for key in keys))
     return np.hstack([_panel(drawn, key, width) for drawn, key in zip(maps, keys, strict=True)])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.contacts.picture import encoded
-from auv_mcm.plan.clearance_picture import clearance_picture
+from auv_mcm.plan.clearance_picture import KIND_COLOURS, clearance_picture
 from sim_replay.adaptive.flight import Flight
 from sim_replay.adaptive.order import Order
 from sim_replay.seabed.missions import KIND_OF
@@ -21,7 +21,6 @@ Bytes = NDArray[np.uint8]
 _PER_M: Final = 4.0
 _AROUND_M: Final = 40.0
 _STEP_M: Final = 0.5
-_KINDS: Final = {"flat": (175, 205, 225), "ripple": (70, 150, 220), "rough": (110, 110, 120), "vegetation": (80, 150, 70)}
 _INK: Final = (60, 50, 40)
 _TRACK: Final = (30, 30, 200)
 
@@ -36,7 +35,7 @@ def _floor(scene: Scene, order: Order) -> Bytes:
     """The kinds as they are, with the area's outline and all mines."""
     sea = Sea(scene)
     at = np.arange(-_AROUND_M, order.side_m + _AROUND_M, _STEP_M) + 0.5 * _STEP_M
-    covers = np.array([_KINDS[KIND_OF[cover.type]] for cover in sea.world.covers], dtype=np.uint8)
+    covers = np.array([KIND_COLOURS[KIND_OF[cover.type]] for cover in sea.world.covers], dtype=np.uint8)
     picture = covers[sea.world.seabed_at(*np.meshgrid(at, at[::-1]))]
     size = round(len(at) * _STEP_M * _PER_M)
     picture = np.asarray(cv2.resize(picture, (size, size), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)

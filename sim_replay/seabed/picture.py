@@ -15,23 +15,16 @@ from auv_mcm.contacts.picture import display_levels
 from auv_mcm.detect.stage import TileDetections
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import SEABED_TYPES, SeabedCells, SeabedType, Tile
+from auv_mcm.plan.clearance_picture import KIND_COLOURS
+from auv_mcm.records import SEABED_TYPES, SeabedCells, Tile
 from auv_mcm.seabed.model import SeabedModel
 from auv_mcm.seabed.stage import seabed_cells
 from sim_replay.xtf import XtfLog
 
 Canvas = NDArray[np.uint8]
 
-COLOURS: Final[dict[SeabedType, tuple[int, int, int]]] = {
-    "flat": (176, 206, 228),
-    "ripple": (66, 150, 232),
-    "rough": (110, 108, 120),
-    "vegetation": (86, 160, 72),
-    "unknown": (214, 160, 200),
-}
-"""Blue, green, red."""
-
 _PIXEL_M: Final = 0.12
+_PER_LEVEL: Final = 4  # there are 63 of them
 _GAP_PX: Final = 8
 _BAR_PX: Final = 30
 _TINT: Final = 0.5
@@ -72,20 +65,20 @@ def _shown(tile: Tile) -> Canvas:
     """The core, in squares of _PIXEL_M."""
     core = np.asarray(tile.intensity[tile.core_start : tile.core_stop], dtype=np.float32)
     size = (round(core.shape[1] * tile.column_spacing_m / _PIXEL_M), round(len(core) * tile.row_spacing_m / _PIXEL_M))
-    grey = 4 * display_levels(cv2.resize(core, size, interpolation=cv2.INTER_AREA))
+    grey = _PER_LEVEL * display_levels(cv2.resize(core, size, interpolation=cv2.INTER_AREA))
     return np.asarray(np.repeat(grey[::-1, :, np.newaxis], 3, axis=2), dtype=np.uint8)
 
 
 def _tinted(shown: Canvas, tile: Tile, cells: SeabedCells) -> Canvas:
     row = np.minimum(((np.arange(len(shown)) + 0.5) * _PIXEL_M / cells.cell_m[0]).astype(int), cells.kind.shape[0] - 1)[::-1]
     column = np.minimum(((np.arange(shown.shape[1]) + 0.5) * _PIXEL_M / cells.cell_m[1]).astype(int), cells.kind.shape[1] - 1)
-    colours = np.array([COLOURS[kind] for kind in SEABED_TYPES], dtype=np.float64)[cells.kind[np.ix_(row, column)]]
+    colours = np.array([KIND_COLOURS[kind] for kind in SEABED_TYPES], dtype=np.float64)[cells.kind[np.ix_(row, column)]]
     return np.rint((1.0 - _TINT) * shown + _TINT * colours * (0.4 + 0.6 * shown / _WHITE)).astype(np.uint8)
 
 
 def _legend(width: int) -> Canvas:
     bar = np.full((_BAR_PX, width, 3), _WHITE, dtype=np.uint8)
-    for number, (kind, colour) in enumerate(COLOURS.items()):
+    for number, (kind, colour) in enumerate(KIND_COLOURS.items()):
         left = _GAP_PX + number * 4 * _BAR_PX
         cv2.rectangle(bar, (left, 8), (left + 14, 22), colour, cv2.FILLED)
         cv2.putText(bar, kind, (left + 20, 20), cv2.FONT_HERSHEY_SIMPLEX, _LETTER, (20, 20, 20), 1, cv2.LINE_AA)

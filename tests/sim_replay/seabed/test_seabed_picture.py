@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from auv_mcm.cli import main
+from auv_mcm.plan.clearance_picture import KIND_COLOURS
 from sim_replay.seabed.missions import mission_scene
-from sim_replay.seabed.picture import COLOURS
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Lawnmower, Seabed
 
@@ -36,7 +36,7 @@ def test_sand_is_drawn_twice_the_second_time_in_the_colour_of_a_flat_floor(sandy
     assert np.ptp(plain, axis=2).max() == 0.0, "grey"
     middle = (slice(n_rows // 4, 3 * n_rows // 4), slice(n_columns // 4, 3 * n_columns // 4))
     blue, _, red = tinted[middle].reshape(-1, 3).mean(axis=0)
-    flat_blue, _, flat_red = COLOURS["flat"]
+    flat_blue, _, flat_red = KIND_COLOURS["flat"]
     assert red - blue == pytest.approx(0.5 * (flat_red - flat_blue) * (0.4 + 0.6 * plain[middle].mean() / 255.0), abs=4.0)
 
 
