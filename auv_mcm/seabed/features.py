@@ -48,7 +48,7 @@ _LEAST_ALTITUDE_M: Final = 0.1
 
 
 class Texture(NamedTuple):
-    """Per cell: features (n_along, n_across, len(NAMES)) float64, NaN where too little is valid.
+    """Per cell: features (n_along, n_across, len(NAMES)) float64, NaN where too little is valid, and everywhere without an altitude.
 
     ripple_rad, wavelength_m (n_along, n_across): of the spectrum's highest peak, whether or not it stands out: direction across the
     crests, 0 along the track and pi / 2 towards far range, [0, pi). cot_grazing (n_across,): ground range of the cells' middles over the
@@ -100,8 +100,11 @@ def measure_texture(tile: Tile) -> Texture:
     )
     features[n_valid < _LEAST_VALID * WINDOW_BLOCKS * WINDOW_BLOCKS] = np.nan
     cell_m = CELL_BLOCKS * block_m[0], CELL_BLOCKS * block_m[1]
-    altitude_m = max(float(np.median(tile.first_return_m)), _LEAST_ALTITUDE_M)
-    return Texture(features, across_crests, wavelength, (np.arange(n_across) + 0.5) * cell_m[1] / altitude_m, cell_m)
+    altitude_m = float(np.median(tile.first_return_m))
+    if math.isnan(altitude_m):
+        features[:] = np.nan
+    cot_grazing = (np.arange(n_across) + 0.5) * cell_m[1] / np.fmax(altitude_m, _LEAST_ALTITUDE_M)
+    return Texture(features, across_crests, wavelength, cot_grazing, cell_m)
 
 
 def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> tuple[Array, Array]:

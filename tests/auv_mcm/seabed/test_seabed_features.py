@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,8 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from seabed_tiles import COLUMN_M, ROW_M, rippled, speckled, tile_of
 
-from auv_mcm.records import VALID
+from auv_mcm.records import SEABED_TYPES, VALID
 from auv_mcm.seabed.features import BLOCK_M, CELL_BLOCKS, NAMES, WINDOW_BLOCKS, Texture, measure_texture
+from auv_mcm.seabed.model import shipped_seabed_model
+from auv_mcm.seabed.stage import seabed_cells
 
 Array = NDArray[np.float64]
 AT = {name: index for index, name in enumerate(NAMES)}
@@ -127,3 +130,18 @@ def test_where_the_tile_is_cut_makes_no_difference() -> None:
     whole = measure_texture(tile_of(intensity, core=(32, 32 + 8 * cell_rows)))
     later = measure_texture(tile_of(intensity, core=(32 + 3 * cell_rows, 32 + 8 * cell_rows)))
     assert np.array_equal(later.features, whole.features[3:], equal_nan=True)
+
+
+def test_grazing_goes_by_range_over_altitude_and_without_one_nothing_is_told() -> None:
+    tile = tile_of(speckled(np.random.Generator(np.random.PCG64(7)), (200, 300)))
+    texture = measure_texture(tile)
+    middle_m = (np.arange(len(texture.cot_grazing)) + 0.5) * texture.cell_m[1]
+    assert texture.cot_grazing == pytest.approx(middle_m / float(np.median(tile.first_return_m)))
+    higher = measure_texture(msgspec.structs.replace(tile, first_return_m=2.0 * tile.first_return_m))
+    assert higher.cot_grazing == pytest.approx(0.5 * texture.cot_grazing)
+    assert np.array_equal(higher.features, texture.features, equal_nan=True)
+    without = msgspec.structs.replace(tile, first_return_m=np.full_like(tile.first_return_m, np.nan))
+    assert np.isnan(measure_texture(without).features).all()
+    cells = seabed_cells(without, shipped_seabed_model())
+    assert (cells.kind == SEABED_TYPES.index("unknown")).all()
+    assert (cells.confidence == 0.0).all()
