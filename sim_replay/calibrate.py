@@ -98,7 +98,7 @@ def crowded(scene: Scene, times: int) -> Scene:
     return msgspec.structs.replace(scene, scatter=(*others, *crowd))
 
 
-def examples_of(name: str, seed: int, detector: Detector, crowd: int = 1) -> list[Example]:
+def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
     """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the detectors."""
     scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
     config = _looking_at_everything(config_for(scene), detector)

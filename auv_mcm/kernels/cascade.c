@@ -114,7 +114,7 @@ static inline const float *shared_sum(const Stump *stump, const Stump *whole, co
     return whole && stump->contrast && !memcmp(stump->offset[2], whole->offset[2], sizeof whole->offset[2]) ? sum : NULL;
 }
 
-/* whole (n): out, sums over the third box of a contrast. */
+/* whole: out, sums over the third box of a contrast; (n), of runs (n, LANES). */
 ONE_BY_ONE static void sum_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
                                 float *restrict whole)
 {
@@ -144,7 +144,7 @@ WIDE static void sum_row(const uint32_t *restrict here, const Stump *restrict st
         whole[i] = (float)(int32_t)((w0[i] - w1[i]) - (w2[i] - w3[i]));
 }
 
-/* whole (n): sums over the third box, NULL for a contrast with a box of its own; the same below. */
+/* whole: those sums, NULL for a contrast with a box of its own; the same below. */
 ONE_BY_ONE static void weigh_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
                                   const float *restrict whole, int32_t *restrict score)
 {

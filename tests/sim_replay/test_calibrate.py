@@ -269,7 +269,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "take", lambda *_: measured)
-        return examples_of("flat", 500, "contrast")
+        return examples_of("flat", 500, "contrast", 1)
 
     return flown
 

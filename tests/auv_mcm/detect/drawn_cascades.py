@@ -13,6 +13,8 @@ from auv_mcm.detect.cascade.codes import Plane, make_plane
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel, Stump, check_model
 
 ROW_M, COLUMN_M = 0.3, 0.35
+OTHER = Box(-0.5, 0.5, -0.6, 0.0, 0.4, 0.5)
+"""For contrasts against another box than the whole window's."""
 
 
 class Ground(NamedTuple):
@@ -41,7 +43,7 @@ def draw_stump(random: np.random.Generator) -> Stump:
     a, b = draw_box(random), draw_box(random)
     if random.random() < 0.5:
         return Stump(kind="ratio", a=a, b=b, threshold=float(np.exp(random.normal(0.0, 0.3))), below=below, above=above)
-    w = WINDOW if random.random() < 0.7 else draw_box(random)
+    w = WINDOW if random.random() < 0.7 else OTHER
     return Stump(kind="contrast", a=a, b=b, w=w, threshold=float(random.normal(0.0, 0.3)), below=below, above=above)
 
 

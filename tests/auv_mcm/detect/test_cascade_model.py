@@ -32,7 +32,7 @@ def test_models_are_read_back_as_written(seed: int, kind: str) -> None:
     model = draw_model(seed, kind=kind)
     text = encode_model(model)
     assert parse_model(text, "model.json") == model
-    assert max(len(line) for line in text.splitlines()) < 500, "a person reads it line by line"
+    assert max(len(line) for line in text.splitlines()) < 400, "a person reads it line by line"
 
 
 @pytest.mark.parametrize(
