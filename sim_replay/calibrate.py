@@ -166,7 +166,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make_directory(chosen.out.parent)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     scenes = [name for name in SCENES if chosen.detector == "contrast" or name not in HELD_OUT]
-    crowds = range(chosen.first_seed + _CROWD_SEEDS, chosen.first_seed + _CROWD_SEEDS + (chosen.crowded or 0))
+    first_crowd = chosen.first_seed + max(_CROWD_SEEDS, chosen.seeds)
+    crowds = range(first_crowd, first_crowd + (chosen.crowded or 0))
     tasks = [(name, seed, chosen.detector, crowd) for chunk, crowd in ((seeds, 1), (crowds, CROWD)) for seed in chunk for name in scenes]
     examples: list[Example] = []
     with ProcessPoolExecutor(min(chosen.workers, len(tasks)), mp_context=get_context("spawn")) as pool:

@@ -156,7 +156,7 @@ class Mission:
         course = math.atan2(*(leave - entry))
         for side, sense in (("port", -1.0), ("starboard", 1.0)):
             cells = None if self.is_blind else self._cells(entry, leave, course, sense)
-            patch = drawn_patch(side, began_s, self.now_s + 10.0, cells)  # type: ignore[arg-type]
+            patch = drawn_patch(side, began_s, self.now_s + 10.0, cells)  # type: ignore[arg-type]  # a side by its name
             self.coming.append((self.now_s + self.told_after_s, patch))
 
     def _cells(self, entry: NDArray[np.float64], leave: NDArray[np.float64], course: float, sense: float) -> SurveyedCells | None:
@@ -259,7 +259,7 @@ def test_an_area_that_no_leg_inside_the_fence_sees_cannot_be_cleared() -> None:
     corner = ((-70.0, -70.0), (-70.0, 260.0), (-40.0, 260.0), (-40.0, -40.0), (260.0, -40.0), (260.0, -70.0))  # an L around it
     mission = Mission(area=far, fence=corner)
     mission.place_m = (-55.0, 0.0)
-    assert "inside the fence" in mission.run() or "fits into the fence" in mission.look_again.area.verdict  # type: ignore[union-attr]
+    assert "inside the fence" in mission.run() or "fits into the fence" in mission.look_again.area.verdict  # type: ignore[union-attr]  # there is an area
 
 
 def test_without_command_it_is_only_told_how_the_search_stands() -> None:

@@ -210,7 +210,7 @@ def test_a_refused_command_is_told_as_control_withheld() -> None:
 )
 def test_control_begins_and_ends_by_the_words_that_the_settings_name(by: str, grant: str, end: str) -> None:
     words = {"BFCTL,101010.000,1", "BFMIS,101010.000,plan,Running", "BFMSC,101010.000,look again"}
-    dialect = greeted(BluefinSettings(granted_by=by))  # type: ignore[arg-type]
+    dialect = greeted(BluefinSettings(granted_by=by))  # type: ignore[arg-type]  # one of its literals
     dialect.request(0.0)
     for other in sorted(words - {grant}):
         assert hear(dialect, other, 0.1) == []

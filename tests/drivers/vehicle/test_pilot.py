@@ -93,7 +93,7 @@ class Sea:
 
     def state(self) -> VehicleState:
         return VehicleState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
-            **self.told  # type: ignore[arg-type]
+            **self.told  # type: ignore[arg-type]  # settings of one test each
         )
 
     def tick(self, seconds: float = 0.1) -> None:

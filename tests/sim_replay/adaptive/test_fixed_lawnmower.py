@@ -75,7 +75,7 @@ def test_where_nothing_is_found_there_is_no_lawnmower() -> None:
 
 def test_a_mixture_is_expected_to_give_the_mean_of_its_parts() -> None:
     class ByKind(Worth):
-        def p_look(self, seabed, ground_range_m, altitude_m, look_rad, ripple_rad):  # type: ignore[no-untyped-def]
+        def p_look(self, seabed, ground_range_m, altitude_m, look_rad, ripple_rad):  # type: ignore[no-untyped-def]  # as of LookModel
             return np.where(seabed == 0, 0.8, 0.2)
 
     lawnmower = shortest_lawnmower(80.0, 0.5, {"flat": 0.25, "rough": 0.75}, ByKind(0.0), LIMITS, START)
