@@ -75,7 +75,7 @@ def look_closely(detection: Detection, beam_width_rad: float, odds: MineOdds, co
         return passed_over(detection, odds, "geometry_unknown")
     look = take(detection, region, odds, config.min_p_mine)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": look.p_contours}
-    log_ratio = odds.log_ratio("contours" if look.fits is None else "shape", look.features | look.details)
+    log_ratio = _ratio("contours" if look.fits is None else "shape", look.features | look.details, look.contours, odds)
     if look.fits is not None:
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
@@ -104,6 +104,12 @@ def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
     return odds.log_ratio("detector", detector_features(detection) | detection_details(detection))
 
 
+def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
+    """Evidence in nats; in the shadow of something else, where nothing can be seen, there is none for a mine."""
+    ratio = odds.log_ratio(step, features)
+    return min(ratio, 0.0) if "in_shadow" in contours.reasons else ratio
+
+
 def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: float) -> Region:
     """The region that confirmation and classification work on."""
     return Region(
@@ -127,7 +133,7 @@ def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine
     before = detector_features(detection)
     first = before | contour_features(contours) | outline_features(contours, region)
     seen = detection_details(detection)
-    p_contours = math.nan if odds is None else odds.p_mine(odds.log_ratio("contours", first | seen))
+    p_contours = math.nan if odds is None else odds.p_mine(_ratio("contours", first | seen, contours, odds))
     if p_contours < min_p_mine:
         return Look(region, contours, None, None, first, first, seen, p_contours)
     segmentation = segment(region)

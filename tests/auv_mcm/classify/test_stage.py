@@ -105,6 +105,20 @@ def test_what_is_drawn_lies_on_the_object_in_the_snippet(cylinder: Detection) ->
         assert np.abs(middle - labels.mean(axis=0)) * (cylinder.row_spacing_m, cylinder.column_spacing_m) == pytest.approx(0.0, abs=0.4)
 
 
+def test_in_the_shadow_of_something_nearer_there_is_no_evidence_for_a_mine(cylinder: Detection) -> None:
+    region = mine("cylinder", 3, width_m=0.52, length_m=2.0, azimuth_deg=20.0)
+    shadowed = region.intensity.copy()
+    front = slice(0, int(region.column - 0.3 / region.column_spacing_m))
+    shadowed[:, front] *= 0.01
+    found = close_look(detection_in(msgspec.structs.replace(region, intensity=shadowed)))
+    assert found.confirmation is not None
+    assert "in_shadow" in found.confirmation.reasons
+    assert "in_shadow" not in confirmed(cylinder).reasons
+    assert found.confirmation.log_ratio <= 0.0 < confirmed(cylinder).log_ratio
+    prior = shipped_odds("contrast").p_mine(0.0)
+    assert max(found.p_by_step["contours"], found.p_by_step["shape"]) <= prior
+
+
 def test_p_mine_is_that_of_the_last_step_taken(cylinder: Detection) -> None:
     found = close_look(cylinder)
     assert list(found.p_by_step) == ["detector", "contours", "shape"]

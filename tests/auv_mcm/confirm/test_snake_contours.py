@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.confirm import snake_rules
-from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
 from auv_mcm.confirm.snake_rules import Findings, Spot, contour_mask
 from sim_replay.benches.overlap import overlap
@@ -122,6 +122,37 @@ def test_object_without_echo_keeps_its_shadow() -> None:
     assert overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow) > 0.9
 
 
+def band_of_shadow(seed: int, *, line_level: float, first_column: int = 0) -> Region:
+    """A mast's shadow across the region from a column on, with a faint echo that crosses it, and a detection there."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    mean = np.ones(SHAPE)
+    mean[54:72, first_column:] = 0.01
+    mean[50:72, 66:70] = line_level
+    return plain_region(mean * random.exponential(1.0, SHAPE), row=63.0, column=68.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("line_level", [0.2, 0.5, 1.5])
+def test_what_lies_in_the_shadow_of_something_nearer_is_told_so(seed: int, line_level: float) -> None:
+    region = band_of_shadow(seed, line_level=line_level)
+    assert "in_shadow" in converge(region, start_from_detection(region)).reasons
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_objects_own_shadow_is_not_that_of_something_nearer(seed: int) -> None:
+    drawn = drawn_pair(seed)
+    assert "in_shadow" not in converge(drawn.region, start_from_detection(drawn.region)).reasons
+    lone = band_of_shadow(seed, line_level=5.0, first_column=66)
+    assert "in_shadow" not in converge(lone, start_from_detection(lone)).reasons
+
+
+def test_floor_not_measured_before_an_object_is_not_taken_for_shadow() -> None:
+    drawn = drawn_pair(0)
+    valid = np.arange(SHAPE[1]) >= np.argwhere(drawn.highlight)[:, 1].min() - 2
+    region = msgspec.structs.replace(drawn.region, valid=np.broadcast_to(valid, SHAPE).copy())
+    assert "in_shadow" not in converge(region, start_from_detection(region)).reasons
+
+
 def test_way_round_of_the_start_does_not_matter() -> None:
     drawn = drawn_pair(3)
     start = random_start(drawn, 5)
@@ -159,6 +190,7 @@ GOOD = Findings(
     height_m=0.4,
     peak_height_m=0.5,
     flank=1.0,
+    front=1.0,
     repetition=0.1,
     common=0.05,
     spot=Spot(common=0.02, shadow_repetition=0.1, shadow_contrast=0.1),
@@ -180,6 +212,7 @@ GOOD = Findings(
         ({"shadow_mean": 0.6}, "shadow_not_dark"),
         ({"flank": 0.2}, "shadow_goes_on"),
         ({"flank": 2.5}, "hole_in_bright"),
+        ({"front": 0.1}, "in_shadow"),
         ({"gain": -30.0}, "little_evidence"),
         ({"gain": math.nan}, "little_evidence"),
         ({"repetition": 0.9}, "repeats"),
@@ -194,7 +227,7 @@ def test_each_rule_speaks_alone(change: dict[str, Any], reason: str) -> None:
 
 def test_object_without_shadow_or_highlight_breaks_no_rule_about_them() -> None:
     unknown: dict[str, Any] = dict.fromkeys(
-        ("shadow_mean", "height_m", "peak_height_m", "flank", "highlight_mean", "highlight_depth_m"), math.nan
+        ("shadow_mean", "height_m", "peak_height_m", "flank", "front", "highlight_mean", "highlight_depth_m"), math.nan
     )
     assert snake_rules.broken(GOOD._replace(**unknown)) == ()
 
