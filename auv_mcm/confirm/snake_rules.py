@@ -37,7 +37,7 @@ _LARGEST_MINE_M, _HIGHEST_MINE_M, _SHADOW_MARGIN = 2.5, 0.6, 2.5
 _LOWEST_M, _LOWEST_PEAK_M, _HIGHEST_M = 0.1, 0.14, 1.2
 _BRIGHTEST_SHADOW: Final = 0.45
 _DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
-_DARKEST_FRONT: Final = 0.2
+_DARKEST_FRONT: Final = 0.15
 _FRONT_M, _FRONT_GAP_M, _LEAST_FRONT_M2 = 1.5, 0.2, 0.1
 _HALF_OBJECT_M: Final = 0.4
 _LEAST_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
@@ -89,8 +89,8 @@ class Findings(NamedTuple):
     gain: nats against no object. border: fraction of a contour within BORDER_PX of the region's edge, of the worse one. length_m:
     along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track extent.
     shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and greatest of the heights that
-    the rows of the shadow imply. flank: mean beside the shadow along track. front: mean over that of the sea floor before the pair across
-    track. repetition, common: see `elsewhere`. spot: of the detection.
+    the rows of the shadow imply. flank: mean beside the shadow along track. front: mean before the pair across track. repetition, common:
+    see `elsewhere`. spot: of the detection.
     """
 
     gain: float
@@ -135,7 +135,7 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
         height_m=float(np.median(heights_m)),
         peak_height_m=float(heights_m.max()),
         flank=_flank(table, moved.shadow) if len(moved.shadow) else math.nan,
-        front=_front(region, moved),
+        front=_front(region, table, moved),
         repetition=repetition,
         common=common,
         spot=spot,
@@ -154,7 +154,7 @@ def broken(findings: Findings) -> tuple[str, ...]:
         ("too_high", findings.height_m > _HIGHEST_M),
         ("shadow_not_dark", findings.shadow_mean > _BRIGHTEST_SHADOW * findings.background_mean),
         ("shadow_goes_on", findings.flank < _DARKEST_FLANK),
-        ("in_shadow", findings.front < _DARKEST_FRONT),
+        ("in_shadow", findings.front < _DARKEST_FRONT * findings.background_mean),
         ("hole_in_bright", findings.flank > _BRIGHTEST_FLANK),
         ("little_evidence", not findings.gain >= _LEAST_GAIN),
         ("repeats", findings.repetition > _MOST_REPETITION or findings.common > _MOST_COMMON),
@@ -282,25 +282,21 @@ def _flank(table: NDArray[np.float64], shadow: Nodes) -> float:
     return total / count if count >= 1.0 else 1.0
 
 
-def _front(region: Region, moved: Moved) -> float:
-    """Mean of the strip of floor before the pair, in the rows of its shadow, or of its highlight if it has none; where the pair begins at
-    the region's near border, of that before the detection. NaN where too little was measured."""
+def _front(region: Region, table: NDArray[np.float64], moved: Moved) -> float:
+    """Mean over the window's of the strip of floor before the pair, in the rows of its shadow, or of its highlight if it has none; where
+    the pair begins at the region's near border, of that before the detection. NaN where too little was measured."""
     n_rows, n_columns = region.intensity.shape
     first = np.full(n_rows, n_columns)
-    told = np.zeros(n_rows, dtype=np.bool_)
-    for nodes in (moved.shadow, moved.highlight):
+    strip_rows = np.empty(0, dtype=np.int64)
+    for nodes in (moved.highlight, moved.shadow):
         if len(nodes):
-            rows, near, _ = row_intervals(nodes, region.intensity.shape)
-            first[rows] = np.minimum(first[rows], near)
-            if not told.any():
-                told[rows] = True
+            strip_rows, near, _ = row_intervals(nodes, region.intensity.shape)
+            first[strip_rows] = np.minimum(first[strip_rows], near)
     gap, length, half = (round(reach_m / region.column_spacing_m) for reach_m in (_FRONT_GAP_M, _FRONT_M, _HALF_OBJECT_M))
-    stop = np.where(first - gap >= length // 2, first - gap, round(region.column) - half)[:, np.newaxis]
-    column = np.arange(n_columns)
-    strip = told[:, np.newaxis] & (column >= stop - length) & (column < stop) & region.valid
-    if np.count_nonzero(strip) * region.row_spacing_m * region.column_spacing_m < _LEAST_FRONT_M2:
-        return math.nan
-    return float(region.intensity[strip].mean())
+    far = first[strip_rows] - gap
+    far = np.clip(np.where(far >= length // 2, far, round(region.column) - half), 0, n_columns)
+    total, count = (table[strip_rows, far] - table[strip_rows, np.maximum(far - length, 0)]).sum(axis=0).tolist()
+    return total / count if count * region.row_spacing_m * region.column_spacing_m >= _LEAST_FRONT_M2 else math.nan
 
 
 def look_at(table: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Spot:

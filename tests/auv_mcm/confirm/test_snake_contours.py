@@ -212,7 +212,7 @@ GOOD = Findings(
         ({"shadow_mean": 0.6}, "shadow_not_dark"),
         ({"flank": 0.2}, "shadow_goes_on"),
         ({"flank": 2.5}, "hole_in_bright"),
-        ({"front": 0.1}, "in_shadow"),
+        ({"front": 0.05}, "in_shadow"),
         ({"gain": -30.0}, "little_evidence"),
         ({"gain": math.nan}, "little_evidence"),
         ({"repetition": 0.9}, "repeats"),
