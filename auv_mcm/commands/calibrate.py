@@ -93,7 +93,7 @@ def _add_seabed(kinds: Commands) -> None:
         "seeds make the same model, here or on a dask cluster.",
         ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 800-803 --workers 4"],
     )
-    _add_mission_options(parser, "800-849")
+    _add_mission_options(parser, "750-849")
     parser.set_defaults(command=_run_seabed)
 
 

@@ -26,7 +26,7 @@ N_TERMS: Final = 1 + len(INPUTS) + len(INPUTS) * (len(INPUTS) + 1) // 2
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _STEEPEST: Final = 0.2  # cotangent; logarithms start here
-_FARTHEST: Final = 4.0  # standard deviations; beyond, products would outweigh all else
+_FARTHEST: Final = 2.0  # standard deviations; beyond, products would outweigh all else
 
 
 class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 _UNKNOWN: Final = SEABED_TYPES.index("unknown")
 _RIPPLE: Final = SEABED_TYPES.index("ripple")
-_COUPLING: Final = 0.7  # nats that a neighbouring cell of the same kind adds
-_SWEEPS: Final = 3
+_COUPLING: Final = 1.0  # nats that a neighbouring cell of the same kind adds
+_SWEEPS: Final = 6
 
 
 def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:

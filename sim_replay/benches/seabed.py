@@ -61,7 +61,7 @@ class Rival(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=count, default=8, help=f"missions to score on, from seed {FIRST_SEED} (default 8)")
+    parser.add_argument("--seeds", type=count, default=24, help=f"missions to score on, from seed {FIRST_SEED} (default 24)")
     parser.add_argument(
         "--rival-seeds", type=count, default=len(FIT_SEEDS), help=f"missions to fit Haralick's on (default {len(FIT_SEEDS)})"
     )
@@ -166,7 +166,7 @@ def _by_rival(true: TrueTile, rival: Rival, kinds: NDArray[np.uint8]) -> NDArray
 
 
 def _terms(x: Array) -> Array:
-    near = np.clip(x, -4.0, 4.0)
+    near = np.clip(x, -2.0, 2.0)
     return np.concatenate([np.ones((*near.shape[:-1], 1)), near, near**2], axis=-1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -17,7 +18,7 @@ from sim_replay.seabed.samples import COVERS, Samples
 
 Array = NDArray[np.float64]
 
-FIT_SEEDS: Final = range(800, 850)
+FIT_SEEDS: Final = range(750, 850)
 
 _SHRINKAGE: Final = 0.05
 _RIDGE: Final = 1e-3
@@ -27,8 +28,7 @@ _ITERATIONS: Final = 500
 
 
 def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
-    """The model of samples. All kinds weigh alike, and so do all covers of a kind. Raises BadInputError if a cover, or enough of it, is
-    missing."""
+    """The model of samples, weighed by `alike`. Raises BadInputError if a cover, or enough of it, is missing."""
     raw = standardised(samples.features, samples.cot_grazing, np.zeros(len(INPUTS)), np.ones(len(INPUTS)))
     centre, scale = as_stored(raw.mean(axis=0)), as_stored(np.maximum(raw.std(axis=0), 1e-6))
     x = standardised(samples.features, samples.cot_grazing, np.array(centre), np.array(scale))
@@ -55,12 +55,13 @@ def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
 
 
 def alike(cover: NDArray[np.uint8], kind: NDArray[np.intp]) -> Array:
-    """Weights under which every kind counts the same, and within it every cover; 1 on average."""
+    """Weights under which all covers of a kind count the same, and a kind by the square root of how many covers it has, since it is the
+    likelier to be met in one that nothing was learnt of; 1 on average."""
     weight = np.empty(len(cover))
     for index in np.unique(cover):
         chosen = cover == index
         of_kind = np.unique(cover[kind == kind[chosen][0]])
-        weight[chosen] = 1.0 / (np.count_nonzero(chosen) * len(of_kind))
+        weight[chosen] = 1.0 / (np.count_nonzero(chosen) * math.sqrt(len(of_kind)))
     return np.asarray(weight / weight.mean())
 
 

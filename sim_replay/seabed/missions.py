@@ -9,7 +9,7 @@ import numpy as np
 
 from auv_mcm.records import SeabedType
 from sim_replay.simulator import scene
-from sim_replay.simulator.scene import Lawnmower, Motion, NavigationError, Ripples, Scatter, Scene, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import Lawnmower, Motion, NavigationError, Recorder, Ripples, Scatter, Scene, Seabed, Sonar, Track, World
 
 KIND_OF: Final[dict[scene.SeabedType, SeabedType]] = {
     "mud": "flat",
@@ -23,10 +23,16 @@ KIND_OF: Final[dict[scene.SeabedType, SeabedType]] = {
 """What each of the simulator's sea floors is to the payload."""
 
 _STREAM: Final = 0x53454142
+_GAIN_STREAM: Final = 0x4741494E
+_MUD_COUNTS: Final = 3000.0  # of amplitudes up to 32767
+_LOWEST_GAIN: Final = 0.05  # amplitude; rock does not clip
 
 
 def mission_scene(seed: int) -> Scene:
-    """A scene with every kind of sea floor in patches large enough for whole windows of one kind."""
+    """A scene with every kind of sea floor in patches large enough for whole windows of one kind.
+
+    Missions of even seeds are recorded with a gain at which bright floors clip, as many are, those of odd ones with any lower gain.
+    """
     rng = np.random.Generator(np.random.PCG64([seed, _STREAM]))
     wavelength_m = float(rng.uniform(0.6, 1.8))
     # Height over wavelength; ripples that waves make are near 0.17 (P. L. Wiberg and C. K. Harris, J. Geophysical Research 99, 1994).
@@ -52,6 +58,7 @@ def mission_scene(seed: int) -> Scene:
     )
     range_m = float(rng.choice([40.0, 50.0, 60.0]))
     altitude_m = float(rng.uniform(4.0, 9.0))
+    gain = _LOWEST_GAIN ** float(np.random.Generator(np.random.PCG64([seed, _GAIN_STREAM])).uniform()) if seed % 2 else 1.0
     return Scene(
         name=f"seabed {seed}",
         seed=seed,
@@ -65,6 +72,7 @@ def mission_scene(seed: int) -> Scene:
             speckle_along_track_m=float(rng.uniform(0.0, 0.25)),
             beam_width_deg=float(rng.uniform(0.3, 0.6)),
             noise_db=float(rng.uniform(-28.0, -16.0)),
+            recorder=Recorder(seabed_counts=_MUD_COUNTS * gain),
         ),
         track=Track(
             plan=Lawnmower(heading_deg=float(rng.uniform(0.0, 360.0)), n_legs=2, leg_m=220.0, spacing_m=1.2 * range_m),

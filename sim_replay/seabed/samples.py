@@ -48,7 +48,7 @@ def kind_of_covers() -> NDArray[np.uint8]:
 def true_tiles(seed: int) -> list[TrueTile]:
     """Every tile of the mission of a seed."""
     mission = Mission(mission_scene(seed))
-    config = Config()
+    config = Config(sonar=SonarConfig(transfer="amplitude"))  # as a mission's settings say that knows its recorder
     pipeline = Pipeline(config, detect=_nothing)
     tiles: list[Tile] = []
     for event in mission.events():

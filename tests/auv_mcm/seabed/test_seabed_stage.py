@@ -120,7 +120,7 @@ def test_neighbours_settle_what_a_cell_leaves_open_and_no_more() -> None:
     log_p[2, 2] = (0.0, 0.3)
     measured = np.ones((5, 5), dtype=np.bool_)
     assert smoothed(log_p, measured)[2, 2, 0] > 0.8
-    log_p[2, 2] = (0.0, 9.0)
+    log_p[2, 2] = (0.0, 12.0)
     assert smoothed(log_p, measured)[2, 2, 1] > 0.95
     alone = np.zeros((5, 5), dtype=np.bool_)
     alone[2, 2] = True
@@ -142,7 +142,7 @@ def test_distances_are_those_of_gaussians() -> None:
 
 
 def test_terms_are_all_products_once() -> None:
-    x = np.arange(1.0, 1.0 + len(INPUTS)) / 4.0
+    x = np.arange(1.0, 1.0 + len(INPUTS)) / 8.0
     told = sorted(terms(x).tolist())
     expected = [1.0, *x.tolist(), *(float(x[i] * x[j]) for i in range(len(x)) for j in range(i, len(x)))]
     assert told == pytest.approx(sorted(expected))

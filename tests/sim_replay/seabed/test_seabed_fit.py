@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
@@ -52,11 +54,11 @@ def test_a_cover_that_is_missing_is_told() -> None:
         fit_model(Samples(*(part[kept] for part in some)), "made up")
 
 
-def test_rare_kinds_weigh_as_much_as_others() -> None:
+def test_rare_kinds_weigh_as_much_as_others_but_for_how_many_covers_they_have() -> None:
     cover = np.array([0] * 90 + [1] * 5 + [2] * 5, dtype=np.uint8)
     kind = np.array([0, 0, 1])[cover]
     weight = alike(cover, kind)
-    assert weight[kind == 0].sum() == pytest.approx(weight[kind == 1].sum())
+    assert weight[kind == 0].sum() == pytest.approx(math.sqrt(2.0) * weight[kind == 1].sum())
     assert weight[cover == 0].sum() == pytest.approx(weight[cover == 1].sum())
     assert weight.mean() == pytest.approx(1.0)
 
@@ -75,6 +77,9 @@ def test_the_regression_is_where_its_slope_is_nothing() -> None:
 def test_scenes_differ_by_seed_and_hold_every_kind() -> None:
     assert mission_scene(1) == mission_scene(1)
     assert mission_scene(1) != mission_scene(2)
+    counts = [mission_scene(seed).sonar.recorder.seabed_counts or 0.0 for seed in range(40)]
+    assert set(counts[::2]) == {3000.0}  # every second recorder is as usual, and the rest clip less
+    assert 150.0 <= min(counts[1::2]) < 400.0 < 1500.0 < max(counts[1::2]) < 3000.0
     assert {KIND_OF[seabed.type] for seabed in mission_scene(7).world.seabeds} == set(SEABED_TYPES) - {"unknown"}
 
 
