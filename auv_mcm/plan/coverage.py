@@ -12,6 +12,7 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
 from auv_mcm.navigation import interpolate_track
 from auv_mcm.plan.cells import surveyed_cells
+from auv_mcm.plan.shadowed import in_large_shadow
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, SeabedCells, Tile
 
 _STRIP_M: Final = 5.0
@@ -29,9 +30,9 @@ class Grid(NamedTuple):
 def cover_tile(
     tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0, grid: Grid | None = None, seabed: SeabedCells | None = None
 ) -> CoveragePatch:
-    """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh,
-    and it is not saturated: among clipped echoes no highlight stands out. Of the area so covered only the evaluated fraction counts, since
-    the detector's budget did not allow for the rest.
+    """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh, it
+    is not saturated, since among clipped echoes no highlight stands out, and it does not lie in the large shadow of something high. Of
+    the area so covered only the evaluated fraction counts, since the detector's budget did not allow for the rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where rows that
     cover less than a fifth of the range lie for more than half a metre. grid: the cells to lay the same area out in; seabed: what kind of
@@ -45,10 +46,19 @@ def cover_tile(
     turn = valid & ~coarse & ((mask & TURN) != 0)
     lost_position = valid & ~coarse & ~turn & stale
     clipped = valid & ~coarse & ~turn & ~stale & ((mask & SATURATED) != 0)
-    covered = valid & ~coarse & ~turn & ~stale & ~clipped
+    usable = valid & ~coarse & ~turn & ~stale & ~clipped
+    hidden = usable & in_large_shadow(tile)[core]
+    covered = usable & ~hidden
     pixel_m2 = tile.row_spacing_m * tile.column_spacing_m
     seen_m2 = float(np.count_nonzero(covered)) * pixel_m2
-    lost = {"invalid": ~valid, "low_resolution": coarse, "turn": turn, "stale_navigation": lost_position, "saturated": clipped}
+    lost = {
+        "invalid": ~valid,
+        "low_resolution": coarse,
+        "turn": turn,
+        "stale_navigation": lost_position,
+        "saturated": clipped,
+        "shadow": hidden,
+    }
     return CoveragePatch(
         side=tile.side,
         tile_index=tile.index,

@@ -21,7 +21,7 @@ from auv_mcm.records import LOW_RESOLUTION, NAN, SATURATED, TURN, VALID, Coverag
 
 ROW_M, COLUMN_M = 0.12, 0.25
 FIRST_RETURN_M = 5.0
-LOSSES = {"invalid", "low_resolution", "turn", "stale_navigation", "saturated"}
+LOSSES = {"invalid", "low_resolution", "turn", "stale_navigation", "saturated", "shadow"}
 
 
 def track(n_rows: int, *, heading_deg: float = 0.0, latitude_deg: float = 43.7, longitude_deg: float = 10.3) -> PoseTrack:

@@ -1,0 +1,64 @@
+"""Sea floor in the large shadow of something high, a wreck, a pile or a bank: nothing can be seen there, so nothing was searched.
+
+The shadows of stones and mines are part of what a look is worth, as its tables were learnt among them; larger ones are not.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import VALID, Tile
+
+LARGE_M: Final = ((0.75, 6.0), (3.0, 2.5))
+"""Along and across the track: longer than hardly a mine or a stone casts its shadow, or as deep as it is wide and wider than any."""
+DARK: Final = 0.1  # of the sea floor's mean
+BLOCK_M: Final = 0.25  # pixels as near to each other are judged together
+_LEAST_VALID: Final = 0.5  # of a box
+
+
+def in_large_shadow(tile: Tile) -> NDArray[np.bool_]:
+    """(n_rows, n_columns) pixels that are part of some box of one of the sizes LARGE_M within the tile, of which half is valid, and whose
+    valid pixels have a mean below DARK. Boxes are made of whole blocks of BLOCK_M; what is left of a tile beside its last whole block is
+    judged as that is."""
+    block_rows, block_columns = (max(1, round(BLOCK_M / spacing_m)) for spacing_m in (tile.row_spacing_m, tile.column_spacing_m))
+    n_rows, n_columns = tile.mask.shape[0] // block_rows, tile.mask.shape[1] // block_columns
+    if not n_rows or not n_columns:
+        return np.zeros(tile.mask.shape, dtype=np.bool_)
+    whole = slice(n_rows * block_rows), slice(n_columns * block_columns)
+    valid = (tile.mask[whole] & VALID).astype(np.float32)
+    echo, share = (
+        np.asarray(cv2.resize(part, (n_columns, n_rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+        for part in (np.where(valid > 0.0, tile.intensity[whole], np.float32(0.0)), valid)
+    )
+    shadowed = np.zeros((n_rows, n_columns), dtype=np.uint8)
+    for along_m, across_m in LARGE_M:
+        size = _odd(along_m / (block_rows * tile.row_spacing_m)), _odd(across_m / (block_columns * tile.column_spacing_m))
+        dark = _dark_boxes(echo, share, size)
+        if dark.any():
+            shadowed |= cv2.dilate(dark, np.ones(size, dtype=np.uint8))
+    if not shadowed.any():
+        return np.zeros(tile.mask.shape, dtype=np.bool_)
+    row, column = (
+        np.minimum(np.arange(size) // block, n_blocks - 1)
+        for size, block, n_blocks in zip(tile.mask.shape, (block_rows, block_columns), (n_rows, n_columns), strict=True)
+    )
+    return np.asarray(shadowed[np.ix_(row, column)] > 0)
+
+
+def _dark_boxes(echo: NDArray[np.float32], share: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """1 at the middle of every dark box of an odd size (rows, columns) that lies within the blocks. echo: mean of a block's pixels, 0 for
+    those that are not valid; share: of valid ones."""
+    level, known = (cv2.boxFilter(part, cv2.CV_64F, size[::-1], normalize=True, borderType=cv2.BORDER_CONSTANT) for part in (echo, share))
+    dark = np.zeros(echo.shape, dtype=np.uint8)
+    inside = tuple(slice(of_box // 2, max(n - of_box // 2, 0)) for n, of_box in zip(echo.shape, size, strict=True))
+    dark[inside] = ((level < DARK * known) & (known >= _LEAST_VALID))[inside]
+    return dark
+
+
+def _odd(blocks: float) -> int:
+    """The odd number nearest to a number of blocks."""
+    return 2 * max(round((blocks - 1.0) / 2.0), 0) + 1
