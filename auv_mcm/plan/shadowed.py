@@ -40,13 +40,13 @@ def in_large_shadow(tile: Tile) -> NDArray[np.bool_]:
         dark = _dark_boxes(echo, share, size)
         if dark.any():
             shadowed |= cv2.dilate(dark, np.ones(size, dtype=np.uint8))
-    if not shadowed.any():
-        return np.zeros(tile.mask.shape, dtype=np.bool_)
-    row, column = (
-        np.minimum(np.arange(size) // block, n_blocks - 1)
-        for size, block, n_blocks in zip(tile.mask.shape, (block_rows, block_columns), (n_rows, n_columns), strict=True)
-    )
-    return np.asarray(shadowed[np.ix_(row, column)] > 0)
+    found = np.zeros(tile.mask.shape, dtype=np.bool_)
+    if shadowed.any():
+        stop_row, stop_column = n_rows * block_rows, n_columns * block_columns
+        found[whole] = cv2.resize(shadowed, (stop_column, stop_row), interpolation=cv2.INTER_NEAREST)
+        found[stop_row:] = found[stop_row - 1]
+        found[:, stop_column:] = found[:, stop_column - 1 : stop_column]
+    return found
 
 
 def _dark_boxes(echo: NDArray[np.float32], share: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
