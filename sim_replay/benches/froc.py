@@ -72,6 +72,7 @@ _HEADER: Final = (
     *(f"at {limit:g} not on objects" for limit in BARE_LIMITS_PER_KM2),
     *("Pd at p_mine 0.5", "FA/km² at p_mine 0.5"),
 )
+_OUTDONE_HEADER: Final = ("missions", "thresholds of the plain one", "outdone in both errors at once by the chain")
 _ROCK_HEADER: Final = ("mine-sized rocks of the chain", "called", "share")
 
 
@@ -153,6 +154,9 @@ def run(arguments: argparse.Namespace) -> int:
     laid_out = markdown if arguments.markdown else columns
     print(laid_out(_HEADER, [_row(group, SYSTEMS[system], score) for (group, system), score in scores.items()]))
     print()
+    groups = dict.fromkeys(group for group, _ in scores)
+    print(laid_out(_OUTDONE_HEADER, [_outdone_row(group, scores[group, "chain"], scores[group, "rival"]) for group in groups]))
+    print()
     print(laid_out(_ROCK_HEADER, list(_rock_rows(list(joined.from_iterable(one.rocks for one in flown))))))
     if arguments.json is not None:
         told = {f"{group} {system}": json.loads(to_json(score)) for (group, system), score in scores.items()}
@@ -186,6 +190,15 @@ def best_pd(score: Score, limit_per_km2: float, *, on_objects: bool = True) -> s
         if point.false_alarms.count - (0 if on_objects else point.on_known_clutter) <= limit_per_km2 * score.area_km2
     ]
     return share_cell(max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets)))
+
+
+def outdone(score: Score, rival: Score) -> tuple[int, int]:
+    """How many thresholds of the rival find any target, and for how many of them a threshold of the other finds as many or more with as
+    many or fewer false alarms, and not the same of both."""
+    found = [(point.pd.count, point.false_alarms.count) for point in rival.froc if point.pd.count]
+    ours = [(point.pd.count, point.false_alarms.count) for point in score.froc]
+    beaten = [any(one != other and one[0] >= other[0] and one[1] <= other[1] for one in ours) for other in found]
+    return len(found), sum(beaten)
 
 
 def comparison_model(name: str) -> bytes:
@@ -270,9 +283,17 @@ def _groups(flown: Sequence[Flown]) -> Iterator[tuple[str, list[Flown]]]:
 def _row(group: str, system: str, score: Score) -> list[str]:
     pds = [best_pd(score, limit) for limit in LIMITS_PER_KM2]
     pds += [best_pd(score, limit, on_objects=False) for limit in BARE_LIMITS_PER_KM2]
-    title = f"{group} (held out)" if group in HELD_OUT else group
     at = score.at_threshold
-    return [title, system, str(score.n_targets), f"{score.area_km2:.3f}", *pds, share_cell(at.pd), density_cell(at.false_alarms)]
+    return [_title(group), system, str(score.n_targets), f"{score.area_km2:.3f}", *pds, share_cell(at.pd), density_cell(at.false_alarms)]
+
+
+def _outdone_row(group: str, chain: Score, rival: Score) -> list[str]:
+    n_thresholds, n_outdone = outdone(chain, rival)
+    return [_title(group), str(n_thresholds), str(n_outdone)]
+
+
+def _title(group: str) -> str:
+    return f"{group} (held out)" if group in HELD_OUT else group
 
 
 def _rock_rows(rocks: Sequence[Rock]) -> Iterator[list[str]]:

@@ -12,7 +12,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
-from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd
+from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd, outdone
 from sim_replay.benches.scenes import config_for
 from sim_replay.scoring import Mission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
@@ -48,6 +48,22 @@ def test_false_alarms_on_rocks_can_be_left_out() -> None:
     score = score_missions([Mission(contacts, parse_truth(both, "here"), "here")])
     assert best_pd(score, 0.0).startswith("0.50")
     assert best_pd(score, 0.0, on_objects=False).startswith("1.00")
+
+
+def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_less() -> None:
+    truth = parse_truth(truth_of(0.0, 100.0), "here")
+    ours, rivals, worse = (
+        score_missions([Mission(tuple(at(north_m, p) for north_m, p in contacts), truth, "here")])
+        for contacts in (
+            ((0.0, 0.9), (50.0, 0.8), (100.0, 0.7)),  # one, one and a false alarm, both and that
+            ((50.0, 0.9), (0.0, 0.8), (150.0, 0.7), (100.0, 0.6)),
+            ((0.0, 0.9),),
+        )
+    )
+    assert outdone(ours, rivals) == (3, 3)
+    assert outdone(ours, ours) == (3, 1)  # the first and the last are the best that it has
+    assert outdone(worse, ours) == (3, 1)
+    assert outdone(ours, score_missions([Mission((at(50.0, 0.9),), truth, "here")])) == (0, 0)
 
 
 def test_without_contacts_the_best_pd_is_none_of_the_targets() -> None:
