@@ -7,10 +7,10 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+from covered_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, plain, tile_of, track
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from test_coverage import COLUMN_M, FIRST_RETURN_M, ROW_M, plain, tile_of, track
 
 from auv_mcm.config import SonarConfig
 from auv_mcm.geodesy import LocalFrame

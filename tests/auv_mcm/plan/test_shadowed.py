@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import covered_tiles
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,39 +15,16 @@ from numpy.typing import NDArray
 from auv_mcm.config import SonarConfig
 from auv_mcm.plan.coverage import cover_tile
 from auv_mcm.plan.shadowed import BLOCK_M, DARK, LARGE_M, in_large_shadow
-from auv_mcm.records import VALID, PoseTrack, Tile
+from auv_mcm.records import VALID, Tile
 
 Mask = NDArray[np.bool_]
 
-ROW_M, COLUMN_M = 0.12, 0.06
+ROW_M, COLUMN_M = covered_tiles.ROW_M, 0.06
 SHAPE = (256, 400)
 
 
 def tile_of(intensity: NDArray[np.float32], mask: NDArray[np.uint8], row_m: float = ROW_M, column_m: float = COLUMN_M) -> Tile:
-    n_rows = len(intensity)
-    still = dict.fromkeys(("depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps"), np.zeros(n_rows))
-    return Tile(
-        side="port",
-        index=0,
-        first_row=0,
-        core_start=0,
-        core_stop=n_rows,
-        row_spacing_m=row_m,
-        column_spacing_m=column_m,
-        intensity=intensity,
-        mask=mask,
-        pose=PoseTrack(
-            time_s=np.linspace(0.0, 0.07 * n_rows, n_rows),
-            latitude_deg=np.linspace(43.7, 43.7 + n_rows * row_m / 111_000.0, n_rows),
-            longitude_deg=np.full(n_rows, 10.3),
-            altitude_m=np.full(n_rows, 5.0),
-            stale=np.zeros(n_rows, dtype=np.bool_),
-            **still,
-        ),
-        first_return_m=np.full(n_rows, 5.0),
-        first_return_sigma_m=np.full(n_rows, 0.05),
-        ping_number=np.arange(n_rows),
-    )
+    return msgspec.structs.replace(covered_tiles.tile_of(mask), intensity=intensity, row_spacing_m=row_m, column_spacing_m=column_m)
 
 
 def by_boxes(tile: Tile) -> Mask:

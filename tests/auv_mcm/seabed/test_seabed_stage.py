@@ -120,7 +120,7 @@ def test_neighbours_settle_what_a_cell_leaves_open_and_no_more() -> None:
     log_p[2, 2] = (0.0, 0.3)
     measured = np.ones((5, 5), dtype=np.bool_)
     assert smoothed(log_p, measured)[2, 2, 0] > 0.8
-    log_p[2, 2] = (0.0, 12.0)
+    log_p[2, 2] = (0.0, 12.0)  # more than eight neighbours and 2 nats can say
     assert smoothed(log_p, measured)[2, 2, 1] > 0.95
     alone = np.zeros((5, 5), dtype=np.bool_)
     alone[2, 2] = True
