@@ -35,7 +35,7 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     "too_high": "its shadow is that of something higher than any mine",
     "shadow_not_dark": "its shadow is too bright: sound still comes back from it",
     "shadow_goes_on": "the dark goes on beside it along the track, as in the trough of a ripple",
-    "in_shadow": "the dark begins nearer than it: it lies in the shadow of something else, where nothing can be seen",
+    "in_shadow": "the dark begins nearer, and it has no bright echo: it lies in the shadow of something else, where nothing can be seen",
     "hole_in_bright": "it is bright on both sides of the shadow: a gap in a bright patch, such as grass",
     "little_evidence": "contours of an object explain the picture hardly better than bare sea floor",
     "repeats": "the same contours fit other places nearby as well, as on ripples or grass",

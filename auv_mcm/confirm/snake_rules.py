@@ -37,7 +37,7 @@ _LARGEST_MINE_M, _HIGHEST_MINE_M, _SHADOW_MARGIN = 2.5, 0.6, 2.5
 _LOWEST_M, _LOWEST_PEAK_M, _HIGHEST_M = 0.1, 0.14, 1.2
 _BRIGHTEST_SHADOW: Final = 0.45
 _DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
-_DARKEST_FRONT: Final = 0.15
+_DARKEST_FRONT, _LIT = 0.15, 2.0
 _FRONT_M, _FRONT_GAP_M, _LEAST_FRONT_M2 = 1.5, 0.2, 0.1
 _HALF_OBJECT_M: Final = 0.4
 _LEAST_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
@@ -154,12 +154,17 @@ def broken(findings: Findings) -> tuple[str, ...]:
         ("too_high", findings.height_m > _HIGHEST_M),
         ("shadow_not_dark", findings.shadow_mean > _BRIGHTEST_SHADOW * findings.background_mean),
         ("shadow_goes_on", findings.flank < _DARKEST_FLANK),
-        ("in_shadow", findings.front < _DARKEST_FRONT * findings.background_mean),
+        ("in_shadow", findings.front < _DARKEST_FRONT * findings.background_mean and not _is_lit(findings)),
         ("hole_in_bright", findings.flank > _BRIGHTEST_FLANK),
         ("little_evidence", not findings.gain >= _LEAST_GAIN),
         ("repeats", findings.repetition > _MOST_REPETITION or findings.common > _MOST_COMMON),
     )
     return tuple(code for code, is_broken in rules if is_broken)
+
+
+def _is_lit(findings: Findings) -> bool:
+    """Whether there is an echo brighter than the sea floor's: what rises out of a shadow is seen."""
+    return findings.highlight_mean > _LIT * findings.background_mean
 
 
 def is_rejected(reasons: Collection[str], findings: Findings) -> bool:

@@ -132,10 +132,20 @@ def band_of_shadow(seed: int, *, line_level: float, first_column: int = 0) -> Re
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("line_level", [0.2, 0.5, 1.5])
+@pytest.mark.parametrize("line_level", [0.2, 0.5])
 def test_what_lies_in_the_shadow_of_something_nearer_is_told_so(seed: int, line_level: float) -> None:
     region = band_of_shadow(seed, line_level=line_level)
     assert "in_shadow" in converge(region, start_from_detection(region)).reasons
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_rises_out_of_a_shadow_with_a_bright_echo_is_not_lost_in_it(seed: int) -> None:
+    drawn = drawn_pair(seed)
+    first = np.argwhere(drawn.highlight)[:, 1].min()
+    intensity = np.where(np.arange(SHAPE[1]) < first, 0.01 * drawn.region.intensity, drawn.region.intensity)
+    contours = converge(msgspec.structs.replace(drawn.region, intensity=intensity), start_from_detection(drawn.region))
+    assert len(contours.highlight)
+    assert "in_shadow" not in contours.reasons
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -212,7 +222,8 @@ GOOD = Findings(
         ({"shadow_mean": 0.6}, "shadow_not_dark"),
         ({"flank": 0.2}, "shadow_goes_on"),
         ({"flank": 2.5}, "hole_in_bright"),
-        ({"front": 0.05}, "in_shadow"),
+        ({"front": 0.05, "highlight_mean": math.nan}, "in_shadow"),
+        ({"front": 0.05, "highlight_mean": 1.5}, "in_shadow"),
         ({"gain": -30.0}, "little_evidence"),
         ({"gain": math.nan}, "little_evidence"),
         ({"repetition": 0.9}, "repeats"),
