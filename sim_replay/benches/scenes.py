@@ -21,11 +21,11 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import look_closely
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
-from auv_mcm.detect.cascade.choose import NONE
+from auv_mcm.detect.cascade.choose import NONE, SHIPPED
 from auv_mcm.errors import UsageError
 from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Contact, Detection, LookStep, NavSample, Ping
+from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
 from sim_replay.benches.layout import NOTHING, columns, density_cell, markdown, share_cell
 from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
@@ -42,11 +42,12 @@ _LIMIT_PER_KM2: Final = 100.0
 
 System: TypeAlias = Literal["chain", "detector", "rival"]
 SYSTEMS: Final[tuple[System, ...]] = get_args(System)
-STEPS: Final[dict[LookStep, str]] = {
-    "detector": "the trained detector, with odds from what it measures",
-    "contours": "+ contours",
-    "shape": "+ Markov field and solids: the chain",
+STEPS: Final[tuple[LookStep, ...]] = get_args(LookStep)
+_DETECTED: Final[dict[Detector, str]] = {
+    "cascade": "the trained detector, with odds from what it measures",
+    "contrast": "contrasts, with odds from what they measure",
 }
+_LOOKED: Final = ("+ contours", "+ Markov field and solids: the chain")
 _ORDER: Final = {step: number for number, step in enumerate(STEPS)}
 _KEPT: Final = 0.98  # of the Pd of contrasts alone
 _HEADER: Final = (
@@ -97,6 +98,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
     parser.add_argument("--workers", type=int, default=2, help="missions flown at once (default 2)")
+    parser.add_argument(
+        "--detector",
+        choices=get_args(Detector),
+        default="cascade",
+        help="what the chain looks closely at: detections of the trained cascade, or of contrasts, as for a sonar without a model "
+        "(default cascade)",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
@@ -116,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     flown: dict[str, list[Flown]] = {name: [] for name in names}
-    for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers), 1):
+    for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers, arguments.detector), 1):
         flown[name].append(mission)
         print(f"\r{done} of {len(names) * len(seeds)} missions flown", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
@@ -134,7 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(laid_out(_HEADER, [_row(name, system, score) for (name, system), score in scores.items()]))
     *_, last = pooled
     print()
-    print(laid_out(_STEP_HEADER, list(_step_rows(pooled[last]))))
+    print(laid_out(_STEP_HEADER, list(_step_rows(pooled[last], arguments.detector))))
     looks_s = [look_s for mission in pooled[last] for look_s in mission.looks_s]
     if looks_s:
         middle_ms, slow_ms = (1e3 * np.quantile(looks_s, (0.5, 0.99))).tolist()
@@ -150,12 +158,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(name: str, seed: int) -> Flown:
-    """One mission through a named scene, seen by all systems."""
+def fly(name: str, seed: int, detector: Detector = "cascade") -> Flown:
+    """One mission through a named scene, seen by all systems, the chain with one of the detectors."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
-    config = config_for(scene)
-    odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
+    config = served_by(detector, config_for(scene))
+    odds, beam_width_rad = shipped_odds(detector), math.radians(config.sonar.beam_width_deg)
     looks_s: dict[LookStep, list[float]] = {step: [] for step in STEPS}
 
     def timed_look(detection: Detection) -> Detection:
@@ -193,13 +201,16 @@ def fly(name: str, seed: int) -> Flown:
     )
 
 
+def served_by(detector: Detector, config: Config) -> Config:
+    """The configuration with one of the detectors."""
+    model = SHIPPED if detector == "cascade" else NONE
+    return msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, model=model))
+
+
 def untrained_alone(config: Config) -> Config:
     """The configuration with contrasts as detector, whose detections nobody looks at closely."""
-    return msgspec.structs.replace(
-        config,
-        detect=msgspec.structs.replace(config.detect, model=NONE),
-        confirm=msgspec.structs.replace(config.confirm, enabled=False),
-    )
+    alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
+    return served_by("contrast", alone)
 
 
 def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
@@ -237,14 +248,14 @@ def config_for(scene: Scene) -> Config:
     return msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=width_deg))
 
 
-def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int) -> Iterator[tuple[str, Flown]]:
+def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector) -> Iterator[tuple[str, Flown]]:
     """Every scene with every seed, in order."""
-    tasks = [(name, seed) for name in names for seed in seeds]
+    tasks = [(name, seed, detector) for name in names for seed in seeds]
     if workers == 1:
-        yield from ((name, fly(name, seed)) for name, seed in tasks)
+        yield from ((name, fly(name, seed, detector)) for name, seed, _ in tasks)
         return
     with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=get_context("spawn")) as pool:
-        for (name, _), mission in zip(tasks, pool.map(fly, *zip(*tasks, strict=True)), strict=True):
+        for (name, *_), mission in zip(tasks, pool.map(fly, *zip(*tasks, strict=True)), strict=True):
             yield name, mission
 
 
@@ -274,12 +285,12 @@ def _seabed_rows(scores: dict[System, Score]) -> Iterator[list[str]]:
                     yield [name.replace("_", " "), system, str(group.pd.of), area_text, share_cell(group.pd), density_cell(alarms)]
 
 
-def _step_rows(missions: Sequence[Flown]) -> Iterator[list[str]]:
+def _step_rows(missions: Sequence[Flown], detector: Detector) -> Iterator[list[str]]:
     hours = sum(mission.survey_s for mission in missions) / 3600.0
     alone = score_missions([mission.detector for mission in missions])
     wanted = _KEPT * (alone.at_threshold.pd.value or 0.0)
     told: list[tuple[str, str, str, Score]] = [("contrasts alone, nothing trained", "alone", "", alone)]
-    for step, words in STEPS.items():
+    for step, words in zip(STEPS, (_DETECTED[detector], *_LOOKED), strict=True):
         n_looks = str(sum(mission.n_looks[step] for mission in missions))
         told.append((words, step, n_looks, score_missions([mission.steps[step] for mission in missions])))
     for words, cost, n_looks, score in told:

@@ -2,7 +2,8 @@
 
 auv-mcm bench snakes            contour error beside time, for schedules from coarse to fine
 auv-mcm bench snakes --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
-auv-mcm bench snakes --odds     also what the chain hands on to its close look, rejected by the odds after contours
+auv-mcm bench snakes --odds     also what the chain hands on to its close look, rejected by the odds after contours; with
+                                --detector contrast that of a sonar without a trained model
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Any, Final, Literal, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -32,9 +33,9 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, Tile
+from auv_mcm.records import Detection, Detector, Tile
 from sim_replay.benches.overlap import overlap
-from sim_replay.benches.scenes import config_for
+from sim_replay.benches.scenes import config_for, served_by
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
@@ -253,10 +254,10 @@ def scene_rows(
         )
 
 
-def odds_row(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS) -> OddsRow:
+def odds_row(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS, detector: Detector = "cascade") -> OddsRow:
     """What the odds after contours reject of all that the chain's detector hands on, at the threshold that loses no more targets than
     _LOST. Raises UsageError if no target was detected."""
-    handed = [each for seed in seeds for each in _handed_on(name, seed)]
+    handed = [each for seed in seeds for each in _handed_on(name, seed, detector)]
     targets, clutter = ([each for each in handed if each.label == label] for label in ("target", "clutter"))
     if not targets:
         raise UsageError(f"no target was detected in {name} with seeds {seeds[0]} to {seeds[-1]}: give more seeds")
@@ -279,11 +280,11 @@ def _least_kept(p_targets: Sequence[float]) -> float:
     return sorted(p_targets)[math.floor(_LOST * len(p_targets))]
 
 
-def _handed_on(name: str, seed: int) -> list[Handed]:
+def _handed_on(name: str, seed: int, detector: Detector) -> list[Handed]:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
-    config = config_for(scene)
+    config = served_by(detector, config_for(scene))
     config = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL))
-    odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
+    odds, beam_width_rad = shipped_odds(detector), math.radians(config.sonar.beam_width_deg)
     detections: list[Detection] = []
     looked: list[tuple[float, float, bool]] = []
 
@@ -354,6 +355,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `auv-mcm bench snakes`."""
     parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
     parser.add_argument("--odds", action="store_true", help="also fly them and judge what the odds after contours reject")
+    parser.add_argument(
+        "--detector", choices=get_args(Detector), default="cascade", help="whose detections --odds judges (default cascade)"
+    )
 
 
 def run(chosen: argparse.Namespace) -> int:
@@ -377,7 +381,8 @@ def run(chosen: argparse.Namespace) -> int:
             )
     if chosen.odds:
         print(f"\n{'':<10}{'handed on':>11}{'rejected':>10}{'told why':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
-        for judged in map(odds_row, ODDS_SCENES):
+        for name in ODDS_SCENES:
+            judged = odds_row(name, detector=chosen.detector)
             shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_told / max(judged.n_rejected, 1))
             by_detector, lost = judged.n_by_detector / max(judged.n_clutter, 1), judged.n_lost / judged.n_targets
             print(

@@ -11,9 +11,11 @@ from drawn_looks import confirmation, detection
 
 from auv_mcm.config import Config, ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
+from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.errors import UsageError
-from auv_mcm.records import Contact, LookStep
-from sim_replay.benches.scenes import add_arguments, as_after, config_for, run
+from auv_mcm.records import Contact, Detector, LookStep
+from sim_replay.benches import scenes
+from sim_replay.benches.scenes import add_arguments, as_after, config_for, run, served_by
 from sim_replay.simulator.scene_file import read_scene
 
 PRIOR = math.log(0.02 / 0.98)
@@ -44,6 +46,29 @@ def test_what_makes_no_sense_is_refused_by_name(arguments: tuple[str, ...], name
 def test_scores_that_could_not_be_written_are_refused_before_flying(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no folder"):
         run_with("--json", str(tmp_path / "missing" / "scores.json"))
+
+
+@pytest.mark.parametrize(("arguments", "detector"), [((), "cascade"), (("--detector", "contrast"), "contrast")])
+def test_the_chain_looks_at_what_the_detector_asked_for_finds(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], detector: Detector
+) -> None:
+    asked = []
+
+    def fly(name: str, seed: int, detector: Detector) -> scenes.Flown:
+        asked.append((name, seed, detector))
+        raise UsageError("enough")
+
+    monkeypatch.setattr(scenes, "fly", fly)
+    with pytest.raises(UsageError, match="enough"):
+        run_with("--scenes", "flat", "--seeds", "1", "--workers", "1", *arguments)
+    assert asked == [("flat", scenes.FIRST_SEED, detector)]
+
+
+def test_contrasts_serve_as_for_a_sonar_without_a_model() -> None:
+    model, notice = fitting(configured_model(served_by("contrast", Config())), Config())
+    assert model is None
+    assert notice.code == "detect.contrast"
+    assert fitting(configured_model(served_by("cascade", Config())), Config())[0] is not None
 
 
 def test_the_chain_is_told_the_beam_width_and_nothing_else() -> None:
