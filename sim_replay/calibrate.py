@@ -13,7 +13,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -28,20 +28,19 @@ from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Tree, Weights
 from auv_mcm.classify.stage import region_of, take
 from auv_mcm.config import Config
-from auv_mcm.detect.cascade.choose import NONE, SHIPPED
 from auv_mcm.errors import AuvMcmError, UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.outputs import make_directory, write_file
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector, LookStep
 from sim_replay.benches.arguments import count
-from sim_replay.benches.scenes import HELD_OUT, SCENES, config_for
+from sim_replay.benches.scenes import HELD_OUT, SCENES, config_for, served_by
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene, TargetKind
 from sim_replay.simulator.scene_file import read_scene
-from sim_replay.training.trees import boost
+from sim_replay.training import trees
 
 Array = NDArray[np.float64]
 
@@ -58,15 +57,18 @@ _FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less th
 _RIDGE: Final = 2.0
 _DIGITS: Final = 5
 _MOST_SHIFT: Final = 50.0  # nats
+_SHARES: Final = (0.3, 0.5, 0.7, 0.9)  # of targets
+_PARTS: Final = (0.25, 0.5, 1.0)  # of missions
 N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
 """Trees of each step; of the first, fewer, since it is asked of every detection."""
 
 
 class Example(NamedTuple):
-    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for. usual: of
-    a mission with as many objects as its scene has, so that it tells how rare mines are."""
+    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for. seed: of
+    its mission. usual: of one with as many objects as its scene has, so that it tells how rare mines are."""
 
     scene: str
+    seed: int
     usual: bool
     is_target: bool
     weight: float
@@ -101,7 +103,7 @@ def crowded(scene: Scene, times: int) -> Scene:
 def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
     """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the detectors."""
     scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
-    config = _looking_at_everything(config_for(scene), detector)
+    config = _looking_at_everything(served_by(detector, config_for(scene)))
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
     passed_over: list[Detection] = []
@@ -121,7 +123,7 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     for event in mission.events():
         pipeline.feed(event)
     pipeline.finish()
-    return _labelled(name, crowd == 1, seen, passed_over, mission.truth()["objects"])
+    return _labelled(name, seed, crowd == 1, seen, passed_over, mission.truth()["objects"])
 
 
 def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
@@ -141,7 +143,7 @@ def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, 
         sums = _fit_sum(features, is_target, weight)
         asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
         weights = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
-        odds = np.array([weights.log_odds(known) for known, told in zip(asked, usual.tolist(), strict=True) if told])
+        odds = log_odds_of(weights, [known for known, told in zip(asked, usual.tolist(), strict=True) if told])
         offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
         steps[step] = msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
@@ -205,15 +207,13 @@ def written(odds: MineOdds) -> bytes:
 _STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 
 
-def _looking_at_everything(config: Config, detector: Detector) -> Config:
-    return msgspec.structs.replace(
-        config,
-        detect=msgspec.structs.replace(config.detect, model=SHIPPED if detector == "cascade" else NONE),
-        confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000),
-    )
+def _looking_at_everything(config: Config) -> Config:
+    return msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000))
 
 
-def _labelled(scene: str, usual: bool, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]) -> list[Example]:
+def _labelled(
+    scene: str, seed: int, usual: bool, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]
+) -> list[Example]:
     detections = [*(item.detection for item in seen), *passed_over]
     if not detections:
         return []
@@ -241,7 +241,7 @@ def _labelled(scene: str, usual: bool, seen: list[_Seen], passed_over: list[Dete
         known = detection_details(item.detection)
         details: dict[LookStep, Features] = {"detector": known, "contours": known, "shape": item.details}
         examples.append(
-            Example(scene, usual, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details)
+            Example(scene, seed, usual, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details)
         )
     return examples
 
@@ -272,7 +272,7 @@ def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[n
             ask=tuple((names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)),
             nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
         )
-        for tree in boost(values, is_target, weight, start, n_trees)
+        for tree in trees.boost(values, is_target, weight, start, n_trees)
     )
 
 
@@ -286,6 +286,21 @@ def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
         return float(weight @ np.exp(-np.logaddexp(0.0, -(odds + shift)))) - n_targets
 
     return float(brentq(too_many, -_MOST_SHIFT, _MOST_SHIFT, xtol=1e-9))
+
+
+def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
+    """(n,) what `weights.log_odds` says of each, all at once and to the same bits."""
+    column = {name: number for number, name in enumerate(features[0])}
+    values = np.array([list(map(item.__getitem__, column)) for item in features])
+    weighed = np.zeros(len(values))
+    for name, weight in weights.weights.items():
+        weighed += weight * values[:, column[name]]
+    total = weights.offset + weighed
+    for tree in weights.trees:
+        asked, thresholds = zip(*tree.ask, strict=True)
+        grown = trees.Tree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
+        total += grown.nats[trees.leaves(grown, values)]
+    return total
 
 
 def _rounded(value: float) -> float:
@@ -309,34 +324,61 @@ def _logistic(columns: Array, target: Array, weight: Array) -> Array:
 
 
 def _report(examples: Sequence[Example]) -> None:
-    """What each step is worth on scenes it was not fitted on: every scene as it is judged with the weights of all others."""
-    everything, examples = examples, [example for example in examples if example.usual]
-    is_target = np.array([example.is_target for example in examples], dtype=np.bool_)
-    weight = np.array([example.weight for example in examples])
-    p = {step: np.zeros(len(examples)) for step in _STEPS}
-    for scene in sorted({example.scene for example in examples}):
-        inside = np.array([example.scene == scene for example in examples])
-        others = fit([example for example in everything if example.scene != scene], "others", N_TREES)
+    """What each step is worth on scenes it was not fitted on, every scene as it is judged with the weights of all others; and what more
+    missions would bring."""
+    usual = [example for example in examples if example.usual]
+    is_target, weight = _labels(usual)
+    p = {step: np.zeros(len(usual)) for step in _STEPS}
+    for scene in sorted({example.scene for example in usual}):
+        inside = [example for example in usual if example.scene == scene]
+        others = fit([example for example in examples if example.scene != scene], "others", N_TREES)
+        at = np.array([example.scene == scene for example in usual])
         for step in _STEPS:
-            p[step][inside] = [
-                others.p_mine(others.log_ratio(step, getattr(example, step) | example.details[step]))
-                for example in examples
-                if example.scene == scene
-            ]
-    raw = np.array([1.0 / (1.0 + math.exp(-odds)) for odds in _raw_odds(examples)])
+            p[step][at] = _p_mine(others, step, inside)
+    raw = 1.0 / (1.0 + np.exp([-example.detector["detector_odds"] for example in usual]))
     print(f"{is_target.sum()} looks at targets, {weight[~is_target].sum():.0f} others; each scene judged with the weights of the others\n")
-    print(f"{'':<24}{'others above the p_mine that this share of targets reaches':<60}")
-    shares = (0.3, 0.5, 0.7, 0.9)
-    print(f"{'step':<24}{''.join(f'{share:>9.0%}' for share in shares)}{'calibration error':>20}")
+    print(f"{'':<24}others above the p_mine that this share of targets reaches")
+    print(f"{'step':<24}{''.join(f'{share:>9.0%}' for share in _SHARES)}{'calibration error':>20}")
     for name, values in (("detector as it is", raw), *p.items()):
-        above = [float(weight[~is_target & (values >= np.quantile(values[is_target], 1.0 - share))].sum()) for share in shares]
         repeated = np.repeat(np.arange(len(values)), weight.astype(int))
         error = calibration_error(values[repeated], is_target[repeated])
-        print(f"{name:<24}{''.join(f'{count:>9.0f}' for count in above)}{error:>20.4f}")
+        print(f"{name:<24}{_above(values, is_target, weight)}{error:>20.4f}")
+    _report_learning(examples)
 
 
-def _raw_odds(examples: Iterable[Example]) -> list[float]:
-    return [example.detector["detector_odds"] for example in examples]
+def _report_learning(examples: Sequence[Example]) -> None:
+    """Missions of the last seed as they are, judged with weights from a part of the other seeds of every scene."""
+    seeds, crowds = (sorted({example.seed for example in examples if example.usual is usual}) for usual in (True, False))
+    *seeds, last = seeds
+    judged = [example for example in examples if example.usual and example.seed == last]
+    is_target, weight = _labels(judged)
+    if not seeds or not is_target.any():
+        return
+    print(f"\nseed {last}, {is_target.sum()} looks at targets, judged with the weights of other seeds, all steps\n")
+    print(f"{'looks at targets':<24}others above the p_mine that this share of targets reaches")
+    print(f"{'learned from':<24}{''.join(f'{share:>9.0%}' for share in _SHARES)}")
+    for part in _PARTS:
+        learned = {seed for some in (seeds, crowds) for seed in some[: math.ceil(part * len(some))]}
+        some = [example for example in examples if example.seed in learned]
+        values = _p_mine(fit(some, "a part", N_TREES), "shape", judged)
+        print(f"{sum(example.is_target for example in some):<24}{_above(values, is_target, weight)}")
+
+
+def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
+    """Which are targets, and what each stands for, (n,)."""
+    return np.array([example.is_target for example in examples]), np.array([example.weight for example in examples])
+
+
+def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
+    """(n,) p_mine of each example by itself."""
+    log_odds = log_odds_of(getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples])
+    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def _above(p_mine: Array, is_target: NDArray[np.bool_], weight: Array) -> str:
+    """How many others lie above what each of _SHARES of the targets reaches."""
+    least = np.quantile(p_mine[is_target], 1.0 - np.array(_SHARES))
+    return "".join(f"{weight[~is_target & (p_mine >= at)].sum():>9.0f}" for at in least)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
 from sim_replay import calibrate
 from sim_replay.benches.scenes import HELD_OUT, SCENES
-from sim_replay.calibrate import CROWD, N_TREES, Example, crowded, examples_of, main
+from sim_replay.calibrate import CROWD, N_TREES, Example, crowded, examples_of, log_odds_of, main
 from sim_replay.calibrate import fit as fit_all
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
@@ -36,7 +36,7 @@ MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock
 def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True) -> Example:
     """All steps measured the same; the detector's own odds among them, which the report asks for."""
     known = {"detector_odds": 0.0, **features}
-    return Example(scene, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
+    return Example(scene, 1, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
 
 
 def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
@@ -185,6 +185,14 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
     right = [(odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples]
     assert np.mean(right) > 0.95
     assert parse_odds(calibrate.written(odds), "written.json") == odds
+
+
+def test_log_odds_of_many_are_those_of_each() -> None:
+    weights = shipped_odds("cascade").shape
+    random = np.random.Generator(np.random.PCG64(5))
+    names = sorted({*weights.weights, *(name for tree in weights.trees for name, _ in tree.ask)})
+    features = [dict(zip(names, row, strict=True)) for row in random.normal(0.0, 3.0, (50, len(names))).tolist()]
+    assert log_odds_of(weights, features).tolist() == [weights.log_odds(known) for known in features]
 
 
 @pytest.mark.parametrize("targets", [[], [False] * 4, [True] * 4])
@@ -344,7 +352,7 @@ class Flown:
 
     def __call__(self, name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
         self.missions.append((name, seed, detector, crowd))
-        return [item._replace(scene=name, usual=crowd == 1) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
+        return [item._replace(scene=name, seed=seed, usual=crowd == 1) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
 
 
 @pytest.fixture
@@ -374,9 +382,28 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
     assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
     told = capsys.readouterr()
     assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in told.err
-    rows = [line.split("  ")[0] for line in told.out.splitlines()[-4:]]
-    assert rows == ["detector as it is", "detector", "contours", "shape"]
+    rows = [line.split("  ")[0] for line in told.out.splitlines()]
+    assert rows[4:8] == ["detector as it is", "detector", "contours", "shape"]
     assert "nan" not in told.out
+
+
+def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["--seeds", "5", "--crowded", "2", "--first-seed", "7", "--out", str(tmp_path / "odds.json")])
+    n_targets = {mission: sum(item.is_target for item in flown(*mission)) for mission in list(flown.missions)}
+    title, _, _, _, *rows = capsys.readouterr().out.splitlines()[-7:]
+    judged = sum(n for (_, seed, _, _), n in n_targets.items() if seed == 11)
+    assert title == f"seed 11, {judged} looks at targets, judged with the weights of other seeds, all steps"
+    learned = [{7, 57}, {7, 8, 57}, {7, 8, 9, 10, 57, 58}]
+    assert [int(row.split()[0]) for row in rows] == [sum(n for mission, n in n_targets.items() if mission[1] in some) for some in learned]
+    assert "nan" not in "".join(rows)
+
+
+def test_of_one_seed_nothing_is_said_about_more(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
+    assert flown.missions
+    assert "learned from" not in capsys.readouterr().out
 
 
 def test_crowded_scenes_are_flown_over_other_floors_and_told(flown: Flown, tmp_path: Path) -> None:
