@@ -380,6 +380,7 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
     odds = written(out)
     assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
     assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
+    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [2 if detector == "cascade" else 0] * 3
     told = capsys.readouterr()
     assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in told.err
     rows = [line.split("  ")[0] for line in told.out.splitlines()]
