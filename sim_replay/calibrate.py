@@ -181,11 +181,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones tell worse than sums.
     n_trees = N_TREES if chosen.detector == "cascade" else _NO_TREES
     odds = fit(examples, words_for(len(examples), scenes, seeds, crowds), n_trees)
-    _report(examples, n_trees)
     try:
         write_file(chosen.out, written(odds))
     except OSError as error:
         raise UsageError(f"--out {chosen.out} cannot be written: {error.strerror}") from error
+    _report(examples, n_trees)
     return 0
 
 
@@ -375,7 +375,7 @@ def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
 def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
     """(n,) p_mine of each example by itself."""
     log_odds = log_odds_of(getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples])
-    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
+    return np.asarray(np.exp(-np.logaddexp(0.0, -log_odds)))
 
 
 def _above(p_mine: Array, is_target: NDArray[np.bool_], weight: Array) -> str:

@@ -158,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(name: str, seed: int, detector: Detector = "cascade") -> Flown:
+def fly(name: str, seed: int, detector: Detector) -> Flown:
     """One mission through a named scene, seen by all systems, the chain with one of the detectors."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)

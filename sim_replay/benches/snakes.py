@@ -2,8 +2,7 @@
 
 auv-mcm bench snakes            contour error beside time, for schedules from coarse to fine
 auv-mcm bench snakes --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
-auv-mcm bench snakes --odds     also what the chain hands on to its close look, rejected by the odds after contours; with
-                                --detector contrast that of a sonar without a trained model
+auv-mcm bench snakes --odds     also what the chain hands on to its close look, rejected by the odds after contours
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -33,9 +32,9 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, Detector, Tile
+from auv_mcm.records import Detection, Tile
 from sim_replay.benches.overlap import overlap
-from sim_replay.benches.scenes import config_for, served_by
+from sim_replay.benches.scenes import config_for
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
@@ -60,7 +59,6 @@ _ALTITUDE_M, _GROUND_M = 6.0, 22.0
 _SHADOW, _HIGHLIGHT = 10.0**-1.0, 10.0**0.8
 _DETECTION_P: Final = 1e-6
 _LOST: Final = 0.02  # of targets
-_CALLED_P: Final = 0.5
 _ALL: Final = 100_000
 _BESIDE_M: Final = 0.75  # from the middle of a target's end to a detection of it
 _CLEAR_M: Final = 3.0
@@ -100,22 +98,19 @@ class SceneRow(NamedTuple):
 
 
 class Handed(NamedTuple):
-    """A detection that the chain hands on to its close look. called: the detector takes it for a mine, p_mine of 0.5 or more by itself.
-    p_detector, p_contours: by the odds before and after its contours. told_against: it carries a code that speaks against a mine."""
+    """A detection that the chain hands on to its close look. p_detector, p_contours: p_mine before and after its contours. told_against:
+    it carries a code that speaks against a mine."""
 
     label: Label
-    called: bool
     p_detector: float
     p_contours: float
     told_against: bool
 
 
 class OddsRow(NamedTuple):
-    """One scene's clutter below the p_mine that all but _LOST of its targets reach: after contours, told why, and by p_detector alone.
-    called: of what the detector takes for mines; or else of all that it hands on."""
+    """One scene's clutter below the p_mine that all but _LOST of its targets reach: after contours, told why, and by p_detector alone."""
 
     scene: str
-    called: bool
     n_clutter: int
     n_rejected: int
     n_told: int
@@ -258,25 +253,18 @@ def scene_rows(
         )
 
 
-def odds_rows(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS, detector: Detector = "cascade") -> list[OddsRow]:
-    """What the odds after contours reject of all that the chain's detector hands on, and of its false alarms, at the thresholds that lose
-    no more targets than _LOST. Without a target that it calls, of all alone. Raises UsageError if no target was detected."""
-    handed = [each for seed in seeds for each in _handed_on(name, seed, detector)]
-    if all(each.label != "target" for each in handed):
-        raise UsageError(f"no target was detected in {name} with seeds {seeds[0]} to {seeds[-1]}: give more seeds")
-    called = [each for each in handed if each.called]
-    rows = [_odds_row(name, handed, called=False)]
-    return [*rows, _odds_row(name, called, called=True)] if any(each.label == "target" for each in called) else rows
-
-
-def _odds_row(name: str, handed: Sequence[Handed], *, called: bool) -> OddsRow:
+def odds_row(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS) -> OddsRow:
+    """What the odds after contours reject of all that the chain's detector hands on, at the threshold that loses no more targets than
+    _LOST. Raises UsageError if no target was detected."""
+    handed = [each for seed in seeds for each in _handed_on(name, seed)]
     targets, clutter = ([each for each in handed if each.label == label] for label in ("target", "clutter"))
+    if not targets:
+        raise UsageError(f"no target was detected in {name} with seeds {seeds[0]} to {seeds[-1]}: give more seeds")
     least = _least_kept([each.p_contours for each in targets])
     rejected = [each for each in clutter if each.p_contours < least]
     by_detector = _least_kept([each.p_detector for each in targets])
     return OddsRow(
         scene=name,
-        called=called,
         n_clutter=len(clutter),
         n_rejected=len(rejected),
         n_told=sum(each.told_against for each in rejected),
@@ -291,13 +279,13 @@ def _least_kept(p_targets: Sequence[float]) -> float:
     return sorted(p_targets)[math.floor(_LOST * len(p_targets))]
 
 
-def _handed_on(name: str, seed: int, detector: Detector) -> list[Handed]:
+def _handed_on(name: str, seed: int) -> list[Handed]:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
-    config = served_by(detector, config_for(scene))
+    config = config_for(scene)
     config = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL))
-    odds, beam_width_rad = shipped_odds(detector), math.radians(config.sonar.beam_width_deg)
+    odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
     detections: list[Detection] = []
-    looked: list[tuple[bool, float, float, bool]] = []
+    looked: list[tuple[float, float, bool]] = []
 
     def look(detection: Detection) -> Detection:
         p_detector = p_contours = passed_over(detection, odds, "").p_mine
@@ -306,7 +294,7 @@ def _handed_on(name: str, seed: int, detector: Detector) -> list[Handed]:
             found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, math.inf)
             p_contours, reasons = found.p_contours, (*reasons, *found.contours.reasons)
         detections.append(detection)
-        looked.append((detection.p_mine >= _CALLED_P, p_detector, p_contours, any(bearing(code) == "against" for code in reasons)))
+        looked.append((p_detector, p_contours, any(bearing(code) == "against" for code in reasons)))
         return detection
 
     mission, pipeline = Mission(scene), Pipeline(config, look=look)
@@ -366,9 +354,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `auv-mcm bench snakes`."""
     parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
     parser.add_argument("--odds", action="store_true", help="also fly them and judge what the odds after contours reject")
-    parser.add_argument(
-        "--detector", choices=get_args(Detector), default="cascade", help="whose detections --odds judges (default cascade)"
-    )
 
 
 def run(chosen: argparse.Namespace) -> int:
@@ -391,15 +376,13 @@ def run(chosen: argparse.Namespace) -> int:
                 flush=True,
             )
     if chosen.odds:
-        print(f"\n{'':<10}{'':<11}{'clutter':>9}{'rejected':>10}{'told why':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
-        for name in ODDS_SCENES:
-            for judged in odds_rows(name, detector=chosen.detector):
-                shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_told / max(judged.n_rejected, 1))
-                by_detector, lost = judged.n_by_detector / max(judged.n_clutter, 1), judged.n_lost / judged.n_targets
-                title = f"{judged.scene:<10}{'called' if judged.called else 'handed on':<11}"
-                print(
-                    f"{title}{judged.n_clutter:>9}{shares[0]:>10.1%}{shares[1]:>10.1%}"
-                    f"{by_detector:>10.1%}{judged.n_targets:>9}{lost:>8.1%}",
-                    flush=True,
-                )
+        print(f"\n{'':<10}{'handed on':>11}{'rejected':>10}{'told why':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
+        for judged in map(odds_row, ODDS_SCENES):
+            shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_told / max(judged.n_rejected, 1))
+            by_detector, lost = judged.n_by_detector / max(judged.n_clutter, 1), judged.n_lost / judged.n_targets
+            print(
+                f"{judged.scene:<10}{judged.n_clutter:>11}{shares[0]:>10.1%}{shares[1]:>10.1%}{by_detector:>10.1%}"
+                f"{judged.n_targets:>9}{lost:>8.1%}",
+                flush=True,
+            )
     return 0
