@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, get_args
 
 from auv_mcm import __version__
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.config import Config
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 from auv_mcm.records import Detector
@@ -46,7 +47,7 @@ def run_checks(read_config: Callable[[], Config], write: Callable[[str], None]) 
     """
     failed = 0
     for finding in _findings(read_config):
-        write(f"{finding.verdict:8}{finding.name:32}{finding.detail}")
+        write(clean_lines(f"{finding.verdict:8}{finding.name:32}{finding.detail}"))
         failed += finding.verdict == "FAILED"
     write(f"{failed} failed" if failed else "all good")
     return SelfCheckError.exit_code if failed else 0

@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from auv_mcm.clean_text import clean_json
 from auv_mcm.config import PlanConfig
 from auv_mcm.contacts.export import (
     contact_order,
@@ -237,8 +238,9 @@ def _write_snippet(snippets: Path, contact_id: str, picture: bytes) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Indented JSON; NaN and infinities, which JSON lacks, become null."""
-    write_file(path, (json.dumps(_finite(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "replace"))
+    """Indented JSON; NaN and infinities, which JSON lacks, become null. Control characters are escaped, so that a terminal may show it."""
+    text = json.dumps(_finite(data), indent=2, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace").decode()
+    write_file(path, (clean_json(text) + "\n").encode())
 
 
 def write_file(path: Path, data: bytes) -> None:

@@ -13,6 +13,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clean_text import clean
+
 Side: TypeAlias = Literal["port", "starboard"]
 SIDES: Final[tuple[Side, Side]] = ("port", "starboard")
 
@@ -68,11 +70,18 @@ class NavSample(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
-    """Something a person should know: `code` is stable for scripts, `text` says what, where and what to do."""
+    """Something a person should know: `code` is stable for scripts, `text` says what, where and what to do.
+
+    Control characters in either text, which may come from devices and file names, are written out as escapes.
+    """
 
     code: str
     text: str
     place: str = ""
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "text", clean(self.text))
+        msgspec.structs.force_setattr(self, "place", clean(self.place))
 
 
 SourceEvent: TypeAlias = Ping | NavSample | Notice

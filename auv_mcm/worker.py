@@ -29,6 +29,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm import errors
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import best_view
 from auv_mcm.contacts.shelf import Shelf
@@ -361,7 +362,7 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
     except errors.AuvMcmError as error:
         connection.send(_Failure(type(error).__name__, str(error)))
     except Exception as error:
-        traceback.print_exc(file=sys.stderr)
+        print(clean_lines(traceback.format_exc()), file=sys.stderr)
         connection.send(
             _Failure(
                 "PerceptionError",
@@ -399,7 +400,7 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
             return area.propose(searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s)
         return propose(asking, request, config.plan, config.vehicle)
     except Exception as error:
-        traceback.print_exc(file=sys.stderr)
+        print(clean_lines(traceback.format_exc()), file=sys.stderr)
         return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import __version__, kernels
+from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config, config_yaml
 from auv_mcm.contacts.export import best_view
@@ -100,8 +101,8 @@ def replay(
     area = area_totals(clearance, config.plan)
     totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched, **area}
     record = MissionRecord(
-        name=config.mission or ", ".join(path.stem for path in mission.sizes_bytes),
-        logs=tuple(str(path) for path in mission.sizes_bytes),
+        name=clean(config.mission or ", ".join(path.stem for path in mission.sizes_bytes)),
+        logs=tuple(clean(str(path)) for path in mission.sizes_bytes),
         start_s=tally.first_s,
         stop_s=tally.last_s,
         track_latitude_deg=gathered.track.latitude_deg,

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from port_traffic import INTERVAL_S, PORTS, Chunk, config_of, fix, is_close, profile, stamp, time_of, traffic
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.config import config_yaml, parse_config
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName
@@ -24,6 +25,8 @@ from drivers.port_stream import pack_can, unpack_can
 from drivers.ports import read_ports
 from drivers.sonar.imagenex import commands as sportscan_commands
 from drivers.sonar.jsf_messages import PING_RANGE, Command, JsfMessage, to_wire
+from drivers.sonar.ping_messages import Nack
+from drivers.sonar.ping_messages import encode as encode_ping
 from drivers.sonar.ping_protocol import PingDecoder
 from drivers.sonar.registry import SONARS
 from drivers.sonar.seam import SonarSettings
@@ -296,6 +299,18 @@ def test_commands_may_have_a_wire_of_their_own() -> None:
     events, intake = taken_in(text, [Chunk("s.commands", refusal, stamp(0.0))])
     assert [event.code for event in events if isinstance(event, Notice)] == ["sonar_refused"]
     assert intake.counters["port.s.commands.sonar.refused"] == 1
+
+
+def test_the_words_of_a_refusal_forge_no_line_and_fill_no_log() -> None:
+    text = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: ping_protocol, sonar: {range_m: 30}}]"
+    words = "no\x1b[2J\r\nnotice port_up: port 's' is up" + "x" * 900
+    nack = encode_ping(Nack(2197, words))
+    events, _ = taken_in(text, [Chunk("s", nack, stamp(0.0))])
+    (notice,) = [event for event in events if isinstance(event, Notice)]
+    assert notice.code == "sonar_refused"
+    assert is_clean(notice.text)
+    assert "no\\x1b[2J\\r\\nnotice port_up" in notice.text
+    assert len(notice.text) < 500
 
 
 def test_the_names_in_the_configuration_are_those_of_the_drivers() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from xtf_logs import edit_headers
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.cli import main
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from sim_replay.simulator.mission import Mission
@@ -148,6 +149,21 @@ def test_what_is_no_log_is_refused(name: str, content: bytes, tmp_path: Path, ca
     path = tmp_path / name
     path.write_bytes(content)
     refused(path, tmp_path / "out", capsys)
+
+
+def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "a\x1b[2J\nnotice: all is well<script>\u202e\udc80.xtf"
+    log.write_bytes(log_of(tmp_path / "plain.xtf", mission()).read_bytes()[:-100])  # cut off, which a notice says with the name
+    folder = tmp_path / "out\x1b"
+    summary = replayed(log, folder)
+    assert "cut off" in json.dumps(summary["notices"])
+    told = "".join(capsys.readouterr())
+    assert not [line for line in told.splitlines() if not is_clean(line) or "all is well" in line.partition("a\\x1b[2J")[0]]
+    for name in ("report.html", "summary.json", "contacts.kml"):
+        text = (folder / name).read_text("utf-8")
+        assert [line for line in text.split("\n") if not is_clean(line)] == []
+        assert "<script>\\u202e" not in text or name == "summary.json"
+    assert r"a\x1b[2J\nnotice" in (folder / "report.html").read_text("utf-8")
 
 
 def test_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
