@@ -238,9 +238,8 @@ class _SonarReader:
         self._own["sonar.accepted" if reply.accepted else "sonar.refused"] += 1
         if reply.accepted or self._own["sonar.refused"] > 1:
             return []
-        text = f"the sonar at port '{self._port.name}' refused command {reply.request}" + (
-            f": {reply.text[:_MAX_WORDS]}" if reply.text else ""
-        )
+        words = f": {reply.text[:_MAX_WORDS]}" if reply.text else ""
+        text = f"the sonar at port '{self._port.name}' refused command {reply.request}{words}"
         return [Notice(code="sonar_refused", text=f"{text}. It pings as it was set before. More are counted.", place=self._port.name)]
 
     def _of_frame(self, frame: SonarFrame) -> list[Told]:

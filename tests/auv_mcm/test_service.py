@@ -408,6 +408,45 @@ def test_a_signal_to_the_whole_process_group_ends_in_order(tmp_path: Path, numbe
     assert "leaked" not in output
 
 
+def test_killing_all_processes_at_once_leaves_no_shared_memory_behind(tmp_path: Path) -> None:
+    with program(tmp_path, "Stuck") as process:
+        read_until(process, "C0027")
+        assert len(group(process.pid)) >= 2, "perception is a process of its own"
+        shared = shared_memory(process.pid)
+        os.killpg(process.pid, signal.SIGKILL)  # as a supervisor that kills a control group does, and a shortage of memory
+        output, _ = process.communicate(timeout=60)
+    assert [path for path in shared if path.exists()] == []
+    assert "leaked" not in output
+
+
+def test_killing_the_service_alone_ends_perception_and_is_no_news_of_leaks(tmp_path: Path) -> None:
+    with program(tmp_path, "Base") as process:
+        read_until(process, "C0027")
+        shared = shared_memory(process.pid)
+        process.kill()
+        output, _ = process.communicate(timeout=60)  # ends with the last process that holds the pipe
+    assert [path for path in shared if path.exists()] == []
+    assert "leaked" not in output
+    assert group(process.pid) == []
+
+
+def shared_memory(leader: int) -> set[Path]:
+    """Where the shared memory of a process group lies, or lay."""
+    lines = [line for pid in group(leader) for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/" in line]
+    return {Path(line[line.index("/dev/shm/") :].removesuffix(" (deleted)")) for line in lines}
+
+
+def group(leader: int) -> list[int]:
+    """Processes of a group that still run."""
+    members = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, process_group = status.read_text().rpartition(")")[2].split()[:3]
+            if int(process_group) == leader and state != "Z":
+                members.append(int(status.parent.name))
+    return members
+
+
 def test_a_second_signal_ends_at_once_with_the_journal_whole(tmp_path: Path) -> None:
     with program(tmp_path, "Stuck") as process:
         read_until(process, "C0027")
