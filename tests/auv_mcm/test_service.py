@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Sequence
 from functools import partial
@@ -427,7 +428,8 @@ def test_killing_the_service_alone_ends_perception_and_is_no_news_of_leaks(tmp_p
         output, _ = process.communicate(timeout=60)  # ends with the last process that holds the pipe
     assert [path for path in shared if path.exists()] == []
     assert "leaked" not in output
-    assert group(process.pid) == []
+    while group(process.pid):  # on their way out, as they let go of the pipe
+        time.sleep(0.01)
 
 
 def shared_memory(leader: int) -> set[Path]:
