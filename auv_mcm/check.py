@@ -7,6 +7,7 @@ import importlib
 import platform
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
@@ -139,10 +140,8 @@ def _output(folder: Path) -> Finding:
     existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
     if not existing.is_dir():
         return Finding("output directory", "FAILED", f"{existing} is no directory (service.output_directory)")
-    probe = existing / ".auv-mcm-check"
     try:
-        probe.write_bytes(b"")
-        probe.unlink()
+        tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:
         return Finding("output directory", "FAILED", f"{existing} cannot be written to: {error.strerror} (service.output_directory)")
     free_bytes = shutil.disk_usage(existing).free

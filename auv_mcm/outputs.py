@@ -6,6 +6,9 @@ import contextlib
 import json
 import math
 import os
+import re
+import stat
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
@@ -34,12 +37,14 @@ from auv_mcm.plan.clearance import Clearance
 from auv_mcm.plan.clearance_export import BANDS, clearance_geojson
 from auv_mcm.plan.residual import remaining_mines
 from auv_mcm.records import NAN, SEABED_TYPES, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
+from auv_mcm.safe_files import open_for_append, own_directory, replacing, sync_directory
 
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
 MAX_STEP_M: Final = 100.0
 MAX_STEP_S: Final = 60.0
 
 _SNIPPETS: Final = "snippets"
+_SNIPPET_NAME: Final = re.compile(r"C[0-9]+\.png")
 T = TypeVar("T")
 
 
@@ -201,13 +206,20 @@ def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = ""
 
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
-    """`snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, others stay."""
-    snippets = make_directory(folder / _SNIPPETS)
-    for contact_id, picture in pictures.items():
-        _write_snippet(snippets, contact_id, picture)
-    for path in snippets.glob("C[0-9]*.png"):
-        if path.stem not in pictures:
-            path.unlink()
+    """Write `snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, other files stay.
+
+    Raises OSError, also for a link in the place of `snippets`.
+    """
+    with own_directory(folder / _SNIPPETS) as snippets:
+        for contact_id, picture in pictures.items():
+            _write_snippet(snippets, contact_id, picture)
+        for name in os.listdir(snippets):
+            if (
+                _SNIPPET_NAME.fullmatch(name)
+                and name.removesuffix(".png") not in pictures
+                and stat.S_ISREG(os.stat(name, dir_fd=snippets, follow_symlinks=False).st_mode)
+            ):
+                os.unlink(name, dir_fd=snippets)
 
 
 class Snippets:
@@ -220,21 +232,27 @@ class Snippets:
     def write(self, pictures: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """Raises OSError, as on a full disk; what could not be written is tried again with the next ones."""
         self._owed |= pictures
-        self._folder.mkdir(exist_ok=True)
-        for contact_id, picture in list(self._owed.items()):
-            _write_snippet(self._folder, contact_id, picture)
-            del self._owed[contact_id]
+        with own_directory(self._folder) as snippets:
+            for contact_id, picture in list(self._owed.items()):
+                _write_snippet(snippets, contact_id, picture)
+                del self._owed[contact_id]
 
 
-def _write_snippet(snippets: Path, contact_id: str, picture: bytes) -> None:
+def _write_snippet(snippets: int, contact_id: str, picture: bytes) -> None:
     """Without waiting for the disk: there are thousands."""
-    path = snippets / f"{contact_id}.png"
+    with replacing(Path(f"{contact_id}.png"), directory=snippets, durable=False) as file:
+        file.write(picture)
+
+
+def make_results_directory(path: Path) -> Path:
+    """Make the directory of a replay's results, with `snippets/` in it. Raises UsageError if one of them cannot be written to."""
+    make_directory(path)
+    snippets = path / _SNIPPETS
     try:
-        path.write_bytes(picture)
-    except OSError:
-        with contextlib.suppress(OSError):
-            path.unlink()  # a piece of it
-        raise
+        with own_directory(snippets):
+            return path
+    except OSError as error:
+        raise UsageError(f"{snippets} is a link or cannot be opened: {error.strerror}. Remove it, or name another directory.") from error
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -249,22 +267,15 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def _write_parts(path: Path, parts: Iterable[bytes]) -> None:
-    temporary = path.with_name(f".{path.name}.new")
-    with temporary.open("wb") as file:
+    with replacing(path) as file:
         file.writelines(parts)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    _sync_directory(path.parent)
 
 
 def make_directory(path: Path) -> Path:
-    """`path` as a directory that can be written to. Raises UsageError."""
+    """Make a directory if it is not there, and check that it can be written to. Raises UsageError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".writable"
-        probe.write_bytes(b"")
-        probe.unlink()
+        tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
         reason = "a file is in its place" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror
         raise UsageError(f"cannot write to the output directory {path}: {reason}. Name another one.") from error
@@ -275,10 +286,10 @@ class Journal:
     """Append-only lines of JSON, on disk when `append` returns."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("ab", buffering=0)
+        self._file = open_for_append(path)
         self._whole_bytes = self._file.seek(0, os.SEEK_END)  # the file ends in a whole line here
         self._owed = b""  # lines that a failed append could not write
-        _sync_directory(path.parent)
+        sync_directory(path.parent)
 
     def append(self, records: Iterable[Any]) -> None:
         """Raises OSError, as on a full disk; the file then ends in a whole line, and the records are written with the next ones."""
@@ -307,14 +318,6 @@ class Journal:
             raise
         self._whole_bytes += len(self._owed)
         self._owed = b""
-
-
-def _sync_directory(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _finite(data: Any) -> Any:

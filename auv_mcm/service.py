@@ -14,6 +14,7 @@ import importlib
 import json
 import logging
 import os
+import secrets
 import signal
 import sys
 from collections import Counter, deque
@@ -580,11 +581,13 @@ def _session_folder(parent: Path, clock: Clock) -> Path:
 
 
 def _point_latest_to(folder: Path) -> None:
-    link = folder.with_name(".latest.new")
+    link, latest = folder.with_name(f".{secrets.token_hex(8)}.new"), folder.with_name("latest")
+    if os.path.lexists(latest) and not latest.is_symlink():
+        log.warning("no link 'latest' in %s: something else of that name is there. Move it away.", folder.parent)
+        return
     try:
-        link.unlink(missing_ok=True)
         link.symlink_to(folder.name)
-        os.replace(link, folder.with_name("latest"))
+        os.replace(link, latest)
     except OSError as error:  # a file system without links, such as FAT on a memory card
         log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
 

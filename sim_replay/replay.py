@@ -23,7 +23,7 @@ from auv_mcm.outputs import (
     Tally,
     area_totals,
     contact_totals,
-    make_directory,
+    make_results_directory,
     plan_waypoints,
     search_totals,
     write_clearance,
@@ -64,7 +64,7 @@ def replay(
     """
     clock = clock or SystemClock()
     mission = open_mission(logs, config, chunk_bytes)
-    make_directory(folder)
+    make_results_directory(folder)
     (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
     pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)
     tally, gathered, pace = Tally(), _Gathered(), Pace(speed, clock)

@@ -184,12 +184,14 @@ def test_what_a_full_disk_does_not_take_is_counted_told_and_still_among_the_resu
     def full(*_: object) -> int:
         raise OSError(28, "No space left on device")
 
-    def full_but_for_a_probe(path: Path, data: bytes, write: Callable[[Path, bytes], int] = Path.write_bytes) -> int:
-        return full() if data else write(path, data)
+    def full_of_pictures(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        if old.suffix == ".png":
+            full()
+        replace(new, old, **folders)
 
     with monkeypatch.context() as disk:  # of the service alone: perception is a process of its own
         disk.setattr("auv_mcm.contacts.shelf.os.pwrite", full)
-        disk.setattr(Path, "write_bytes", full_but_for_a_probe)
+        disk.setattr("auv_mcm.safe_files.os.replace", full_of_pictures)
         results = serve(tmp_path, Events(mission(30)), fake.Seeing)
     assert ids(results) == ["C00001"]
     counters = summary(results)["counters"]
@@ -312,6 +314,14 @@ def test_every_run_has_its_own_folder_and_latest_points_to_the_last(tmp_path: Pa
     results = [serve(tmp_path, Events(mission(1))) for _ in range(3)]
     assert len(set(results)) == 3
     assert (tmp_path / "latest").resolve() == results[-1].resolve()
+
+
+def test_what_lies_where_the_link_to_the_last_session_belongs_is_left_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "latest").write_bytes(b"mine")
+    results = serve(tmp_path, Events(mission(1)))
+    assert (tmp_path / "latest").read_bytes() == b"mine"
+    assert any("something else of that name" in record.getMessage() for record in caplog.records)
+    assert {path.name for path in tmp_path.iterdir()} == {"latest", results.name}
 
 
 def test_an_output_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:

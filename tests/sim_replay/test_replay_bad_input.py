@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import socket
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -170,6 +172,26 @@ def test_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[st
     path = tmp_path / "folder.xtf"
     path.mkdir()
     assert "directory" in refused(path, tmp_path / "out", capsys)
+
+
+def test_a_pipe_given_as_a_log_is_refused_without_waiting(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.xtf")
+    assert "no regular file" in refused(tmp_path / "pipe.xtf", tmp_path / "out", capsys)
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    os.mkfifo(folder / "session-00000.mcap")
+    assert "no regular file" in refused(folder, tmp_path / "out", capsys)
+    config = tmp_path / "live.yaml"
+    config.write_text(f"service: {{source: 'replay://{tmp_path}/pipe.xtf', output_directory: '{tmp_path}/live'}}\n")
+    assert main(["run", "--config", str(config)]) == 3
+    assert "no regular file" in capsys.readouterr().err
+
+
+def test_a_device_or_a_socket_given_as_a_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket.xtf"))
+        for path in (tmp_path / "socket.xtf", Path("/dev/zero"), Path("/dev/tty")):
+            assert "no regular file" in refused(path, tmp_path / "out", capsys)
 
 
 def test_a_log_without_pings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
