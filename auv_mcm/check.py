@@ -70,6 +70,7 @@ def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
         if config.service.source:
             parse_source_uri(config.service.source)
         yield Finding("configuration", "ok", "valid")
+        yield from _ports(config)
     except AuvMcmError as error:
         yield Finding("configuration", "FAILED", str(error))
     yield _detector(config)
@@ -134,6 +135,14 @@ def _odds() -> Finding:
         return Finding("odds of the close look", "ok", told)
     except (AuvMcmError, OSError) as error:
         return Finding("odds of the close look", "FAILED", str(error))
+
+
+def _ports(config: Config) -> Iterator[Finding]:
+    if config.ports:
+        from drivers.ports import open_to_all, read_ports
+
+        for notice in open_to_all(read_ports(config)):
+            yield Finding(f"port {notice.place}", "warning", notice.text)
 
 
 def _output(folder: Path) -> Finding:
