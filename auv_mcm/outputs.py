@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
@@ -11,6 +12,7 @@ import stat
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -37,7 +39,7 @@ from auv_mcm.plan.clearance import Clearance
 from auv_mcm.plan.clearance_export import BANDS, clearance_geojson
 from auv_mcm.plan.residual import remaining_mines
 from auv_mcm.records import NAN, SEABED_TYPES, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
-from auv_mcm.safe_files import open_for_append, own_directory, replacing, sync_directory
+from auv_mcm.safe_files import open_for_append, open_regular, own_directory, replacing, sync_directory
 
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
 MAX_STEP_M: Final = 100.0
@@ -145,12 +147,23 @@ def write_results(
 
     contacts, coverage: gone through several times; one at a time where they come in the order in which they are written.
     """
+    for write in result_writers(folder, contacts, coverage, waypoints, mission).values():
+        write()
+
+
+def result_writers(
+    folder: Path, contacts: Iterable[Contact], coverage: Iterable[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
+) -> dict[str, Callable[[], None]]:
+    """Give what writes each file of `write_results`, by the file's name; each raises OSError for itself."""
     contacts, coverage = _in_order(contacts, contact_order), _in_order(coverage, coverage_order)
-    _write_parts(folder / "contacts.geojson", contacts_geojson_parts(contacts))
-    _write_parts(folder / "contacts.csv", (row.encode() for row in contacts_csv_parts(contacts)))
-    _write_parts(folder / "contacts.kml", (part.encode() for part in contacts_kml_parts(contacts, mission)))
-    _write_parts(folder / "coverage.geojson", coverage_geojson_parts(coverage))
-    write_file(folder / "waypoints.geojson", waypoints_geojson(waypoints))
+    parts: dict[str, Callable[[], Iterable[bytes]]] = {
+        "contacts.geojson": lambda: contacts_geojson_parts(contacts),
+        "contacts.csv": lambda: (row.encode() for row in contacts_csv_parts(contacts)),
+        "contacts.kml": lambda: (part.encode() for part in contacts_kml_parts(contacts, mission)),
+        "coverage.geojson": lambda: coverage_geojson_parts(coverage),
+        "waypoints.geojson": lambda: [waypoints_geojson(waypoints)],
+    }
+    return {name: partial(lambda name, of: _write_parts(folder / name, of()), name, of) for name, of in parts.items()}
 
 
 def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:
@@ -283,13 +296,27 @@ def make_directory(path: Path) -> Path:
 
 
 class Journal:
-    """Append-only lines of JSON, on disk when `append` returns."""
+    """Append-only lines of JSON, on disk when `append` returns. The file is locked as long as the process lives; see `is_in_use`."""
 
     def __init__(self, path: Path) -> None:
         self._file = open_for_append(path)
+        with contextlib.suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._whole_bytes = self._file.seek(0, os.SEEK_END)  # the file ends in a whole line here
         self._owed = b""  # lines that a failed append could not write
         sync_directory(path.parent)
+
+    @staticmethod
+    def is_in_use(path: Path) -> bool:
+        """Check whether a process that lives holds the journal at `path`. Raises OSError if there is none."""
+        with open_regular(path) as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+        return False
 
     def append(self, records: Iterable[Any]) -> None:
         """Raises OSError, as on a full disk; the file then ends in a whole line, and the records are written with the next ones."""

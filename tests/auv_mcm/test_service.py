@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import json
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,8 +24,10 @@ import pytest
 from auv_mcm.config import Config, ServiceConfig
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.liaison import VehicleEnd
+from auv_mcm.outputs import Journal
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from auv_mcm.service import RECORDING, EventQueue, Record, Service, parse_source_uri
+from auv_mcm.recovery import RECORDING
+from auv_mcm.service import EventQueue, Record, Service, parse_source_uri
 from auv_mcm.worker import MakePipeline, PerceptionError
 from drivers.stamps import Stamp
 from sim_replay.session.reader import Session
@@ -308,6 +312,64 @@ def test_contacts_announced_before_perception_failed_are_kept(
     assert caught.value.exit_code == 4
     announced = [line.split()[1] for line in lines]
     assert announced == ids(tmp_path / "latest") == journal(tmp_path / "latest") == ["C0000", "C0003"]
+
+
+def test_what_perception_took_with_it_is_said_to_be_in_the_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    lines: list[str] = []
+    config = Config(service=ServiceConfig(output_directory=str(tmp_path)))
+    with pytest.raises(PerceptionError):
+        asyncio.run(Service(config, Ports(mission(300)), console=lines.append, make_pipeline=fake.Dying).run())
+    (line,) = [line for line in lines if line.startswith("notice contacts_in_recording")]
+    command = shlex.split(line.partition("run: ")[2])
+    assert command[:2] == ["auv-mcm", "replay"]
+    assert len(list(Session(Path(command[2])))) > 5
+    assert "contacts_in_recording" in [notice["code"] for notice in summary(tmp_path / "latest")["notices"]]
+    assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it said so itself"
+
+
+def test_a_restart_after_a_kill_says_how_to_get_what_was_not_announced(tmp_path: Path) -> None:
+    killed = serve_ports(tmp_path, Ports(mission(10)))
+    (killed / "summary.json").unlink()
+    with contextlib.closing(Journal(killed / "contacts.jsonl")):
+        assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it still runs"
+    (tmp_path / "latest").unlink()
+    (tmp_path / "latest").symlink_to(killed.name)
+    (line,) = [line for line in started_again(tmp_path) if line.startswith("notice contacts_in_recording")]
+    assert f"auv-mcm replay {killed}/recording --out {killed}/replayed" in line
+    assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "once is enough"
+
+
+def started_again(folder: Path) -> list[str]:
+    lines: list[str] = []
+    serve(folder, Events(mission(1)), console=lines.append)
+    return lines
+
+
+def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full_for_the_largest(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        if old.name in ("contacts.geojson", "coverage.geojson"):
+            raise OSError(28, "No space left on device")
+        replace(new, old, **folders)
+
+    monkeypatch.setattr("auv_mcm.safe_files.os.replace", full_for_the_largest)
+    with pytest.raises(HardwareError, match=r"contacts\.geojson, coverage\.geojson cannot be written.*No space.*contacts\.jsonl"):
+        serve(tmp_path, Events(mission(30)))
+    results = tmp_path / "latest"
+    assert len((results / "contacts.csv").read_text().splitlines()) == 12
+    assert [notice["code"] for notice in summary(results)["notices"]] == ["results_missing"]
+    assert not [path for path in results.iterdir() if path.suffix == ".new"]
+
+
+def test_results_are_written_although_their_folder_was_removed_on_the_way(tmp_path: Path) -> None:
+    def remove(line: str) -> None:
+        if "C0003" in line:
+            shutil.rmtree((tmp_path / "latest").resolve())
+
+    results = serve(tmp_path, Events(mission(30)), console=remove)
+    assert len(ids(results)) == 11
+    assert summary(results)["contacts"] == 11
 
 
 def test_every_run_has_its_own_folder_and_latest_points_to_the_last(tmp_path: Path) -> None:
