@@ -6,6 +6,7 @@ Whoever may write to the directory of the results could otherwise put a link the
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
 import stat
@@ -20,7 +21,7 @@ _DIRECTORY: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
 def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
-    """Open a regular file for reading. Raises OSError, and BadInputError for anything but a regular file.
+    """Open a regular file for reading. Raises OSError, and BadInputError for a pipe, a socket or a device.
 
     A pipe would make its reader wait for ever, and opening a device may change its state: neither is opened.
     """
@@ -36,9 +37,9 @@ def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
 
 def _refuse_irregular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
-        raise BadInputError(f"{path} is a directory. Name the file inside it.")
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise BadInputError(f"{path} is no regular file. Copy the log to a disk first.")
+        raise BadInputError(f"{path} is no regular file. Copy it to a disk first.")
 
 
 @contextlib.contextmanager

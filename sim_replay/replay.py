@@ -27,7 +27,6 @@ from auv_mcm.outputs import (
     plan_waypoints,
     search_totals,
     write_clearance,
-    write_file,
     write_json,
     write_results,
     write_snippets,
@@ -38,7 +37,7 @@ from auv_mcm.plan.clearance_picture import clearance_png
 from auv_mcm.plan.performance import shipped_performance
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
-from sim_replay.report import MissionRecord, PictureCollector, render_report
+from sim_replay.report import MissionRecord, PictureCollector, write_report
 
 MAX_TRACK_POINTS: Final = 4000
 
@@ -115,8 +114,7 @@ def replay(
         searched=searched.get("searched", {}),
         clearance_png=clearance_map,
     )
-    page = render_report(record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
-    write_file(folder / "report.html", page.encode("utf-8", "replace"))
+    write_report(folder / "report.html", record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
     summary: dict[str, Any] = {
         "version": __version__,
         "mission": config.mission,

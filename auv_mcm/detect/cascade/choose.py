@@ -10,6 +10,7 @@ from auv_mcm.config import Config
 from auv_mcm.detect.cascade.model import CascadeModel, fits_sonar, parse_model
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
+from auv_mcm.safe_files import open_regular
 
 SHIPPED: Final = "shipped"
 NONE: Final = "none"
@@ -24,7 +25,8 @@ def configured_model(config: Config) -> CascadeModel | None:
     if name == SHIPPED:
         return shipped_model()
     try:
-        data = Path(name).read_bytes()
+        with open_regular(Path(name)) as file:
+            data = file.read()
     except OSError as error:
         raise BadInputError(
             f"detect.model {name}: {error.strerror}. Name a model file, or '{SHIPPED}' for the one of the package, or '{NONE}'"
