@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
@@ -18,6 +20,35 @@ JOURNAL: Final = "contacts.jsonl"
 """The file, among the results, of contacts as they were announced."""
 SUMMARY: Final = "summary.json"
 """The file that is written last: its presence says that the session came to its end."""
+
+BALLAST_BYTES: Final = 16 << 20  # contacts.geojson takes about 1 kB a contact, contacts.csv 0.2 kB
+_MIN_BALLAST_BYTES: Final = 1 << 16
+
+
+class Ballast:
+    """Hold disk space until the results are written, so that pictures, recording and other programs leave some for them.
+
+    n_bytes: what is held, 0 where the disk is full or cannot set space aside.
+    """
+
+    def __init__(self, folder: Path, max_bytes: int = BALLAST_BYTES) -> None:
+        """Take `max_bytes`, or the largest half, quarter ... of it that there is. The file has no name and goes with the process."""
+        self.n_bytes = 0
+        self._file = contextlib.ExitStack()
+        with contextlib.suppress(OSError):
+            file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115, open as long as the mission
+            descriptor = self._file.enter_context(file).fileno()
+            while max_bytes >= _MIN_BALLAST_BYTES and not self.n_bytes:
+                try:
+                    os.posix_fallocate(descriptor, 0, max_bytes)
+                    self.n_bytes = max_bytes
+                except OSError:
+                    os.ftruncate(descriptor, 0)
+                    max_bytes //= 2
+
+    def release(self) -> None:
+        """Give the space back."""
+        self._file.close()
 
 
 def unfinished_session(parent: Path) -> Notice | None:

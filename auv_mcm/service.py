@@ -48,7 +48,7 @@ from auv_mcm.outputs import (
 )
 from auv_mcm.plan.clearance import Clearance
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
-from auv_mcm.recovery import JOURNAL, RECORDING, SUMMARY, all_written, in_recording, results_missing, unfinished_session
+from auv_mcm.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
 from auv_mcm.worker import Finished, MakePipeline, Perception, Planned, standard_pipeline
 
 if TYPE_CHECKING:
@@ -277,6 +277,7 @@ class Service:
         journal = Journal(self._folder / JOURNAL)
         self._snippets = Snippets(self._folder)
         self._found = Found(self._folder)
+        self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
         perception = Perception(self._config, self._make_pipeline, folder=self._folder)
         failure: AuvMcmError | None = None
@@ -323,6 +324,11 @@ class Service:
         self._disk.shutdown()
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
+        self._ballast.release()
+        try:
+            missing = self._write()
+        finally:
+            self._found.close()
         for what, write in (
             ("contacts are missing from the journal", journal.close),
             ("pictures of contacts are missing", self._snippets.write),
@@ -331,10 +337,7 @@ class Service:
                 write()
             except OSError as error:  # as on a full disk; what is known is still worth writing
                 log.error("%s: %s", what, error)
-        try:
-            return self._write()
-        finally:
-            self._found.close()
+        return missing
 
     def _start_liaison(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:

@@ -26,7 +26,7 @@ from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.liaison import VehicleEnd
 from auv_mcm.outputs import Journal
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from auv_mcm.recovery import RECORDING
+from auv_mcm.recovery import BALLAST_BYTES, RECORDING, Ballast
 from auv_mcm.service import EventQueue, Record, Service, parse_source_uri
 from auv_mcm.worker import MakePipeline, PerceptionError
 from drivers.stamps import Stamp
@@ -360,6 +360,28 @@ def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_wha
     assert len((results / "contacts.csv").read_text().splitlines()) == 12
     assert [notice["code"] for notice in summary(results)["notices"]] == ["results_missing"]
     assert not [path for path in results.iterdir() if path.suffix == ".new"]
+
+
+def test_space_is_held_for_the_results_and_pictures_come_after_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+
+    class Watched(Ballast):
+        def release(self) -> None:
+            done.append(f"release {self.n_bytes}")
+            super().release()
+
+    def replace(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        if old.suffix == ".png" and not any(entry.startswith("release") for entry in done):
+            raise OSError(28, "No space left on device")
+        done.append(old.name)
+        replace(new, old, **folders)
+
+    monkeypatch.setattr("auv_mcm.service.Ballast", Watched)
+    monkeypatch.setattr("auv_mcm.safe_files.os.replace", replace)
+    serve(tmp_path, Events(mission(30)), fake.Seeing)
+    done.remove("latest")
+    assert done[:3] == [f"release {BALLAST_BYTES}", "contacts.geojson", "contacts.csv"]
+    assert done[-1] == "C00001.png"
 
 
 def test_results_are_written_although_their_folder_was_removed_on_the_way(tmp_path: Path) -> None:
