@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import re
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,6 +21,7 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.outputs import write_json
 from auv_mcm.records import Notice
 
+ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = "a\x1b[2J\r\nb\x07\x7f\x9b31m\u202egnp.exe\u2066\u2028\ufeff\U000e0041\udc80\ufffe\x00"
 
 
@@ -52,6 +55,22 @@ def test_a_log_record_is_one_line_and_its_traceback_is_indented() -> None:
     assert first == r"ERROR it said a\n2026 INFO ready\x1b"
     assert others
     assert all(line.startswith("  ") and is_clean(line) for line in others)
+
+
+def test_the_log_of_the_service_is_clean() -> None:
+    program = (
+        "import logging, pathlib\n"
+        "from auv_mcm import service\n"
+        "from auv_mcm.commands.run import run_service\n"
+        "from auv_mcm.config import Config\n"
+        "def serve(config, *, clock=None):\n"
+        "    logging.getLogger('drivers').info('it said %s', 'x\\x1b[2J\\n2026 INFO ready')\n"
+        "    return pathlib.Path('out')\n"
+        "service.serve = serve\n"
+        "run_service(Config())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z INFO it said x\\x1b\[2J\\n2026 INFO ready\n", done.stderr)
 
 
 def test_lines_of_an_error_stay_lines_and_none_of_them_begins_at_the_margin() -> None:
