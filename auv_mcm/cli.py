@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from auv_mcm import __version__
-from auv_mcm.commands import EXIT_CODES, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
+from auv_mcm.commands import EXIT_CODES, Parser, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 
 _COMMANDS = (replay, run, simulate, augment, score, train, calibrate, check, config, hil, bench)
@@ -18,7 +18,10 @@ _BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed"}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    arguments = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:2] == ["train", "--"]:
+        del words[1]  # scripts of earlier versions need it, where options of the training come first
+    arguments = _parser().parse_args(words)
     command: Callable[[argparse.Namespace], int] = arguments.command
     try:
         code = command(arguments)
@@ -46,7 +49,7 @@ def _fail(text: str, code: int) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="auv-mcm",
         description="Payload service of a mine-hunting AUV: side-scan pings and navigation in, contacts, coverage and way-points out.",
         epilog=f"'auv-mcm COMMAND --help' explains a command. {EXIT_CODES}.",

@@ -16,7 +16,7 @@ from msgspec import Meta, inspect
 
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import ArmLength, PortConfig, check_together
-from auv_mcm.strict_yaml import keyed, load_mapping
+from auv_mcm.strict_yaml import explained, load_mapping
 from auv_mcm.vehicle_config import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
 
 
@@ -269,7 +269,7 @@ def parse_config(text: str, place: str) -> Config:
     try:
         return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}. {_HELP}") from error
+        raise UsageError(f"{place}: {explained(error, Config)}. {_HELP}") from error
 
 
 def config_yaml(config: Config) -> str:
@@ -310,7 +310,7 @@ def config_schema() -> str:
 
 # Choices, written without quotes because none of them means anything else in YAML.
 _WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far_to_near"})
-_HELP = "'auv-mcm config --schema' lists every key with its type and range"
+_HELP = "'auv-mcm config --write' prints every key with its meaning and range"
 
 
 def _without_empty(data: Any, kind: inspect.Type) -> Any:

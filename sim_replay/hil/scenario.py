@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from auv_mcm.config import Config, parse_config
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from auv_mcm.strict_yaml import explained, load_mapping, read_text
 from sim_replay.fakes.job import Device
 
 SCENARIOS: Final = Path(__file__).parent / "scenarios"
@@ -284,7 +284,7 @@ def parse_scenario(text: str, place: str) -> Scenario:
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}; {_EXAMPLE}") from error
+        raise UsageError(f"{place}: {explained(error, Scenario)}; {_EXAMPLE}") from error
     for problem in _contradictions(scenario):
         raise UsageError(f"{place}: {problem}")
     service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), place)

@@ -62,6 +62,38 @@ def test_bad_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFi
     assert ended.value.code == 2
 
 
+@pytest.mark.parametrize(
+    ("arguments", "usage", "message"),
+    [
+        (["replay", "a.xtf", "--out", "o", "--thread-count", "2"], "replay", "unrecognized arguments: --thread-count"),
+        (["check", "--confg=vehicle.yaml"], "check", "did you mean --config?"),
+        (["calibrate", "budget", "--speed", "2", "--sped", "2"], "calibrate budget", "did you mean --speed?"),
+        (["train", "--out", "o.json", "--worker-count", "3"], "train", "unrecognized arguments: --worker-count"),
+        (["--verbose", "check"], "", "unrecognized arguments: --verbose"),
+    ],
+)
+def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
+    arguments: list[str], usage: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    text = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert text.startswith(f"usage: auv-mcm {usage} [-h]".replace("  ", " "))
+    assert message in text
+
+
+@pytest.mark.parametrize("separator", [[], ["--"]])
+def test_train_takes_an_option_as_its_first_argument(
+    separator: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr("sim_replay.training.command.train_model", lambda spec, out, **_: asked.append((spec, out)))
+    assert main(["train", *separator, "--out", str(tmp_path / "model.json")]) == 0
+    assert asked == [(None, tmp_path / "model.json")]
+    assert "model.json" in capsys.readouterr().out
+
+
 def test_module_and_version() -> None:
     assert run("--version").stdout == f"auv-mcm {__version__}\n"
 
