@@ -121,6 +121,21 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
             "not serve, which is told",
         ),
     ] = "shipped"
+    seabed_model: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate seabed' wrote",
+        ),
+    ] = "shipped"
+    performance: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file that "
+            "'auv-mcm calibrate performance' wrote",
+        ),
+    ] = "shipped"
     max_evaluations_per_tile: Annotated[
         int,
         Meta(

@@ -360,7 +360,7 @@ class XtfLog:
                 else f"the order of port samples cannot be seen in the first pings ({cues}); {order} is assumed. "
                 "If port looks mirrored, set sonar.port_order"
             )
-            self._say("reader.port_order", text, place)
+            self._say("reader.port_order", text, place, for_the_record=seen is not None)
             return order
         if seen is not None and seen != wanted and abs(evidence.total) >= 2 * DECISIVE:
             self._say(
@@ -496,8 +496,8 @@ class XtfLog:
     def _place(self, offset: int) -> str:
         return f"{self._path.name}, byte {offset}"
 
-    def _say(self, code: str, text: str, place: str) -> None:
-        self._notices.append(Notice(code=code, text=text, place=place))
+    def _say(self, code: str, text: str, place: str, *, for_the_record: bool = False) -> None:
+        self._notices.append(Notice(code=code, text=text, place=place, for_the_record=for_the_record))
 
     def _tell_once(self, code: str, text: str, place: str) -> None:
         if code not in self._said:
@@ -534,6 +534,7 @@ class XtfLog:
                 f"channels {self._port_number} and {self._starboard_number} are used; "
                 f"further side-scan channels are left out and counted: {name_channels(others)}",
                 self._place(0),
+                for_the_record=True,
             )
         header = self._file_header
         offsets = [
@@ -557,9 +558,11 @@ class XtfLog:
         place = self._path.name
         tied, stuck, backwards = (self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards"))
         if tied:
-            self._say("reader.time_tied", f"{tied} pings shared a time stamp with the one before; they are spread evenly", place)
+            text = f"{tied} pings shared a time stamp with the one before; they are spread evenly"
+            self._say("reader.time_tied", text, place, for_the_record=True)
         if stuck:
-            self._say("reader.clock_stuck", f"the clock stood still for {stuck} pings; they are timed by their interval", place)
+            text = f"the clock stood still for {stuck} pings; they are timed by their interval"
+            self._say("reader.clock_stuck", text, place, for_the_record=True)
         if backwards:
             self._say("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
 

@@ -327,7 +327,8 @@ class NavMerge:
         why = "which is better and has been healthy for a while"
         if not before.is_healthy(self._now_s):
             why = f"because '{before.source}' gave none"
-        return [Notice(code="nav_source_changed", text=f"{quantity} is taken from '{now.source}' now, {why}")]
+        text = f"{quantity} is taken from '{now.source}' now, {why}"
+        return [Notice(code="nav_source_changed", text=text, for_the_record=before.is_healthy(self._now_s))]
 
     def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
         """Set a unit that does not serve beside the one that does."""
