@@ -32,15 +32,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", _INTERRUPTED)
     except ModuleNotFoundError as error:
-        if error.name not in _BENCH_EXTRA:
+        return _missing(error)
+    except ExceptionGroup as group:
+        missing = group.subgroup(ModuleNotFoundError)
+        if missing is None:
             raise
-        return _fail(f"this command needs the package {error.name}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code)
+        return _missing(_first(missing))
     except BrokenPipeError:
         # Whoever read our output, such as head, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
         return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", HardwareError.exit_code)
+
+
+def _missing(error: Exception) -> int:
+    """Say how to install a package that is missing. Raises the error again for a module of our own, which is a defect."""
+    package = (getattr(error, "name", None) or "").partition(".")[0]
+    if package in ("", "auv_mcm", "drivers", "sim_replay"):
+        raise error
+    if package in _BENCH_EXTRA:
+        return _fail(f"this command needs the package {package}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code)
+    return _fail(f"the package {package} is missing: python -m pip install auv-mcm", UsageError.exit_code)
+
+
+def _first(group: ExceptionGroup[ModuleNotFoundError]) -> Exception:
+    error: Exception = group
+    while isinstance(error, ExceptionGroup):
+        error = error.exceptions[0]
+    return error
 
 
 def _fail(text: str, code: int) -> int:
