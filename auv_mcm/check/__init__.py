@@ -70,8 +70,10 @@ def _as_configured(config: Config | None) -> Iterator[Finding]:
     gives_utc = any(port.navigation is not None and port.navigation.gives_utc for port in config.ports)
     yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[1], gives_utc)
     yield output_finding(Path(config.service.output_directory))
-    if config.ports:
+    if config.ports and config.service.source in ("", "ports"):
         yield from _looked_at("ports", lambda: _imported(PORT_CHECK)(config))
+    elif config.ports:
+        yield Finding("ports", "ok", f"not looked at, for service.source is {config.service.source}")
     yield from _looked_at("perception process", partial(_perception, config))
 
 
