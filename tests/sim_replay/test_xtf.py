@@ -93,6 +93,7 @@ def test_the_order_of_port_samples_is_seen(tmp_path: Path, stored_far_to_near: b
     assert all(same_trace(p.port, q.port) for p, q in zip(pings_of(events), pings, strict=True))
     (notice,) = [event for event in events if isinstance(event, Notice)]
     assert notice.code == "reader.port_order"
+    assert notice.for_the_record, "an order that was seen needs nobody to set it"
     assert ("far_to_near" if stored_far_to_near else "near_to_far") in notice.text.split("(")[0]
 
 
