@@ -54,7 +54,7 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `detect` and
+    when another view joins them. With `exhaustive` the cascade has no budget, and tiles without a usable pixel are scored too. `detect` and
     `look` take the place of detection in a tile and of the close look at a detection, to compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
 

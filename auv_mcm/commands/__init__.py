@@ -52,7 +52,7 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """A parser of whole numbers from low to high."""
+    """Make a parser of whole numbers from low to high."""
 
     def parse(text: str) -> int:
         try:
@@ -60,7 +60,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         except ValueError:
             number = low - 1
         if not low <= number <= high:
-            raise argparse.ArgumentTypeError(f"'{text}' is no whole number from {low} to {high}")
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}")
         return number
 
     return parse
