@@ -17,19 +17,19 @@ from auv_mcm.errors import UsageError
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of a file; `what` it should be, for messages. Raises UsageError if it cannot be read or is no UTF-8."""
+    """Read the text of a file; `what` it should be, for messages. Raises UsageError if it cannot be read or is not UTF-8."""
     try:
         return path.read_text("utf-8")
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror}. Check the path") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{what} {path} is no UTF-8 text (byte {error.start})") from error
+        raise UsageError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
 
 
 def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
-    """The mapping that a YAML text holds, {} for an empty one; `place` names it in messages, `expected` says what it should be.
+    """Read the mapping in a YAML text, {} for an empty one; `place` names it in messages, `expected` says what it should be.
 
-    Raises UsageError for text that is no YAML, repeated keys, aliases, and numbers that are not finite, with the key's path.
+    Raises UsageError for text that is not YAML, repeated keys, aliases, and numbers that are not finite, with the key's path.
     """
     try:
         data: Any = yaml.load(text, _Loader)

@@ -245,6 +245,14 @@ def test_without_the_bench_extra_replay_says_what_to_install() -> None:
     assert done.stderr == "auv-mcm: this command needs the package pyxtf: python -m pip install 'auv-mcm[bench]'\n"
 
 
+@pytest.mark.parametrize("command", ["simulate", "hil"])
+def test_lists_need_no_bench_extra(command: str) -> None:
+    without = "import sys; sys.modules.update(dict.fromkeys(('pyxtf', 'rich', 'matplotlib', 'jinja2', 'dask', 'distributed')))"
+    done = run(code=f"{without}; from auv_mcm.cli import main; sys.exit(main(['{command}', '--list']))")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(done.stdout.splitlines()) > 5
+
+
 def test_without_a_base_package_run_says_what_to_install(tmp_path: Path) -> None:
     port = "{name: a, link: 'udp://127.0.0.1:0?peer=127.0.0.1:9', device: nmea0183}"
     (tmp_path / "c.yaml").write_text(f"service: {{source: ports, output_directory: '{tmp_path / 'out'}'}}\nports: [{port}]")

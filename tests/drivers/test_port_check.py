@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import socket
 from collections import Counter
@@ -168,9 +169,17 @@ def test_a_tcp_device_that_refuses_and_a_can_interface_that_is_not_there_are_fai
     assert "socketcan://nocan0" in bus.detail
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
-def test_a_port_without_permission_names_the_group(tmp_path: Path) -> None:
-    (tmp_path / "tty").touch(mode=0o000)
-    (found,) = findings(serial(tmp_path / "tty", "nmea0183"))
+def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "tty"
+    path.touch()
+    opened = os.open
+
+    def refused(name: str | bytes | os.PathLike[str], *rest: int, **more: int) -> int:
+        if name == str(path):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))  # root, as in a test, is never refused
+        return opened(name, *rest, **more)
+
+    monkeypatch.setattr(os, "open", refused)
+    (found,) = findings(serial(path, "nmea0183"))
     assert found.verdict == "FAILED"
     assert "permission denied. Add the user" in found.detail
