@@ -46,6 +46,14 @@ _SONAR: Final = 0  # packet type: side scan and sub-bottom
 _PING_HEADER: Final = 256
 _CHANNEL_HEADER: Final = 64
 _DAMAGES_TOLD: Final = 10
+# What the reader mends, leaves out and counts, or was set to do: nobody has to act.
+_MENDED: Final = frozenset(
+    f"reader.{name}"
+    for name in (
+        *("ping_empty", "side_empty", "time_tied", "clock_stuck", "joined_log", "other_channel", "sound_speed_overridden"),
+        *("sample_type_change", "sample_count_change", "weight_change", "sample_not_finite", "time_delay"),
+    )
+)
 
 
 class _Trace(NamedTuple):
@@ -497,7 +505,8 @@ class XtfLog:
         return f"{self._path.name}, byte {offset}"
 
     def _say(self, code: str, text: str, place: str, *, for_the_record: bool = False) -> None:
-        self._notices.append(Notice(code=code, text=text, place=place, for_the_record=for_the_record))
+        remark = for_the_record or code in _MENDED
+        self._notices.append(Notice(code=code, text=text, place=place, for_the_record=remark))
 
     def _tell_once(self, code: str, text: str, place: str) -> None:
         if code not in self._said:
@@ -534,7 +543,6 @@ class XtfLog:
                 f"channels {self._port_number} and {self._starboard_number} are used; "
                 f"further side-scan channels are left out and counted: {name_channels(others)}",
                 self._place(0),
-                for_the_record=True,
             )
         header = self._file_header
         offsets = [
@@ -559,10 +567,10 @@ class XtfLog:
         tied, stuck, backwards = (self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards"))
         if tied:
             text = f"{tied} pings shared a time stamp with the one before; they are spread evenly"
-            self._say("reader.time_tied", text, place, for_the_record=True)
+            self._say("reader.time_tied", text, place)
         if stuck:
             text = f"the clock stood still for {stuck} pings; they are timed by their interval"
-            self._say("reader.clock_stuck", text, place, for_the_record=True)
+            self._say("reader.clock_stuck", text, place)
         if backwards:
             self._say("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
 
