@@ -83,7 +83,8 @@ class Line(NamedTuple):
         words = shlex.split(aligned, comments=True)
         if ">" in words:
             words = words[: words.index(">")]
-        return [PLACEHOLDERS.get(word, word) for word in words]
+        read = ["vehicle.yaml" if before == "--config" else PLACEHOLDERS.get(word, word) for before, word in pairwise(words)]
+        return [*words[:1], *read]
 
 
 class Reached(Exception):  # noqa: N818 (no error: the work that was asked for would begin here)
@@ -273,7 +274,7 @@ def test_lines_are_found_in_fences_and_between_backticks_and_nowhere_else() -> N
     fences = "```sh\nauv-mcm run --config FILE   # starts\nls\n```\nnot auv-mcm this, `x`\n```yaml\na: `auv-mcm no`\n```\n"
     text = f"Say `auv-mcm check` or\n{fences}"
     found = lines_of("page", text)
-    assert [line.words for line in found] == [["auv-mcm", "run", "--config", "made.json"], ["auv-mcm", "check"]]
+    assert [line.words for line in found] == [["auv-mcm", "run", "--config", "vehicle.yaml"], ["auv-mcm", "check"]]
     assert Line("", "auv-mcm run --example > vehicle.yaml        begin with ports").words == ["auv-mcm", "run", "--example"]
     assert lines_of("page", "nothing here") == []
 
