@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
-from auv_mcm.commands import EXIT_CODES, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
+from auv_mcm.commands import EXIT_CODES, Parser, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 
 _COMMANDS = (replay, run, simulate, augment, score, train, calibrate, check, config, hil, bench)
@@ -23,7 +23,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # what the terminal's encoding lacks is no reason to fail
-    arguments = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:2] == ["train", "--"]:
+        del words[1]  # scripts of earlier versions need it, where options of the training come first
+    arguments = _parser().parse_args(words)
     command: Callable[[argparse.Namespace], int] = arguments.command
     try:
         code = command(arguments)
@@ -34,9 +37,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", _INTERRUPTED)
     except ModuleNotFoundError as error:
-        if error.name not in _BENCH_EXTRA:
+        return _missing(error)
+    except ExceptionGroup as group:
+        missing = group.subgroup(ModuleNotFoundError)
+        if missing is None:
             raise
-        return _fail(f"this command needs the package {error.name}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code)
+        return _missing(_first(missing))
     except BrokenPipeError:
         # Whoever read our output, such as head, has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -45,13 +51,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", HardwareError.exit_code)
 
 
+def _missing(error: Exception) -> int:
+    """Say how to install a package that is missing. Raises the error again for a module of our own, which is a defect."""
+    package = (getattr(error, "name", None) or "").partition(".")[0]
+    if package in ("", "auv_mcm", "drivers", "sim_replay"):
+        raise error
+    if package in _BENCH_EXTRA:
+        return _fail(f"this command needs the package {package}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code)
+    return _fail(f"the package {package} is missing: python -m pip install auv-mcm", UsageError.exit_code)
+
+
+def _first(group: ExceptionGroup[ModuleNotFoundError]) -> Exception:
+    error: Exception = group
+    while isinstance(error, ExceptionGroup):
+        error = error.exceptions[0]
+    return error
+
+
 def _fail(text: str, code: int) -> int:
     print(clean_lines(f"auv-mcm: {text}"), file=sys.stderr)
     return code
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="auv-mcm",
         description="Payload service of a mine-hunting AUV: side-scan pings and navigation in, contacts, coverage and way-points out.",
         epilog=f"'auv-mcm COMMAND --help' explains a command. {EXIT_CODES}.",

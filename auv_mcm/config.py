@@ -17,7 +17,7 @@ from msgspec import Meta, inspect
 from auv_mcm.clean_text import clean, is_clean
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import ArmLength, PortConfig, check_together
-from auv_mcm.strict_yaml import keyed, load_mapping
+from auv_mcm.strict_yaml import explained, load_mapping
 from auv_mcm.vehicle_config import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
 
 
@@ -75,15 +75,11 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of heading, degrees")] = 1.0
     pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of pitch, degrees")] = 0.5
     sound_speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=50.0, description="1-sigma of sound speed, m/s")] = 5.0
-    max_speed_mps: Annotated[
-        float, Meta(gt=0.0, le=30.0, description="ports only: no position is believed that needs more than this, m/s")
-    ] = 6.0
+    max_speed_mps: Annotated[float, Meta(gt=0.0, le=30.0, description="ports only: reject fixes that imply a higher speed, m/s")] = 6.0
     recover_s: Annotated[
-        float, Meta(ge=0.0, le=600.0, description="ports only: a better unit serves again after being healthy this long, s")
+        float, Meta(ge=0.0, le=600.0, description="ports only: a better unit is used again after being healthy this long, s")
     ] = 5.0
-    surface_depth_m: Annotated[
-        float, Meta(gt=0.0, le=20.0, description="ports only: deeper than this no satellite receiver is believed, m")
-    ] = 1.0
+    surface_depth_m: Annotated[float, Meta(gt=0.0, le=20.0, description="ports only: reject satellite fixes deeper than this, m")] = 1.0
 
 
 class WaterfallConfig(_Section, frozen=True, kw_only=True):
@@ -118,8 +114,23 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         str,
         Meta(
             min_length=1,
-            description="the trained cascade: shipped, none, or the path of a model file; one that does not fit the pixel sizes below does "
-            "not serve, which is told",
+            description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for the "
+            "pixel sizes below is not used, with a notice",
+        ),
+    ] = "shipped"
+    seabed_model: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate seabed' wrote",
+        ),
+    ] = "shipped"
+    performance: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file that "
+            "'auv-mcm calibrate performance' wrote",
         ),
     ] = "shipped"
     max_evaluations_per_tile: Annotated[
@@ -150,7 +161,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 class ConfirmConfig(_Section, frozen=True, kw_only=True):
     """The close look at detections: contours, Markov field, shapes."""
 
-    enabled: Annotated[bool, Meta(description="without it contacts carry the detector's p_mine and no class")] = True
+    enabled: Annotated[bool, Meta(description="false: contacts carry the detector's p_mine and no class")] = True
     min_p_mine: Annotated[
         float, Meta(ge=0.0, le=1.0, description="p_mine below which a detection is looked at no further, at any step")
     ] = 0.01
@@ -177,8 +188,8 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
     """What is asked of the vehicle: second looks at contacts and, where there is an area to clear, a survey of it."""
 
     cell_m: Annotated[float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")] = 4.0
-    max_contacts: Annotated[int, Meta(ge=0, le=1000, description="contacts looked at again at most")] = 12
-    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="least p_mine worth a second look")] = 0.2
+    max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
+    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="minimum p_mine of a contact to view again")] = 0.2
     turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
     stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
     leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
@@ -189,7 +200,7 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
     required_clearance: Annotated[
         float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")
     ] = 0.9
-    max_track_m: Annotated[float, Meta(gt=0.0, le=1e6, description="track that is commanded in all at most, m")] = 10_000.0
+    max_track_m: Annotated[float, Meta(gt=0.0, le=1e6, description="maximum total commanded track, m")] = 10_000.0
 
     def __post_init__(self) -> None:
         if not self.area_deg:
@@ -225,7 +236,7 @@ def _about_first(corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[
 class ServiceConfig(_Section, frozen=True, kw_only=True):
     """Queues and pacing of the running service."""
 
-    queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="pings waiting for perception at most")] = 512
+    queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="maximum number of pings waiting for perception")] = 512
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
     source: Annotated[str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")] = ""
     record: Annotated[bool, Meta(description="ports only: record every byte, both ways, beside the results, to be replayed")] = True
@@ -271,7 +282,7 @@ def parse_config(text: str, place: str) -> Config:
     try:
         return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}. {_HELP}") from error
+        raise UsageError(f"{place}: {explained(error, Config)}. {_HELP}") from error
 
 
 def config_yaml(config: Config) -> str:
@@ -312,7 +323,7 @@ def config_schema() -> str:
 
 # Choices, written without quotes because none of them means anything else in YAML.
 _WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far_to_near"})
-_HELP = "'auv-mcm config --schema' lists every key with its type and range"
+_HELP = "'auv-mcm config --write' prints every key with its meaning and range"
 
 
 def _without_empty(data: Any, kind: inspect.Type) -> Any:

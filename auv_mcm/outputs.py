@@ -129,6 +129,15 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
     return {"covered_km2": round(covered_m2 / 1e6, 6), "contacts": counted.total(), "contacts_mine_like": counted[True]}
 
 
+def notice_lists(notices: Iterable[Notice]) -> dict[str, list[dict[str, str]]]:
+    """List `notices`, which ask a person to do something, apart from `remarks`, which are for the record."""
+    lists: dict[str, list[dict[str, str]]] = {"notices": [], "remarks": []}
+    for notice in notices:
+        told = {"code": notice.code, "text": notice.text, "place": notice.place}
+        lists["remarks" if notice.for_the_record else "notices"].append(told)
+    return lists
+
+
 def plan_waypoints(contacts: Iterable[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]) -> tuple[Waypoint, ...]:
     """The re-inspection plan from the last known pose; empty and counted if there is none."""
     from auv_mcm.plan.reinspect import plan_reinspection

@@ -41,7 +41,7 @@ from auv_mcm.records import (
     SourceEvent,
     Tile,
 )
-from auv_mcm.seabed.model import shipped_seabed_model
+from auv_mcm.seabed.model import configured_seabed_model
 from auv_mcm.seabed.stage import seabed_cells
 from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.transfer import Transfer, recheck_transfer, resolve_transfer
@@ -54,11 +54,11 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `detect` and
+    when another view joins them. With `exhaustive` the cascade has no budget, and tiles without a usable pixel are scored too. `detect` and
     `look` take the place of detection in a tile and of the close look at a detection, to compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
 
-    The trained cascade that `config.detect.model` names is read here, once. Raises BadInputError if it cannot be.
+    The models that `config.detect` names are read here, once. Raises BadInputError if one cannot be.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Pipeline:
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
-        self._seabed = shipped_seabed_model()
+        self._seabed = configured_seabed_model(config)
         self._grid: Grid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False

@@ -70,14 +70,16 @@ class NavSample(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
-    """Something a person should know: `code` is stable for scripts, `text` says what, where and what to do.
+    """Ask a person to do something, or report that this is settled: `code` is stable for scripts, `text` says what, where and what to do.
 
-    Control characters in either text, which may come from devices and file names, are written out as escapes.
+    Control characters in text and place, which may come from devices and file names, are written out as escapes.
+    for_the_record: nobody has to do anything. The text stands among the remarks of the summary and of the report, not among the notices.
     """
 
     code: str
     text: str
     place: str = ""
+    for_the_record: bool = False
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "text", clean(self.text))

@@ -40,6 +40,7 @@ from auv_mcm.outputs import (
     area_totals,
     contact_totals,
     make_directory,
+    notice_lists,
     plan_waypoints,
     result_writers,
     search_totals,
@@ -486,6 +487,9 @@ class Service:
                 )
             case Notice():
                 self._notices.append(event)
+                if event.for_the_record:
+                    log.info("%s: %s", event.code, event.text)
+                    return
                 self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
 
     async def _watch_lag(self) -> None:
@@ -501,7 +505,8 @@ class Service:
             await asyncio.sleep(self._config.service.health_period_s)
             self._tell_of_recording()
             log.info("health %s", self._health(queue, perception))
-            if self._tally.pings == pings and perception.in_flight and queue.pings:
+            # A lossless source, such as a recorded mission, waits on purpose while perception works.
+            if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
                 log.warning("perception has taken no ping for %g s although pings wait", self._config.service.health_period_s)
             pings, self._lag_s = self._tally.pings, 0.0
 
@@ -536,7 +541,7 @@ class Service:
             **({} if self._liaison is None else {"vehicle": self._liaison.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
             "counters": dict(sorted(self._all_counters().items())),
-            "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in self._notices],
+            **notice_lists(self._notices),
         }
         errors |= all_written({SUMMARY: partial(write_json, self._folder / SUMMARY, summary)})
         return HardwareError(results_missing(self._folder, errors).text) if errors else None

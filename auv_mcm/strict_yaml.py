@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import yaml
+from msgspec import inspect
 
 from auv_mcm.errors import UsageError
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of a file; `what` it should be, for messages. Raises UsageError if it cannot be read or is no UTF-8."""
+    """Read the text of a file; `what` it should be, for messages. Raises UsageError if it cannot be read or is not UTF-8."""
     try:
         return path.read_text("utf-8")
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror}. Check the path") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{what} {path} is no UTF-8 text (byte {error.start})") from error
+        raise UsageError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
 
 
 def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
-    """The mapping that a YAML text holds, {} for an empty one; `place` names it in messages, `expected` says what it should be.
+    """Read the mapping in a YAML text, {} for an empty one; `place` names it in messages, `expected` says what it should be.
 
-    Raises UsageError for text that is no YAML, repeated keys, aliases, and numbers that are not finite, with the key's path.
+    Raises UsageError for text that is not YAML, repeated keys, aliases, and numbers that are not finite, with the key's path.
     """
     try:
         data: Any = yaml.load(text, _Loader)
@@ -40,9 +43,89 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
     return data
 
 
-def keyed(error: msgspec.ValidationError) -> str:
-    """What a validation error says, with the key's path as it stands in the file."""
-    return str(error).replace("`$.", "`").replace(" - at `$`", "")
+def explained(error: msgspec.ValidationError, kind: type) -> str:
+    """Explain a validation error with the key's path as it stands in the file, the valid values of a choice, and the nearest known key.
+
+    kind: the type that the file was converted to.
+    """
+    message = str(error)
+    text = message.replace("`$.", "`").replace(" - at `$`", "")
+    at = _PLACE.search(message)
+    root = inspect.type_info(kind)
+    kinds = _kinds_at(root, at["path"] if at else "")
+    if at and at["key"]:
+        kinds = [key for here in kinds if isinstance(here, inspect.DictType) for key in _alternatives(here.key_type)]
+    unknown = _UNKNOWN.match(message)
+    if unknown is not None:
+        return f"{text} ({_known_keys(unknown['name'], kinds, root)})"
+    values = [str(value) for here in kinds if isinstance(here, inspect.LiteralType) for value in here.values]
+    if not values:
+        return text
+    wrong = _WRONG_VALUE.search(message)
+    near = difflib.get_close_matches(wrong["value"], values, n=1) if wrong else []
+    return f"{text} ({f'did you mean {near[0]}? ' if near else ''}valid: {', '.join(values)})"
+
+
+_PLACE: Final = re.compile(r" - at (?P<key>`key` in )?`\$(?P<path>[^`]*)`$")
+_UNKNOWN: Final = re.compile(r"Object contains unknown field `(?P<name>[^`]*)`")
+_WRONG_VALUE: Final = re.compile(r"Invalid (?:enum )?value '(?P<value>[^']*)'")
+_STEP: Final = re.compile(r"\.(?P<name>\w+)|\[(?P<index>\d+|\.\.\.)\]")
+
+
+def _kinds_at(root: inspect.Type, path: str) -> list[inspect.Type]:
+    """The types that may stand at a path such as `.ports[0].device`; several below a union, none where the path leads nowhere."""
+    kinds = _alternatives(root)
+    for step in _STEP.finditer(path):
+        kinds = [below for kind in kinds for below in _below(kind, step)]
+    return kinds
+
+
+def _below(kind: inspect.Type, step: re.Match[str]) -> list[inspect.Type]:
+    match kind:
+        case inspect.StructType() if step["name"] is not None:
+            if step["name"] == kind.tag_field:
+                return [inspect.LiteralType((kind.tag,))]
+            return [found for field in kind.fields if field.encode_name == step["name"] for found in _alternatives(field.type)]
+        case inspect.DictType():
+            return _alternatives(kind.value_type)
+        case inspect.VarTupleType() | inspect.ListType():
+            return _alternatives(kind.item_type)
+        case inspect.TupleType() if (step["index"] or "").isdecimal() and int(step["index"]) < len(kind.item_types):
+            return _alternatives(kind.item_types[int(step["index"])])
+    return []
+
+
+def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
+    """The type without its description; the members of a union."""
+    match kind:
+        case inspect.Metadata():
+            return _alternatives(kind.type)
+        case inspect.UnionType():
+            return [found for member in kind.types for found in _alternatives(member)]
+    return [kind]
+
+
+def _known_keys(name: str, kinds: list[inspect.Type], root: inspect.Type) -> str:
+    """Suggest what an unknown key should be: the same key in its own section, else the nearest one, else all that there are."""
+    known = list(dict.fromkeys(key for kind in kinds if isinstance(kind, inspect.StructType) for key in _keys(kind)))
+    elsewhere = [path for path in _paths(root) if path.rpartition(".")[2] == name]
+    if near := elsewhere[:1] or difflib.get_close_matches(name, known, n=1):
+        return f"did you mean `{near[0]}`?"
+    return f"known there: {', '.join(known)}"
+
+
+def _keys(kind: inspect.StructType) -> list[str]:
+    tag = [] if kind.tag_field is None else [kind.tag_field]
+    return [*tag, *(field.encode_name for field in kind.fields)]
+
+
+def _paths(kind: inspect.Type, before: str = "") -> Iterator[str]:
+    """Paths of all keys below a section, lists left out."""
+    for section in _alternatives(kind):
+        if isinstance(section, inspect.StructType):
+            for field in section.fields:
+                yield f"{before}{field.encode_name}"
+                yield from _paths(field.type, f"{before}{field.encode_name}.")
 
 
 class _Loader(yaml.SafeLoader):

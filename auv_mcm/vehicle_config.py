@@ -35,14 +35,18 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
         100.0
     )
     speed_mps: Annotated[float, Meta(gt=0.0, le=10.0, description="speed that is commanded, m/s")] = 1.5
-    arrival_radius_m: Annotated[float, Meta(gt=0.0, le=100.0, description="as near to a way-point counts as there, m")] = 3.0
+    arrival_radius_m: Annotated[float, Meta(gt=0.0, le=100.0, description="arrival radius: a way-point this near counts as reached, m")] = (
+        3.0
+    )
     command_valid_s: Annotated[
         float, Meta(gt=0.0, le=60.0, description="a command that the payload has not confirmed for so long is void, s")
     ] = 5.0
     plan_valid_s: Annotated[
         float, Meta(gt=0.0, le=7200.0, description="a plan is dropped, and control returned, so long after it was made, s")
     ] = 900.0
-    max_control_s: Annotated[float, Meta(gt=0.0, le=86400.0, description="control is returned after so long in one piece, s")] = 1800.0
+    max_control_s: Annotated[
+        float, Meta(gt=0.0, le=86400.0, description="maximum uninterrupted control time, after which control is returned, s")
+    ] = 1800.0
     ask_again_s: Annotated[
         float, Meta(ge=1.0, le=3600.0, description="control that was refused or taken back is asked for again not sooner, s")
     ] = 60.0
@@ -50,7 +54,7 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
         float, Meta(gt=0.0, le=60.0, description="without a position of the vehicle for so long control is returned, s")
     ] = 3.0
     report_min_p_mine: Annotated[
-        float, Meta(ge=0.0, le=1.0, description="contacts less likely to be mines are not told to the vehicle")
+        float, Meta(ge=0.0, le=1.0, description="contacts less likely to be mines are not reported to the vehicle")
     ] = 0.2
 
     def __post_init__(self) -> None:

@@ -37,7 +37,7 @@ from auv_mcm.contacts.export import best_view
 from auv_mcm.contacts.shelf import Shelf
 from auv_mcm.plan.clearance import Clearance, ClearanceMap
 from auv_mcm.plan.look_again import PlanRequest, Proposal
-from auv_mcm.plan.performance import Performance, shipped_performance
+from auv_mcm.plan.performance import Performance, configured_performance
 from auv_mcm.records import Contact, CoveragePatch, Detection, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
 
 if TYPE_CHECKING:
@@ -336,7 +336,7 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
     kept = Shelf(folder, Contact)
     try:
         pipeline = make_pipeline(config, kept)
-        model = shipped_performance()
+        model = configured_performance(config)
         searched = ClearanceMap(model)
         area = _clear_area(config, model)
         gc.collect()

@@ -268,7 +268,8 @@ class _ServedPort:
         if self._own["state_changes"] <= _MAX_STATE_NOTICES:
             last = " More changes of this port are counted only." if self._own["state_changes"] == _MAX_STATE_NOTICES else ""
             text = f"port '{self.name}' is {state}: {reason}{last}"
-            self._source.tell(Notice(code=f"port_{state}", text=text, place=self.name))
+            opens_well = self._own["state_changes"] == 1 and reason == f"{self._link.place} is open"
+            self._source.tell(Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well))
 
     def _send_commands(self) -> None:
         for command in self._port.commands:

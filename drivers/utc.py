@@ -105,7 +105,7 @@ class UtcReference:
         self.anchor.take_over(f"port '{unit.name}'", offset_ns, mono_ns)
         what = "ZDA and pulses" if self._has_pulse else "ZDA"
         text = f"UTC is that of the {what} of '{unit.name}' from now on, {ahead_s:+.3f} s from this computer's own"
-        return Notice(code="utc_taken", text=text, place=unit.name)
+        return Notice(code="utc_taken", text=text, place=unit.name, for_the_record=True)
 
     def _back(self, unit: Port) -> Notice | None:
         if not self._is_lost:

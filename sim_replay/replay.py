@@ -24,6 +24,7 @@ from auv_mcm.outputs import (
     area_totals,
     contact_totals,
     make_results_directory,
+    notice_lists,
     plan_waypoints,
     search_totals,
     write_clearance,
@@ -34,7 +35,7 @@ from auv_mcm.outputs import (
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.plan.clearance import ClearanceMap
 from auv_mcm.plan.clearance_picture import clearance_png
-from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.plan.performance import configured_performance
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, write_report
@@ -63,10 +64,10 @@ def replay(
     """
     clock = clock or SystemClock()
     mission = open_mission(logs, config, chunk_bytes)
+    pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)
+    tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
     make_results_directory(folder)
     (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
-    pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)
-    tally, gathered, pace = Tally(), _Gathered(), Pace(speed, clock)
     costs_s = {"read": 0.0, "pictures": 0.0}
     started_s = read_s = clock.monotonic_s()
     for event in mission.events():
@@ -122,7 +123,7 @@ def replay(
         **totals,
         "waypoints": len(waypoints),
         "counters": dict(sorted(counters.items())),
-        "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in gathered.notices],
+        **notice_lists(gathered.notices),
         "processing_s": round(processing_s, 3),
         "times_real_time": round(tally.duration_s / processing_s, 1) if processing_s > 0.0 else None,
         "costs_s": {stage: round(cost_s, 4) for stage, cost_s in costs_s.items()},
@@ -176,9 +177,9 @@ class _Track:
 class _Gathered:
     """What the pipeline said, as far as the results need it; tiles leave only small pictures."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: Config) -> None:
         self.coverage: list[CoveragePatch] = []
-        self.searched = ClearanceMap(shipped_performance())
+        self.searched = ClearanceMap(configured_performance(config))
         self.notices: list[Notice] = []
         self.pictures = PictureCollector()
         self.track = _Track()

@@ -47,6 +47,14 @@ _SONAR: Final = 0  # packet type: side scan and sub-bottom
 _PING_HEADER: Final = 256
 _CHANNEL_HEADER: Final = 64
 _DAMAGES_TOLD: Final = 10
+# What the reader mends, leaves out and counts, or was set to do: nobody has to act.
+_MENDED: Final = frozenset(
+    f"reader.{name}"
+    for name in (
+        *("ping_empty", "side_empty", "time_tied", "clock_stuck", "joined_log", "other_channel", "sound_speed_overridden"),
+        *("sample_type_change", "sample_count_change", "weight_change", "sample_not_finite", "time_delay"),
+    )
+)
 
 
 class _Trace(NamedTuple):
@@ -359,7 +367,7 @@ class XtfLog:
                 else f"the order of port samples cannot be seen in the first pings ({cues}); {order} is assumed. "
                 "If port looks mirrored, set sonar.port_order"
             )
-            self._say("reader.port_order", text, place)
+            self._say("reader.port_order", text, place, for_the_record=seen is not None)
             return order
         if seen is not None and seen != wanted and abs(evidence.total) >= 2 * DECISIVE:
             self._say(
@@ -495,8 +503,9 @@ class XtfLog:
     def _place(self, offset: int) -> str:
         return f"{self._path.name}, byte {offset}"
 
-    def _say(self, code: str, text: str, place: str) -> None:
-        self._notices.append(Notice(code=code, text=text, place=place))
+    def _say(self, code: str, text: str, place: str, *, for_the_record: bool = False) -> None:
+        remark = for_the_record or code in _MENDED
+        self._notices.append(Notice(code=code, text=text, place=place, for_the_record=remark))
 
     def _tell_once(self, code: str, text: str, place: str) -> None:
         if code not in self._said:
@@ -556,9 +565,11 @@ class XtfLog:
         place = self._path.name
         tied, stuck, backwards = (self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards"))
         if tied:
-            self._say("reader.time_tied", f"{tied} pings shared a time stamp with the one before; they are spread evenly", place)
+            text = f"{tied} pings shared a time stamp with the one before; they are spread evenly"
+            self._say("reader.time_tied", text, place)
         if stuck:
-            self._say("reader.clock_stuck", f"the clock stood still for {stuck} pings; they are timed by their interval", place)
+            text = f"the clock stood still for {stuck} pings; they are timed by their interval"
+            self._say("reader.clock_stuck", text, place)
         if backwards:
             self._say("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from auv_mcm.errors import UsageError
 
@@ -14,8 +15,25 @@ if TYPE_CHECKING:
     from auv_mcm.config import Config
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+Namespace = TypeVar("Namespace")
 
 EXIT_CODES: Final = "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
+
+
+class Parser(argparse.ArgumentParser):
+    """Reject arguments that a command does not have with that command's own usage and the nearest option.
+
+    argparse hands what a subcommand does not know back to the main parser, which then prints its own usage.
+    """
+
+    def parse_known_args(  # type: ignore[override]  # argparse overloads it; here it is called by argparse alone
+        self, args: Sequence[str] | None = None, namespace: Namespace | None = None
+    ) -> tuple[Namespace | argparse.Namespace, list[str]]:
+        parsed, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = difflib.get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, n=1)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}" + (f"; did you mean {near[0]}?" if near else ""))
+        return parsed, unknown
 
 
 def command(commands: Commands, name: str, does: str, more: str, examples: Sequence[str]) -> argparse.ArgumentParser:
@@ -34,7 +52,7 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """A parser of whole numbers from low to high."""
+    """Make a parser of whole numbers from low to high."""
 
     def parse(text: str) -> int:
         try:
@@ -42,7 +60,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         except ValueError:
             number = low - 1
         if not low <= number <= high:
-            raise argparse.ArgumentTypeError(f"'{text}' is no whole number from {low} to {high}")
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}")
         return number
 
     return parse

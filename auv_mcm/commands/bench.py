@@ -6,7 +6,7 @@ import argparse
 import importlib
 from typing import Final
 
-from auv_mcm.commands import Commands, command
+from auv_mcm.commands import Commands, Parser, command
 
 BENCHES: Final = {  # modules of sim_replay.benches with add_arguments and run, imported if chosen
     "waterfall": ("chain", "the whole chain, cost per stage"),
@@ -50,6 +50,6 @@ def add(commands: Commands) -> None:
 def _run(chosen: argparse.Namespace) -> int:
     module, does = BENCHES[chosen.bench]
     bench = importlib.import_module(f"sim_replay.benches.{module}")
-    parser = argparse.ArgumentParser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure: {does}.")
+    parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure: {does}.")
     bench.add_arguments(parser)
     return int(bench.run(parser.parse_args(chosen.arguments)))

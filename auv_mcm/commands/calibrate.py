@@ -18,8 +18,9 @@ _LAST_SEED: Final = 2**32 - 1
 
 _BUDGET: Final = (
     "Measures how many comparisons of the trained cascade one core makes in a second, where nothing is rejected early, and\n"
-    "sets detect.max_evaluations_per_tile so that detection takes at most the share of the time that --duty allows, at the\n"
-    "highest speed over ground. Run it on the vehicle's computer, with nothing else running."
+    "sets detect.max_evaluations_per_tile so that the cascade takes at most the share of the time that --duty allows, at the\n"
+    "highest speed over ground. Contrasts and confirmation, which have limits of their own, are not part of that share. Run\n"
+    "it on the vehicle's computer, with nothing else running."
 )
 
 
@@ -28,9 +29,10 @@ def add(commands: Commands) -> None:
         commands,
         "calibrate",
         "measure this computer, or the payload's own performance",
-        "budget:       the detector's budget that this computer can afford; so does calibrate without a word\n"
-        "performance:  how likely a look finds a mine, by sea floor, range and direction, from simulated missions\n"
-        "seabed:       what kinds of sea floor look like, from simulated missions",
+        "budget:       the detector's budget that this computer can afford; also without the word, with --speed\n"
+        "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
+        "              'detect.performance' of the configuration loads the file\n"
+        "seabed:       what kinds of sea floor look like, from simulated missions; 'detect.seabed_model' loads the file",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
             "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
@@ -106,7 +108,7 @@ def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
 
 def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
-        parser.error("give what to calibrate, budget, performance or seabed; or --speed for the budget")
+        parser.error("choose what to calibrate: budget, performance or seabed; or give --speed for the budget")
     return _run_budget(arguments)
 
 
@@ -193,7 +195,7 @@ def _seeds(text: str) -> range:
     first, dash, last = text.partition("-")
     if dash and first.isdecimal() and last.isdecimal() and len(text) < 24 and int(first) <= int(last) <= _LAST_SEED:
         return range(int(first), int(last) + 1)
-    raise argparse.ArgumentTypeError(f"'{text}' is no range of seeds. Write the first and the last, as in 800-815")
+    raise argparse.ArgumentTypeError(f"'{text}' is not a range of seeds. Write the first and the last, as in 800-815")
 
 
 def _between(low: float, high: float) -> Callable[[str], float]:
@@ -203,7 +205,7 @@ def _between(low: float, high: float) -> Callable[[str], float]:
         except ValueError:
             number = math.nan
         if not low < number <= high:
-            raise argparse.ArgumentTypeError(f"'{text}' is no number above {low:g} and up to {high:g}")
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number above {low:g} and up to {high:g}")
         return number
 
     return parse

@@ -12,8 +12,11 @@ def add(commands: Commands) -> None:
         commands,
         "check",
         "check that this installation does what it should",
-        "Looks at Python, packages, the C kernels against numpy, shared memory, the perception process, the output\n"
-        "directory and the configuration. Changes nothing. Exit code 5 if something failed; a warning is no failure.",
+        "Looks at Python, packages and their versions, the C kernels against numpy, the models, the clock, the output\n"
+        "directory and its room, the perception process and the configuration. With one, opens each of its ports and listens\n"
+        "for 4 s: does the device that the configuration names speak there? Sends nothing, changes nothing, and leaves ports\n"
+        "alone that another program uses. Each line says what, where and what to do. Exit code 5 if something failed; a\n"
+        "warning is no failure.",
         ["auv-mcm check", "auv-mcm check --config vehicle.yaml"],
     )
     add_config_option(parser)

@@ -34,10 +34,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from auv_mcm.outputs import write_json
-    from sim_replay.hil.run import run_scenario
     from sim_replay.hil.scenario import read_scenario, shipped
-    from sim_replay.hil.verdict import as_table, judge
 
     if arguments.list:
         for name in shipped():
@@ -45,6 +42,11 @@ def _run(arguments: argparse.Namespace) -> int:
         return 0
     if not arguments.scenarios:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
+
+    from auv_mcm.outputs import write_json
+    from sim_replay.hil.run import run_scenario  # needs the bench extra, which a list does not
+    from sim_replay.hil.verdict import as_table, judge
+
     failed = []
     for read in [read_scenario(name) for name in arguments.scenarios]:
         folder = arguments.out / read.name

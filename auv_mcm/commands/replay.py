@@ -29,7 +29,10 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
     add_config_option(parser)
     parser.add_argument(
-        "--exhaustive", action="store_true", help="skip nothing: every stage looks at everything (slower; same contacts, for checking)"
+        "--exhaustive",
+        action="store_true",
+        help="give the cascade no budget, and score tiles that hold nothing but masked or near-nadir pixels too; the contacts are the same "
+        "wherever the budget suffices. What the stages reject early stays rejected",
     )
     parser.add_argument(
         "--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work; the contacts are the same (default 1)"

@@ -36,7 +36,6 @@ def add(commands: Commands) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     from msgspec.structs import replace
 
-    from sim_replay.simulate import simulate
     from sim_replay.simulator.scene_file import named_scenes, read_scene
 
     if arguments.list:
@@ -44,6 +43,9 @@ def _run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.scene is None or arguments.out is None:
         raise UsageError("a SCENE and --out DIR are needed; 'auv-mcm simulate --help' explains")
+
+    from sim_replay.simulate import simulate  # needs the bench extra, which a list does not
+
     scene = read_scene(arguments.scene)
     if arguments.seed is not None:
         scene = replace(scene, seed=arguments.seed)

@@ -192,7 +192,8 @@ class LookAgain:
         for contact_id, reason in proposal.refused:
             if contact_id not in self._told:
                 self._told.add(contact_id)
-                self._notices.append(Notice(code="look_refused", text=f"no second look at {contact_id} is proposed: {reason}"))
+                text = f"no second look at {contact_id} is proposed: {reason}"
+                self._notices.append(Notice(code="look_refused", text=text, for_the_record="report it" not in reason))
         if proposal.area is not None:
             self.area = proposal.area
             if code := next((code for begin, code in _CODES.items() if self.area.verdict.startswith(begin)), ""):
@@ -246,7 +247,7 @@ class LookAgain:
         looks.n_flown, looks.n_vain, looks.flown_s = looks.n_flown + 1, looks.n_vain + 1, now_s
         if looks.is_given_up:
             text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not asked for any more"
-            self._notices.append(Notice(code="look_given_up", text=text))
+            self._notices.append(Notice(code="look_given_up", text=text, for_the_record=True))
 
 
 def _legs(waypoints: tuple[Waypoint, ...]) -> list[_Leg]:

@@ -19,7 +19,9 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import read_model
 from auv_mcm.records import SEABED_TYPES, SeabedType
 
 Array: TypeAlias = NDArray[np.float64]
@@ -162,6 +164,11 @@ def parse_performance(data: bytes, place: str) -> Performance:
         return msgspec.json.decode(data, type=Performance)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate performance'") from error
+
+
+def configured_performance(config: Config) -> Performance:
+    """Read the tables that `detect.performance` names. Raises BadInputError for a file that cannot be read or is not such tables."""
+    return read_model("detect.performance", config.detect.performance, parse_performance, shipped_performance)
 
 
 def shipped_performance() -> Performance:

@@ -15,7 +15,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import read_model
 from auv_mcm.records import SEABED_TYPES, SeabedType
 from auv_mcm.seabed.features import NAMES
 
@@ -134,6 +136,11 @@ def parse_seabed_model(data: bytes, place: str) -> SeabedModel:
         return msgspec.json.decode(data, type=SeabedModel)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate seabed'") from error
+
+
+def configured_seabed_model(config: Config) -> SeabedModel:
+    """Read the model that `detect.seabed_model` names. Raises BadInputError for a file that cannot be read or is not a model."""
+    return read_model("detect.seabed_model", config.detect.seabed_model, parse_seabed_model, shipped_seabed_model)
 
 
 def shipped_seabed_model() -> SeabedModel:

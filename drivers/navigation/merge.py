@@ -326,8 +326,9 @@ class NavMerge:
             return []  # nothing failed: the units start one after the other
         why = "which is better and has been healthy for a while"
         if not before.is_healthy(self._now_s):
-            why = f"because '{before.source}' gave none"
-        return [Notice(code="nav_source_changed", text=f"{quantity} is taken from '{now.source}' now, {why}")]
+            why = f"because '{before.source}' gave none for {before.valid_s:g} s. Check its cable and its power."
+        text = f"{quantity} is taken from '{now.source}' now, {why}"
+        return [Notice(code="nav_source_changed", text=text, for_the_record=before.is_healthy(self._now_s))]
 
     def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
         """Set a unit that does not serve beside the one that does."""

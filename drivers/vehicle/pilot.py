@@ -365,4 +365,4 @@ class Pilot(Generic[W]):
 
     def _tell(self, code: str, text: str, level: int) -> None:
         log.log(level, "%s", text)
-        self._notices.append(Notice(code=code, text=text))
+        self._notices.append(Notice(code=code, text=text, for_the_record=level < logging.WARNING))

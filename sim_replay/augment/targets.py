@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
-from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from auv_mcm.strict_yaml import explained, load_mapping, read_text
 from sim_replay.augment.track import Track
 from sim_replay.simulator.objects import USUAL, Placed
 from sim_replay.simulator.scene import TARGET_KINDS
@@ -124,7 +124,7 @@ def parse_spec(text: str, place: str) -> TargetSpec:
     try:
         spec = msgspec.convert(data, TargetSpec)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}") from error
+        raise UsageError(f"{place}: {explained(error, TargetSpec)}") from error
     for reason in _contradictions(spec):
         raise UsageError(f"{place}: {reason}")
     return spec

@@ -21,8 +21,9 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import look_closely
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
-from auv_mcm.detect.cascade.choose import NONE, SHIPPED
+from auv_mcm.detect.cascade.choose import NONE
 from auv_mcm.errors import UsageError
+from auv_mcm.model_file import SHIPPED
 from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping

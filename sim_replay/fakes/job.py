@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName, SonarName
-from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from auv_mcm.strict_yaml import explained, load_mapping, read_text
 from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleName
 from drivers.links.uri import BAUD_RATES, CAN_BITRATES
 from sim_replay.fakes.faults import FaultRates
@@ -163,7 +163,8 @@ class VehicleJob(_Told, frozen=True, kw_only=True):
 def read_job(path: Path) -> Job | VehicleJob:
     """A job from a YAML file: a vehicle's if it names `devices`. Raises UsageError with the key's path for what is not understood."""
     data = load_mapping(read_text(path, "job of a fake device"), str(path), "expected keys such as 'name:' and 'device:'")
+    kind: type[Job] | type[VehicleJob] = VehicleJob if "devices" in data else Job
     try:
-        return msgspec.convert(data, VehicleJob) if "devices" in data else msgspec.convert(data, Job)
+        return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{path}: {keyed(error)}") from error
+        raise UsageError(f"{path}: {explained(error, kind)}") from error

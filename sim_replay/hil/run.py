@@ -43,6 +43,8 @@ SERVICE_LOG: Final = "service.log"
 _READY_S: Final = 60.0  # for a process to come up on a computer that has much else to do
 _SETTLE_S: Final = 0.5  # for the service to open its ports
 _GRACE_S: Final = 5.0
+_DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units count as silent after 1.5 s
+_AFTERMATH_S: Final = 1.5  # for the service to say what it makes of a fault
 _ALONE_S: Final = 4.0  # of a vehicle after the service's end, to see that it goes on by itself
 _TAIL_LINES: Final = 5
 _PR_SET_PDEATHSIG: Final = 1
@@ -184,6 +186,9 @@ class _Run:
     async def _over(self, devices: Sequence[_Process], left_s: float) -> None:
         """Returns when the run is over."""
         rule = self._scenario.ends_after
+        if rule is None and self._scenario.vehicle is None:
+            await self._played(devices, left_s)
+            return
         if rule is None:
             await asyncio.sleep(left_s)
             return
@@ -193,6 +198,25 @@ class _Run:
             task.cancel()
         if any(task.exception() is None for task in done):
             await asyncio.sleep(rule.after_s)
+
+    async def _played(self, devices: Sequence[_Process], left_s: float) -> None:
+        """Wait until every device has played its mission and every fault has ended, for `left_s` seconds at most.
+
+        A device that has nothing more to play is silent, which the service would rightly report as a fault.
+        """
+        faults = [fault for device in self._scenario.devices.values() for fault in device.faults]
+        step = self._scenario.host_clock_step
+        last_s = max([fault.at_s + (fault.for_s or 0.0) for fault in faults] + [0.0 if step is None else step.at_s])
+        ends_s = time.monotonic() + left_s
+        earliest_s = ends_s - self._scenario.run_s + last_s + _AFTERMATH_S
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                for device in devices:
+                    tasks.create_task(device.said('"what": "done"', left_s))
+            ends_s = min(ends_s, max(time.monotonic() + _DRAIN_S, earliest_s))
+        except* HardwareError:
+            pass  # longer than the run, or a device ended, which says why in its log and fails its expectations
+        await asyncio.sleep(max(0.0, ends_s - time.monotonic()))
 
 
 class _Process:

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from auv_mcm.config import Config, parse_config
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from auv_mcm.strict_yaml import explained, load_mapping, read_text
 from sim_replay.fakes.job import Device
 
 SCENARIOS: Final = Path(__file__).parent / "scenarios"
@@ -224,10 +224,11 @@ class Scenario(_Told, frozen=True, kw_only=True):
 
     With a vehicle's controller among the devices all of them are aboard one vehicle, which flies in the scene as it is told.
 
-    speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop, at most where
-    ends_after makes it earlier. service: its configuration; the link of a port is the name of its device in braces. file_limit_bytes: no
-    file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its results must be left. host_clock_step:
-    what the service takes for this computer's UTC steps. kill: the service, while the devices go on.
+    speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop, at most: it is
+    earlier where ends_after makes it so, and where no vehicle is aboard once all devices have played the mission. service: its
+    configuration; the link of a port is the name of its device in braces. file_limit_bytes: no file of the service, once it is ready, grows
+    beyond it, as on a disk that is full; room for its results must be left. host_clock_step: what the service takes for this computer's UTC
+    steps. kill: the service, while the devices go on.
     """
 
     about: Annotated[str, Meta(min_length=1)]
@@ -284,7 +285,7 @@ def parse_scenario(text: str, place: str) -> Scenario:
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}; {_EXAMPLE}") from error
+        raise UsageError(f"{place}: {explained(error, Scenario)}; {_EXAMPLE}") from error
     for problem in _contradictions(scenario):
         raise UsageError(f"{place}: {problem}")
     service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), place)

@@ -85,6 +85,7 @@ def render_report(
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
     told = cards(ranked, strips, waypoints)
+    notices = list(notices)
     return environment.get_template("report.html.j2").render(
         style=Markup((folder / "report.css").read_text(encoding="utf-8")),
         title=mission.name or "Mission report",
@@ -104,7 +105,8 @@ def render_report(
         legs=[point for point in waypoints if point.kind == "leg_exit"],
         counters=words.explained(counters, words.is_loss),
         counted=words.explained(counters, lambda name: not words.is_loss(name)),
-        notices=_by_code(notices),
+        notices=_by_code([notice for notice in notices if not notice.for_the_record]),
+        remarks=_by_code([notice for notice in notices if notice.for_the_record]),
         costs=_costs(mission.costs),
         words=words,
     )

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import keyed, load_mapping, read_text
+from auv_mcm.strict_yaml import explained, load_mapping, read_text
 from sim_replay.benches.scenes import FIRST_SEED, config_for
 from sim_replay.simulator.objects import USUAL
 from sim_replay.simulator.plan import swath_m
@@ -158,7 +158,7 @@ def parse_spec(text: str, place: str) -> Spec:
     try:
         spec = msgspec.convert(data, Spec)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {keyed(error)}. See sim_replay/training/default.yaml for an example") from error
+        raise UsageError(f"{place}: {explained(error, Spec)}. See sim_replay/training/default.yaml for an example") from error
     for reason in _contradictions(spec):
         raise UsageError(f"{place}: {reason}")
     return spec

@@ -213,6 +213,15 @@ class Slow(Base):
         return super().feed(event)
 
 
+class Pondering(Base):
+    """Works on ping 5 for many of the tests' health periods."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            time.sleep(0.5)
+        return super().feed(event)
+
+
 class Stuck(Base):
     """Never ends its work."""
 

@@ -62,6 +62,38 @@ def test_bad_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFi
     assert ended.value.code == 2
 
 
+@pytest.mark.parametrize(
+    ("arguments", "usage", "message"),
+    [
+        (["replay", "a.xtf", "--out", "o", "--thread-count", "2"], "replay", "unrecognized arguments: --thread-count"),
+        (["check", "--confg=vehicle.yaml"], "check", "did you mean --config?"),
+        (["calibrate", "budget", "--speed", "2", "--sped", "2"], "calibrate budget", "did you mean --speed?"),
+        (["train", "--out", "o.json", "--worker-count", "3"], "train", "unrecognized arguments: --worker-count"),
+        (["--verbose", "check"], "", "unrecognized arguments: --verbose"),
+    ],
+)
+def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
+    arguments: list[str], usage: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    text = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert text.startswith(f"usage: auv-mcm {usage} [-h]".replace("  ", " "))
+    assert message in text
+
+
+@pytest.mark.parametrize("separator", [[], ["--"]])
+def test_train_takes_an_option_as_its_first_argument(
+    separator: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr("sim_replay.training.command.train_model", lambda spec, out, **_: asked.append((spec, out)))
+    assert main(["train", *separator, "--out", str(tmp_path / "model.json")]) == 0
+    assert asked == [(None, tmp_path / "model.json")]
+    assert "model.json" in capsys.readouterr().out
+
+
 def test_module_and_version() -> None:
     assert run("--version").stdout == f"auv-mcm {__version__}\n"
 
@@ -113,9 +145,20 @@ def test_config_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_check_tells_of_every_part_and_passes_here(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check"]) == 0
     text = capsys.readouterr().out
-    parts = ("python", "numpy", "C kernels", "simulator kernels", "configuration", "output directory", "perception process", "all good")
+    parts = (
+        "python",
+        "numpy",
+        "mcap",
+        "C kernels",
+        "simulator kernels",
+        "configuration",
+        "clock",
+        "output directory",
+        "perception process",
+    )
     for part in parts:
         assert part in text
+    assert text.splitlines()[-1].startswith(("all good", "nothing failed, "))
 
 
 def test_check_of_a_bad_configuration_is_exit_code_5_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -133,6 +176,44 @@ def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsy
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "peer=" in line]
     assert line.startswith("warning port pilot")
     assert "grant control" in line
+
+
+@pytest.mark.parametrize(
+    ("config", "name", "says"),
+    [
+        ("ports: [{name: nav, link: 'serial:///dev/ttyNONE9?baud=4800', device: nmea0183}]", "port nav", "/dev/ttyNONE9: no such device"),
+        ("service: {source: ports}", "configuration", "service.source is ports, but there are none"),
+        ("service: {source: 'replay:///no/such/mission.xtf'}", "configuration", "/no/such/mission.xtf does not exist"),
+        ("service: {output_directory: /proc/self/status}", "output directory", "is not a directory"),
+        ("detect: {performance: /no/such/tables.json}", "models", "detect.performance /no/such/tables.json: No such file"),
+    ],
+)
+def test_check_of_what_a_mission_would_fail_by_is_exit_code_5(
+    config: str, name: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "c.yaml").write_text(config)
+    assert main(["check", "--config", str(tmp_path / "c.yaml")]) == 5
+    failed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("FAILED")]
+    assert name in failed[0]
+    assert says in failed[0]
+
+
+@pytest.mark.parametrize("module", ["mcap", "msgspec", "yaml", "numpy"])
+def test_check_finds_a_base_package_that_cannot_be_imported(module: str) -> None:
+    code = f"import sys; sys.modules['{module}'] = None; from auv_mcm.cli import main; sys.exit(main(['check']))"
+    done = run(code=code)
+    assert done.returncode == 5, done.stderr
+    assert "Traceback" not in done.stderr
+    failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
+    assert any("cannot be imported" in line and "python -m pip install auv-mcm" in line for line in failed)
+
+
+def test_the_check_of_the_payload_does_not_import_the_simulator() -> None:
+    code = (
+        "import sys, auv_mcm.check as check; check.has_extra = lambda extra: False\n"
+        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if name.startswith('sim_replay')])"
+    )
+    assert run(code=code).stdout.splitlines()[-1] == "[]"
 
 
 def test_check_notices_kernels_that_disagree(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,6 +251,27 @@ def test_without_the_bench_extra_replay_says_what_to_install() -> None:
     done = run(code=code)
     assert done.returncode == 2
     assert done.stderr == "auv-mcm: this command needs the package pyxtf: python -m pip install 'auv-mcm[bench]'\n"
+
+
+@pytest.mark.parametrize("command", ["simulate", "hil"])
+def test_lists_need_no_bench_extra(command: str) -> None:
+    without = "import sys; sys.modules.update(dict.fromkeys(('pyxtf', 'rich', 'matplotlib', 'jinja2', 'dask', 'distributed')))"
+    done = run(code=f"{without}; from auv_mcm.cli import main; sys.exit(main(['{command}', '--list']))")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(done.stdout.splitlines()) > 5
+
+
+def test_without_a_base_package_run_says_what_to_install(tmp_path: Path) -> None:
+    port = "{name: a, link: 'udp://127.0.0.1:0?peer=127.0.0.1:9', device: nmea0183}"
+    (tmp_path / "c.yaml").write_text(f"service: {{source: ports, output_directory: '{tmp_path / 'out'}'}}\nports: [{port}]")
+    without = "import sys; sys.modules.update({'mcap': None, 'mcap.writer': None}); from auv_mcm.cli import main"
+    # Perception is spawned, and imports the main module anew.
+    (tmp_path / "main.py").write_text(f"if __name__ == '__main__':\n    {without}; sys.exit(main(sys.argv[1:]))\n")
+    command = [sys.executable, str(tmp_path / "main.py"), "run", "--config", str(tmp_path / "c.yaml")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1] == "auv-mcm: the package mcap is missing: python -m pip install auv-mcm"
 
 
 def test_a_reader_that_has_seen_enough_is_no_error() -> None:

@@ -153,3 +153,39 @@ def test_numbers_and_words_mean_what_they_say() -> None:
 def test_no_text_raises_anything_else(text: str) -> None:
     with contextlib.suppress(UsageError):
         parse_config(text, "f.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("sonar: {max_rangem: 3}", "at `sonar` (did you mean `max_range_m`?)"),
+        ("detect: {max_range_m: 3}", "at `detect` (did you mean `sonar.max_range_m`?)"),
+        ("plann: {cell_m: 3}", "(did you mean `plan`?)"),
+        ("ports: [{name: a, link: x, device: imc, imc: {own_plam: true}}]", "at `ports[0].imc` (did you mean `own_plan`?)"),
+        ("service: {zzz: 1}", "(known there: queue_pings, health_period_s, source, record, output_directory)"),
+    ],
+)
+def test_a_misspelt_key_is_refused_with_the_one_that_was_meant(text: str, hint: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(hint)):
+        parse_config(text, "f.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("sonar: {transfer: guess}", "(valid: amplitude, auto, intensity, log)"),
+        ("sonar: {transfer: 3}", "(valid: amplitude, auto, intensity, log)"),
+        (
+            "ports: [{name: a, link: x, device: pingprotocol}]",
+            "(did you mean ping_protocol? valid: jsf, ping_protocol, sportscan, nmea0183, ",
+        ),
+        (
+            "ports: [{name: a, link: x, device: pd6, navigation: {delivers: [positon]}}]",
+            "(did you mean position? valid: altitude, attitude, ",
+        ),
+        ("ports: [{name: a, link: x, device: pd6, navigation: {heading_sign: 2}}]", "(valid: -1, 1)"),
+    ],
+)
+def test_a_wrong_choice_is_refused_with_all_valid_ones(text: str, values: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(values)):
+        parse_config(text, "f.yaml")

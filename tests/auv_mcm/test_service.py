@@ -25,7 +25,7 @@ from auv_mcm.config import Config, ServiceConfig
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.liaison import VehicleEnd
 from auv_mcm.outputs import Journal
-from auv_mcm.records import NavSample, Ping, SourceEvent
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.recovery import BALLAST_BYTES, RECORDING, Ballast
 from auv_mcm.service import EventQueue, Record, Service, parse_source_uri
 from auv_mcm.worker import MakePipeline, PerceptionError
@@ -276,6 +276,26 @@ def test_a_slow_pipeline_makes_a_live_source_lose_pings_and_counts_them(tmp_path
     counters = summary(results)["counters"]
     assert counters["ping.received"] + counters["service.ping_dropped"] == 300
     assert counters["service.ping_dropped"] > 0
+
+
+@pytest.mark.parametrize(("lossless", "warns"), [(True, False), (False, True)])
+def test_perception_at_work_is_a_warning_only_where_pings_may_be_lost(
+    lossless: bool, warns: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    serve(tmp_path, Events(mission(100), lossless=lossless), fake.Pondering, queue_pings=128)
+    warned = [record for record in caplog.records if record.levelname == "WARNING" and "although pings wait" in record.message]
+    assert bool(warned) == warns
+
+
+def test_what_asks_nothing_of_a_person_is_a_remark_and_no_notice(tmp_path: Path) -> None:
+    asked = Notice(code="port_down", text="port 'nav' is down. Check its cable.", place="nav")
+    for_the_record = Notice(code="utc_taken", text="UTC is that of 'nav'", place="nav", for_the_record=True)
+    lines: list[str] = []
+    results = serve(tmp_path, Events([asked, for_the_record, *mission(3)]), console=lines.append)
+    told = summary(results)
+    assert [line for line in lines if line.startswith("notice")] == ["notice port_down: port 'nav' is down. Check its cable. (nav)"]
+    assert [notice["code"] for notice in told["notices"]] == ["port_down"]
+    assert told["remarks"] == [{"code": "utc_taken", "text": "UTC is that of 'nav'", "place": "nav"}]
 
 
 def test_stop_works_off_what_is_queued_and_loses_no_contact(tmp_path: Path) -> None:

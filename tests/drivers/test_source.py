@@ -213,6 +213,7 @@ def test_states_are_told_and_shown() -> None:
     )
     told = [event for event in bench.events if isinstance(event, Notice) and event.place == "sonar"]
     assert [notice.code for notice in told][:4] == ["port_up", "port_silent", "port_up", "port_down"]
+    assert [notice.for_the_record for notice in told][:4] == [True, False, False, False], "a port that opens asks nothing of anybody"
     assert "the wire was pulled; plug it in again" in told[3].text
 
 

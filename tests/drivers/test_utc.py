@@ -74,6 +74,7 @@ def test_pings_and_navigation_are_in_the_utc_of_zda_however_wrong_this_computers
     streams = [host_steps(stream, 20.0, -7000.0) for stream in (gnss, fixes, pings_at(TIMES_S))]
     events, intake = taken_in(ZDA, *streams)
     assert told(events) == ["utc_taken"], "that this computer's clock was set in the middle is of no importance"
+    assert all(event.for_the_record for event in events if isinstance(event, Notice) and event.code == "utc_taken")
     ahead_s = ahead_of(events, TIMES_S)
     assert all(is_close(value, 0.0, 0.02) for value in ahead_s[:9])
     assert all(is_close(value, AHEAD_S, 0.01) for value in ahead_s[15:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 import pytest
@@ -198,3 +199,19 @@ def test_a_vehicle_that_cannot_fly_is_refused(old: str, new: str, named: str) ->
 def test_a_kill_that_waits_for_a_grant_needs_a_vehicle() -> None:
     with pytest.raises(UsageError, match="no vehicle"):
         parse_scenario(SOUND.replace("run_s: 5", "run_s: 5\nkill: {after_grant_s: 1, rest_s: 1}"), "my.yaml")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "hint"),
+    [
+        ("is: exit_code", "is: exitcode", "(did you mean exit_code? valid: counter, summary, notice, "),
+        ("at_least: 148", "atleast: 148", "(did you mean `at_least`?)"),
+        ("link: serial,", "link: seriel,", "(did you mean serial? valid: serial, slcan, tcp, udp)"),
+        ("baud: 921600}", "baud: 921600, faults: [{do: unplgu, at_s: 3}]}", "(did you mean unplug? valid: unplug, power_off, "),
+    ],
+)
+def test_a_mistake_in_a_scenario_is_refused_with_what_was_meant(right: str, wrong: str, hint: str) -> None:
+    text = (SCENARIOS / "clean.yaml").read_text()
+    assert right in text
+    with pytest.raises(UsageError, match=re.escape(hint)):
+        parse_scenario(text.replace(right, wrong), "f.yaml")

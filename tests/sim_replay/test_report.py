@@ -68,6 +68,15 @@ def test_likely_contacts_come_first_and_clutter_is_folded_away() -> None:
     assert text.index("<details", places[1]) < places[2]
 
 
+def test_only_what_asks_for_something_stands_under_please_note() -> None:
+    remark = Notice(code="detect.cascade", text="the detector is a cascade", for_the_record=True)
+    text = full_page(notices=[remark])
+    assert "Please note" not in text
+    assert text.index('id="how"') < text.index("the detector is a cascade")
+    text = full_page(notices=[remark, Notice(code="port_down", text="check the cable")])
+    assert text.index("Please note") < text.index("check the cable") < text.index('id="how"') < text.index("the detector is a cascade")
+
+
 def test_what_a_person_reads_is_in_words_with_units() -> None:
     text = Page(full_page()).text
     for expected in (

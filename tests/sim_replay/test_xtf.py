@@ -93,6 +93,7 @@ def test_the_order_of_port_samples_is_seen(tmp_path: Path, stored_far_to_near: b
     assert all(same_trace(p.port, q.port) for p, q in zip(pings_of(events), pings, strict=True))
     (notice,) = [event for event in events if isinstance(event, Notice)]
     assert notice.code == "reader.port_order"
+    assert notice.for_the_record, "an order that was seen needs nobody to set it"
     assert ("far_to_near" if stored_far_to_near else "near_to_far") in notice.text.split("(")[0]
 
 
@@ -453,3 +454,15 @@ def test_joined_logs_are_read_as_one(tmp_path: Path) -> None:
     assert log.counters["reader.sample_type_change"] == 2
     assert {"reader.joined_log", "reader.sample_type_change"} <= set(codes_of(events))
     assert all(same_trace(p.port, q.port) for p, q in zip(pings[:3], pings_of(mission(3)), strict=True))
+
+
+def test_what_the_reader_mends_is_for_the_record_and_what_it_asks_for_is_a_notice(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", navigated([ping(n, time_s=START_S + n // 2) for n in range(8)]))
+
+    def fill(header: Any) -> None:
+        header.ChanInfo[0].OffsetX = 1.5
+
+    edit_file_header(path, fill)
+    events, _ = read(path, sound_speed_mps=1480.0)
+    told = {event.code: event.for_the_record for event in events if isinstance(event, Notice)}
+    assert told == {"reader.sound_speed_overridden": True, "reader.time_tied": True, "reader.mounting_not_applied": False}

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from importlib import resources
-from pathlib import Path
 from typing import Final
 
 from auv_mcm.config import Config
 from auv_mcm.detect.cascade.model import CascadeModel, fits_sonar, parse_model
-from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import read_model
 from auv_mcm.records import Notice
-from auv_mcm.safe_files import open_regular
 
-SHIPPED: Final = "shipped"
 NONE: Final = "none"
 _FILE: Final = "model.json"
 
@@ -22,16 +19,7 @@ def configured_model(config: Config) -> CascadeModel | None:
     name = config.detect.model
     if name == NONE:
         return None
-    if name == SHIPPED:
-        return shipped_model()
-    try:
-        with open_regular(Path(name)) as file:
-            data = file.read()
-    except OSError as error:
-        raise BadInputError(
-            f"detect.model {name}: {error.strerror}. Name a model file, or '{SHIPPED}' for the one of the package, or '{NONE}'"
-        ) from error
-    return parse_model(data, name)
+    return read_model("detect.model", name, parse_model, shipped_model, f", or '{NONE}'")
 
 
 def shipped_model() -> CascadeModel:
@@ -43,16 +31,15 @@ def fitting(model: CascadeModel | None, config: Config) -> tuple[CascadeModel | 
     """The model if it fits the pixels configured, and a notice of which detector serves and why."""
     row_m, column_m = config.waterfall.row_spacing_m, config.waterfall.column_spacing_m
     if model is None:
-        return None, Notice(code="detect.contrast", text="detect.model is none: contrasts alone serve as detector", place="")
+        return None, Notice(code="detect.contrast", text="detect.model is none: contrasts alone are the detector", for_the_record=True)
     if not fits_sonar(model, row_m, column_m):
         text = (
             f"pixels of {row_m:g} x {column_m:g} m are none that the model was trained for ({_span(model.row_spacing_m)} x "
             f"{_span(model.column_spacing_m)} m): contrasts alone serve as detector. Choose pixels within, or train a model for these"
         )
         return None, Notice(code="detect.model_does_not_fit", text=text, place=config.detect.model)
-    return model, Notice(
-        code="detect.cascade", text=f"a cascade trained on {model.trained_on} serves as detector", place=config.detect.model
-    )
+    text = f"the detector is a cascade trained on {model.trained_on}"
+    return model, Notice(code="detect.cascade", text=text, place=config.detect.model, for_the_record=True)
 
 
 def _span(limits_m: tuple[float, float]) -> str:

@@ -29,6 +29,7 @@ def test_none_means_contrasts_alone() -> None:
     model, notice = fitting(None, Config())
     assert model is None
     assert notice.code == "detect.contrast"
+    assert notice.for_the_record
 
 
 @pytest.mark.parametrize("data", [None, b"", b"{}", b'{"format_version": 99}', b"\xff\xfe", encode_model(MODEL)[:-200]])
@@ -55,8 +56,10 @@ def test_the_model_serves_for_pixels_that_it_was_trained_for_and_for_no_others()
     model, notice = fitting(MODEL, Config())
     assert model is MODEL
     assert notice.code == "detect.cascade"
+    assert notice.for_the_record
     model, notice = fitting(MODEL, Config(waterfall=WaterfallConfig(column_spacing_m=0.5)))
     assert model is None
     assert notice.code == "detect.model_does_not_fit"
+    assert not notice.for_the_record
     assert "0.12 x 0.5 m" in notice.text
     assert "train a model" in notice.text

@@ -146,7 +146,8 @@ def test_a_contact_that_two_legs_show_nothing_new_of_is_given_up() -> None:
         mission.now_s += WAIT_FOR_VIEW_S
         assert len(mission.proposed) == 2 * n_flown
     assert not any(mission.plan(100.0) for _ in range(20))
-    assert [notice.code for notice in mission.look_again.take_notices()] == ["look_given_up"]
+    (notice,) = mission.look_again.take_notices()
+    assert (notice.code, notice.for_the_record) == ("look_given_up", True)
 
 
 @pytest.mark.parametrize(("upto", "counts"), [(0.4, False), (0.7, True)])

@@ -168,6 +168,8 @@ def test_the_better_unit_serves_and_the_other_takes_over_when_it_is_silent() -> 
     assert all(value == 1.0 for t, value in served if t < 9.95 or t > 20.0)
     assert all(value == 1.02 for t, value in served if 11.45 < t < 19.9), "a good unit that is back has to stay for 5 s first"
     assert [notice.code for notice in notices] == ["nav_source_changed"] * 2
+    assert [notice.for_the_record for notice in notices] == [False, True], "that the better unit is back asks nothing of anybody"
+    assert "Check its cable" in notices[0].text
 
 
 @pytest.mark.parametrize(("first_s", "taken_s"), [(0.3, 0.3), (4.0, 4.0), (8.0, 13.0)])

@@ -152,7 +152,8 @@ def test_a_plan_is_flown_and_control_returned(capabilities: Capability) -> None:
     assert all(isinstance(command, kind) for _, command in sea.dialect.commands)
     assert {command.vertical for _, command in sea.dialect.commands} == {Vertical("altitude", 5.0)}
     assert sea.pilot.counters["vehicle.plans_flown"] == 1
-    assert sea.codes() == ["vehicle_control_granted", "vehicle_control_returned"]
+    remarks = [(notice.code, notice.for_the_record) for notice in sea.pilot.take_notices()]
+    assert remarks == [("vehicle_control_granted", True), ("vehicle_control_returned", True)]
 
 
 def test_commands_are_repeated_in_time_and_changed_at_once() -> None:

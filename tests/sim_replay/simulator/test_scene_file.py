@@ -82,7 +82,7 @@ def test_an_unknown_name_lists_those_there_are(tmp_path: Path) -> None:
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_bytes(b"track: \xff\xfe")
-    with pytest.raises(UsageError, match="no UTF-8"):
+    with pytest.raises(UsageError, match="not UTF-8"):
         read_scene(str(path))
     with pytest.raises(UsageError, match="cannot be read"):
         read_scene(str(tmp_path))

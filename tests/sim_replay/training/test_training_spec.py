@@ -177,7 +177,7 @@ def test_a_spec_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.yaml cannot be read"):
         read_spec(tmp_path / "none.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"scenes: [\xe9]")
-    with pytest.raises(UsageError, match="no UTF-8 text"):
+    with pytest.raises(UsageError, match="not UTF-8 text"):
         read_spec(tmp_path / "latin.yaml")
 
 

@@ -1,0 +1,30 @@
+"""A fitted model that a configuration key names: the one that ships with the package, or a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, TypeVar
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import open_regular
+
+SHIPPED: Final = "shipped"
+Model = TypeVar("Model")
+
+
+def read_model(key: str, name: str, parse: Callable[[bytes, str], Model], shipped: Callable[[], Model], else_: str = "") -> Model:
+    """Read the model that a configuration key names: `shipped`, or the path of a file.
+
+    key: for messages, e.g. detect.model. parse: bytes and the place for messages to a model. else_: for messages, other names that the key
+    takes. Raises BadInputError naming key and file where it cannot be read, and as parse does.
+    """
+    if name == SHIPPED:
+        return shipped()
+    try:
+        with open_regular(Path(name)) as file:
+            data = file.read()
+    except OSError as error:
+        message = f"{key} {name}: {error.strerror}. Name a model file, or '{SHIPPED}' for the one of the package{else_}"
+        raise BadInputError(message) from error
+    return parse(data, f"{key} {name}")

@@ -1,0 +1,185 @@
+"""The self-check of ports: what is there, whether it speaks, and what it says; a port in use is left alone."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.check.finding import Finding
+from auv_mcm.config import parse_config
+from auv_mcm.records import NavSample
+from drivers.links.serial_port import open_serial
+from drivers.port_check import port_findings
+from sim_replay.fakes.navigation import NAVIGATION_UNITS
+from sim_replay.fakes.port import FakePort
+
+LISTEN_S = 0.6
+SAMPLE = NavSample(
+    time_s=1.0, latitude_deg=43.0, longitude_deg=5.0, heading_rad=0.3, pitch_rad=0.0, roll_rad=0.0, depth_m=2.0, altitude_m=5.0
+)
+
+
+def findings(ports: str) -> list[Finding]:
+    return list(port_findings(parse_config(f"ports: [{ports}]", "c.yaml"), LISTEN_S))
+
+
+def serial(path: Path, device: str, more: str = "") -> str:
+    return f"{{name: one, link: 'serial://{path}?baud=115200', device: {device}{more}}}"
+
+
+@asynccontextmanager
+async def spoken(path: Path, says: Callable[[], list[bytes]], every_s: float = 0.05) -> AsyncIterator[FakePort]:
+    """A device that says the same again and again."""
+    port = FakePort(path, 115200)
+    port.plug()
+
+    async def speak() -> None:
+        while True:
+            for message in says():
+                await port.send(message)
+            await asyncio.sleep(every_s)
+
+    speaking = asyncio.ensure_future(speak())
+    try:
+        yield port
+    finally:
+        speaking.cancel()
+        await asyncio.wait({speaking})
+        port.unplug()
+
+
+def of_unit(name: str) -> Callable[[], list[bytes]]:
+    unit = NAVIGATION_UNITS[name]()
+    n_told = 0
+
+    def says() -> list[bytes]:
+        nonlocal n_told
+        n_told += 1
+        return [message for message in unit.measured(SAMPLE, 1_700_000_000.0 + 0.1 * n_told) if isinstance(message, bytes)]
+
+    return says
+
+
+def checked(path: Path, says: Callable[[], list[bytes]], ports: str) -> Finding:
+    async def run() -> Finding:
+        async with spoken(path, says):
+            return (await asyncio.to_thread(findings, ports))[0]
+
+    return asyncio.run(run())
+
+
+def test_a_serial_port_that_does_not_exist_is_a_failure_that_names_it(tmp_path: Path) -> None:
+    (found,) = findings(serial(tmp_path / "ttyUSB9", "nmea0183"))
+    assert found.verdict == "FAILED"
+    assert found.name == "port one"
+    assert f"{tmp_path}/ttyUSB9: no such device" in found.detail
+    assert "ls -l /dev/serial/by-id" in found.detail
+
+
+def test_a_unit_that_speaks_as_configured_is_sound(tmp_path: Path) -> None:
+    found = checked(tmp_path / "tty", of_unit("nmea0183"), serial(tmp_path / "tty", "nmea0183"))
+    assert found.verdict == "ok"
+    assert "messages of 'nmea0183'" in found.detail
+
+
+def test_a_unit_at_the_wrong_port_is_told_by_what_it_says(tmp_path: Path) -> None:
+    found = checked(tmp_path / "tty", of_unit("pd6"), serial(tmp_path / "tty", "nmea0183"))
+    assert found.verdict == "FAILED"
+    assert "they are messages of 'pd6'. Set device: pd6, or change the cables" in found.detail
+
+
+def test_noise_as_of_a_wrong_rate_is_a_failure_that_names_the_rate(tmp_path: Path) -> None:
+    found = checked(tmp_path / "tty", lambda: [b"\x00\xf8\x80\xfe"], serial(tmp_path / "tty", "nmea0183"))
+    assert found.verdict == "FAILED"
+    assert "115200 baud" in found.detail
+
+
+def test_a_silent_unit_is_a_failure_and_a_sonar_that_waits_for_commands_a_warning(tmp_path: Path) -> None:
+    unit = checked(tmp_path / "tty", list, serial(tmp_path / "tty", "nmea0183"))
+    assert (unit.verdict, "nothing was heard" in unit.detail) == ("FAILED", True)
+    heard: list[bytes] = []
+
+    async def run() -> Finding:
+        async with spoken(tmp_path / "tty", list) as port:
+            port.on_bytes = heard.append
+            return (await asyncio.to_thread(findings, serial(tmp_path / "tty", "ping_protocol", ", sonar: {range_m: 30}")))[0]
+
+    sonar = asyncio.run(run())
+    assert (sonar.verdict, "may wait for the commands" in sonar.detail) == ("warning", True)
+    assert heard == [], "a check sends nothing"
+
+
+def test_a_serial_port_that_a_service_has_open_is_left_alone_with_every_byte(tmp_path: Path) -> None:
+    async def run() -> tuple[Finding, bytes, bytes]:
+        said = b""
+
+        def says() -> list[bytes]:
+            nonlocal said
+            said += b"$TEST\r\n"
+            return [b"$TEST\r\n"]
+
+        port = FakePort(tmp_path / "tty", 115200)
+        port.plug()
+        service = await open_serial(str(tmp_path / "tty"), 115200, Counter())
+        checking = asyncio.ensure_future(asyncio.to_thread(findings, serial(tmp_path / "tty", "nmea0183")))
+        while not checking.done():
+            for message in says():
+                await port.send(message)
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(0.05)
+        heard = b"".join(service.read())
+        service.close()
+        port.unplug()
+        return checking.result()[0], said, heard
+
+    found, said, heard = asyncio.run(run())
+    assert found.verdict == "warning"
+    assert "in use by another program" in found.detail
+    assert heard == said
+
+
+def test_a_tcp_device_that_a_service_is_connected_to_is_left_alone() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)), server.accept()[0]:
+            (found,) = findings(f"{{name: one, link: 'tcp://127.0.0.1:{port}', device: jsf}}")
+            server.settimeout(0.05)
+            with pytest.raises(TimeoutError):
+                server.accept()
+    assert found.verdict == "warning"
+    assert "is connected to it" in found.detail
+
+
+def test_a_tcp_device_that_refuses_and_a_can_interface_that_is_not_there_are_failures() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    refused, bus = findings(
+        f"{{name: one, link: 'tcp://127.0.0.1:{port}', device: nmea0183}}, {{name: two, link: 'socketcan://nocan0', device: nmea2000}}"
+    )
+    assert (refused.verdict, bus.verdict) == ("FAILED", "FAILED")
+    assert "refused" in refused.detail
+    assert "socketcan://nocan0" in bus.detail
+
+
+def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "tty"
+    path.touch()
+    opened = os.open
+
+    def refused(name: str | bytes | os.PathLike[str], *rest: int, **more: int) -> int:
+        if name == str(path):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))  # root, as in a test, is never refused
+        return opened(name, *rest, **more)
+
+    monkeypatch.setattr(os, "open", refused)
+    (found,) = findings(serial(path, "nmea0183"))
+    assert found.verdict == "FAILED"
+    assert "permission denied. Add the user" in found.detail
