@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
 
 from auv_mcm import __version__
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.commands import EXIT_CODES, Parser, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 
@@ -18,6 +20,9 @@ _BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed"}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # what the terminal's encoding lacks is no reason to fail
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["train", "--"]:
         del words[1]  # scripts of earlier versions need it, where options of the training come first
@@ -64,7 +69,7 @@ def _first(group: ExceptionGroup[ModuleNotFoundError]) -> Exception:
 
 
 def _fail(text: str, code: int) -> int:
-    print(f"auv-mcm: {text}", file=sys.stderr)
+    print(clean_lines(f"auv-mcm: {text}"), file=sys.stderr)
     return code
 
 

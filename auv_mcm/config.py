@@ -14,6 +14,7 @@ import msgspec
 import yaml
 from msgspec import Meta, inspect
 
+from auv_mcm.clean_text import clean, is_clean
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import ArmLength, PortConfig, check_together
 from auv_mcm.strict_yaml import explained, load_mapping
@@ -277,6 +278,7 @@ def parse_config(text: str, place: str) -> Config:
     Raises UsageError with the key's path for unknown and repeated keys, wrong types and out-of-range values.
     """
     data = load_mapping(text, place, f"expected sections such as 'sonar:' with indented keys. {_HELP}")
+    _refuse_control_characters(data, "", place)
     try:
         return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
     except msgspec.ValidationError as error:
@@ -334,6 +336,14 @@ def _without_empty(data: Any, kind: inspect.Type) -> Any:
     if isinstance(kind, inspect.VarTupleType) and isinstance(data, list):
         return [_without_empty(item, kind.item_type) for item in data]
     return data
+
+
+def _refuse_control_characters(data: Any, path: str, place: str) -> None:
+    if isinstance(data, str) and not is_clean(data):
+        raise UsageError(f"{place}: Expected one line of text without control characters, got '{clean(data)}' - at `{path}`. Write it anew")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        _refuse_control_characters(value, f"{path}.{key}" if path else str(key), place)
 
 
 def _bare(kind: inspect.Type) -> inspect.Type:

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Sequence
 from typing import Any, Final, Literal, Protocol, TypeAlias
 
+from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock
 from auv_mcm.config import Config
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
@@ -134,6 +135,7 @@ class Liaison:
         """Give control back, say why, and leave. May be called at any time; takes less than a second."""
         if self._serving is None:
             return []
+        reason = clean(reason)  # an error's words may hold those of a device or a file name
         try:
             self.release(reason)
             self._tell_health("failure", reason)

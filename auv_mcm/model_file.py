@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import open_regular
 
 SHIPPED: Final = "shipped"
 Model = TypeVar("Model")
@@ -21,8 +22,11 @@ def read_model(key: str, name: str, parse: Callable[[bytes, str], Model], shippe
     if name == SHIPPED:
         return shipped()
     try:
-        data = Path(name).read_bytes()
+        with open_regular(Path(name)) as file:
+            data = file.read()
     except OSError as error:
         message = f"{key} {name}: {error.strerror}. Name a model file, or '{SHIPPED}' for the one of the package{else_}"
         raise BadInputError(message) from error
+    except BadInputError as error:  # a pipe or a device
+        raise BadInputError(f"{key} {error}") from error
     return parse(data, f"{key} {name}")

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
+import re
+import stat
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +20,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from auv_mcm.clean_text import clean_json
 from auv_mcm.config import PlanConfig
 from auv_mcm.contacts.export import (
     contact_order,
@@ -33,12 +39,14 @@ from auv_mcm.plan.clearance import Clearance
 from auv_mcm.plan.clearance_export import BANDS, clearance_geojson
 from auv_mcm.plan.residual import remaining_mines
 from auv_mcm.records import NAN, SEABED_TYPES, Contact, CoveragePatch, NavSample, Notice, Ping, SourceEvent, Waypoint
+from auv_mcm.safe_files import open_for_append, open_regular, own_directory, replacing, sync_directory
 
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
 MAX_STEP_M: Final = 100.0
 MAX_STEP_S: Final = 60.0
 
 _SNIPPETS: Final = "snippets"
+_SNIPPET_NAME: Final = re.compile(r"C[0-9]+\.png")
 T = TypeVar("T")
 
 
@@ -148,12 +156,23 @@ def write_results(
 
     contacts, coverage: gone through several times; one at a time where they come in the order in which they are written.
     """
+    for write in result_writers(folder, contacts, coverage, waypoints, mission).values():
+        write()
+
+
+def result_writers(
+    folder: Path, contacts: Iterable[Contact], coverage: Iterable[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
+) -> dict[str, Callable[[], None]]:
+    """Give what writes each file of `write_results`, by the file's name; each raises OSError for itself."""
     contacts, coverage = _in_order(contacts, contact_order), _in_order(coverage, coverage_order)
-    _write_parts(folder / "contacts.geojson", contacts_geojson_parts(contacts))
-    _write_parts(folder / "contacts.csv", (row.encode() for row in contacts_csv_parts(contacts)))
-    _write_parts(folder / "contacts.kml", (part.encode() for part in contacts_kml_parts(contacts, mission)))
-    _write_parts(folder / "coverage.geojson", coverage_geojson_parts(coverage))
-    write_file(folder / "waypoints.geojson", waypoints_geojson(waypoints))
+    parts: dict[str, Callable[[], Iterable[bytes]]] = {
+        "contacts.geojson": lambda: contacts_geojson_parts(contacts),
+        "contacts.csv": lambda: (row.encode() for row in contacts_csv_parts(contacts)),
+        "contacts.kml": lambda: (part.encode() for part in contacts_kml_parts(contacts, mission)),
+        "coverage.geojson": lambda: coverage_geojson_parts(coverage),
+        "waypoints.geojson": lambda: [waypoints_geojson(waypoints)],
+    }
+    return {name: partial(lambda name, of: _write_parts(folder / name, of()), name, of) for name, of in parts.items()}
 
 
 def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:
@@ -209,13 +228,20 @@ def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = ""
 
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
-    """`snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, others stay."""
-    snippets = make_directory(folder / _SNIPPETS)
-    for contact_id, picture in pictures.items():
-        _write_snippet(snippets, contact_id, picture)
-    for path in snippets.glob("C[0-9]*.png"):
-        if path.stem not in pictures:
-            path.unlink()
+    """Write `snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, other files stay.
+
+    Raises OSError, also for a link in the place of `snippets`.
+    """
+    with own_directory(folder / _SNIPPETS) as snippets:
+        for contact_id, picture in pictures.items():
+            _write_snippet(snippets, contact_id, picture)
+        for name in os.listdir(snippets):
+            if (
+                _SNIPPET_NAME.fullmatch(name)
+                and name.removesuffix(".png") not in pictures
+                and stat.S_ISREG(os.stat(name, dir_fd=snippets, follow_symlinks=False).st_mode)
+            ):
+                os.unlink(name, dir_fd=snippets)
 
 
 class Snippets:
@@ -228,26 +254,33 @@ class Snippets:
     def write(self, pictures: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """Raises OSError, as on a full disk; what could not be written is tried again with the next ones."""
         self._owed |= pictures
-        self._folder.mkdir(exist_ok=True)
-        for contact_id, picture in list(self._owed.items()):
-            _write_snippet(self._folder, contact_id, picture)
-            del self._owed[contact_id]
+        with own_directory(self._folder) as snippets:
+            for contact_id, picture in list(self._owed.items()):
+                _write_snippet(snippets, contact_id, picture)
+                del self._owed[contact_id]
 
 
-def _write_snippet(snippets: Path, contact_id: str, picture: bytes) -> None:
+def _write_snippet(snippets: int, contact_id: str, picture: bytes) -> None:
     """Without waiting for the disk: there are thousands."""
-    path = snippets / f"{contact_id}.png"
+    with replacing(Path(f"{contact_id}.png"), directory=snippets, durable=False) as file:
+        file.write(picture)
+
+
+def make_results_directory(path: Path) -> Path:
+    """Make the directory of a replay's results, with `snippets/` in it. Raises UsageError if one of them cannot be written to."""
+    make_directory(path)
+    snippets = path / _SNIPPETS
     try:
-        path.write_bytes(picture)
-    except OSError:
-        with contextlib.suppress(OSError):
-            path.unlink()  # a piece of it
-        raise
+        with own_directory(snippets):
+            return path
+    except OSError as error:
+        raise UsageError(f"{snippets} is a link or cannot be opened: {error.strerror}. Remove it, or name another directory.") from error
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Indented JSON; NaN and infinities, which JSON lacks, become null."""
-    write_file(path, (json.dumps(_finite(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "replace"))
+    """Indented JSON; NaN and infinities, which JSON lacks, become null. Control characters are escaped, so that a terminal may show it."""
+    text = json.dumps(_finite(data), indent=2, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace").decode()
+    write_file(path, (clean_json(text) + "\n").encode())
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -256,22 +289,15 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def _write_parts(path: Path, parts: Iterable[bytes]) -> None:
-    temporary = path.with_name(f".{path.name}.new")
-    with temporary.open("wb") as file:
+    with replacing(path) as file:
         file.writelines(parts)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    _sync_directory(path.parent)
 
 
 def make_directory(path: Path) -> Path:
-    """`path` as a directory that can be written to. Raises UsageError."""
+    """Make a directory if it is not there, and check that it can be written to. Raises UsageError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".writable"
-        probe.write_bytes(b"")
-        probe.unlink()
+        tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
         reason = "a file is in its place" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror
         raise UsageError(f"cannot write to the output directory {path}: {reason}. Name another one.") from error
@@ -279,13 +305,27 @@ def make_directory(path: Path) -> Path:
 
 
 class Journal:
-    """Append-only lines of JSON, on disk when `append` returns."""
+    """Append-only lines of JSON, on disk when `append` returns. The file is locked as long as the process lives; see `is_in_use`."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("ab", buffering=0)
+        self._file = open_for_append(path)
+        with contextlib.suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._whole_bytes = self._file.seek(0, os.SEEK_END)  # the file ends in a whole line here
         self._owed = b""  # lines that a failed append could not write
-        _sync_directory(path.parent)
+        sync_directory(path.parent)
+
+    @staticmethod
+    def is_in_use(path: Path) -> bool:
+        """Check whether a process that lives holds the journal at `path`. Raises OSError if there is none."""
+        with open_regular(path) as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+        return False
 
     def append(self, records: Iterable[Any]) -> None:
         """Raises OSError, as on a full disk; the file then ends in a whole line, and the records are written with the next ones."""
@@ -314,14 +354,6 @@ class Journal:
             raise
         self._whole_bytes += len(self._owed)
         self._owed = b""
-
-
-def _sync_directory(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _finite(data: Any) -> Any:

@@ -13,6 +13,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clean_text import clean
+
 Side: TypeAlias = Literal["port", "starboard"]
 SIDES: Final[tuple[Side, Side]] = ("port", "starboard")
 
@@ -71,12 +73,17 @@ class Notice(msgspec.Struct, frozen=True, kw_only=True):
     """Ask a person to do something, or report that this is settled: `code` is stable for scripts, `text` says what, where and what to do.
 
     for_the_record: nobody has to do anything. The text stands among the remarks of the summary and of the report, not among the notices.
+    Control characters in either text, which may come from devices and file names, are written out as escapes.
     """
 
     code: str
     text: str
     place: str = ""
     for_the_record: bool = False
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "text", clean(self.text))
+        msgspec.structs.force_setattr(self, "place", clean(self.place))
 
 
 SourceEvent: TypeAlias = Ping | NavSample | Notice

@@ -14,6 +14,7 @@ import importlib
 import json
 import logging
 import os
+import secrets
 import signal
 import sys
 from collections import Counter, deque
@@ -41,13 +42,14 @@ from auv_mcm.outputs import (
     make_directory,
     notice_lists,
     plan_waypoints,
+    result_writers,
     search_totals,
     write_clearance,
     write_json,
-    write_results,
 )
 from auv_mcm.plan.clearance import Clearance
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
 from auv_mcm.worker import Finished, MakePipeline, Perception, Planned, standard_pipeline
 
 if TYPE_CHECKING:
@@ -58,8 +60,6 @@ log = logging.getLogger(__name__)
 # Who opens a source, by the scheme of its URI: module and function, imported when asked for.
 SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.recorded:open_source"}
 RECORDER: Final = "sim_replay.session.start:start_recording"
-RECORDING: Final = "recording"
-"""The folder, among the results, for what live ports received and were sent."""
 
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
@@ -253,6 +253,7 @@ class Service:
         self._stop = asyncio.Event()
         self._source_failure: AuvMcmError | None = None
         self._lag_s = 0.0
+        self._is_finished = False
         self._pipeline_counters: Counter[str] = Counter()
         self._clearance: Clearance | None = None
         self._clearance_png = b""
@@ -270,15 +271,21 @@ class Service:
 
         Raises AuvMcmError; a failure of the source or of perception only after what is known has been written.
         """
-        self._folder = _session_folder(Path(self._config.service.output_directory), self._clock)
+        parent = Path(self._config.service.output_directory)
+        unfinished = unfinished_session(parent)
+        self._folder = _session_folder(parent, self._clock)
         self._started_s = self._clock.monotonic_s()
-        journal = Journal(self._folder / "contacts.jsonl")
+        journal = Journal(self._folder / JOURNAL)
         self._snippets = Snippets(self._folder)
         self._found = Found(self._folder)
+        self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
         perception = Perception(self._config, self._make_pipeline, folder=self._folder)
         failure: AuvMcmError | None = None
+        missing: HardwareError | None = None
         try:
+            if unfinished is not None:
+                self._announce(unfinished)
             async with asyncio.TaskGroup() as tasks:
                 starting = tasks.create_task(perception.start())
                 await asyncio.to_thread(self._start_recording)
@@ -302,17 +309,27 @@ class Service:
             try:
                 await self._part_from_vehicle(failure or self._source_failure)
             finally:
-                self._close(perception, journal)
-        if failure := failure or self._source_failure:
+                missing = self._close(perception, journal)
+        if failure := failure or self._source_failure or missing:
             raise failure
         return self._folder
 
-    def _close(self, perception: Perception, journal: Journal) -> None:
+    def _close(self, perception: Perception, journal: Journal) -> HardwareError | None:
+        """Write everything that is known. Returns an error that says what the disk did not take."""
         perception.close()
         if self._recorder is not None:
             self._recorder.close()
             self._tell_of_recording()
+            if not self._is_finished and self._recorder.counters["session.bytes_recorded"]:
+                self._announce(in_recording(self._folder, "perception did not come to its end"))
         self._disk.shutdown()
+        with contextlib.suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
+        self._ballast.release()
+        try:
+            missing = self._write()
+        finally:
+            self._found.close()
         for what, write in (
             ("contacts are missing from the journal", journal.close),
             ("pictures of contacts are missing", self._snippets.write),
@@ -321,10 +338,7 @@ class Service:
                 write()
             except OSError as error:  # as on a full disk; what is known is still worth writing
                 log.error("%s: %s", what, error)
-        try:
-            self._write()
-        finally:
-            self._found.close()
+        return missing
 
     def _start_liaison(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
@@ -425,6 +439,7 @@ class Service:
                 await self._on_disk(partial(self._found.keep, coverage=patches))
             for event in answer.events:
                 self._announce(event)
+        self._is_finished = True
         self._pipeline_counters = answer.counters
         self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
 
@@ -504,12 +519,16 @@ class Service:
             + (f" {self._liaison.health()}" if self._liaison is not None else "")
         )
 
-    def _write(self) -> None:
+    def _write(self) -> HardwareError | None:
+        """Write each result, whatever becomes of the others. Returns an error that names the missing ones."""
         contacts, coverage = self._found.contacts, self._found.coverage
         proposed = None if self._liaison is None else self._liaison.plan
         waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
-        write_results(self._folder, contacts, coverage, waypoints, self._config.mission)
-        write_clearance(self._folder, self._clearance, self._clearance_png)
+        writers = result_writers(self._folder, contacts, coverage, waypoints, self._config.mission)
+        writers["clearance.geojson"] = partial(write_clearance, self._folder, self._clearance, self._clearance_png)
+        errors = all_written(writers)
+        if errors:
+            self._announce(results_missing(self._folder, errors))
         summary: dict[str, Any] = {
             "version": __version__,
             "kernels": kernels.backend(),
@@ -524,7 +543,8 @@ class Service:
             "counters": dict(sorted(self._all_counters().items())),
             **notice_lists(self._notices),
         }
-        write_json(self._folder / "summary.json", summary)
+        errors |= all_written({SUMMARY: partial(write_json, self._folder / SUMMARY, summary)})
+        return HardwareError(results_missing(self._folder, errors).text) if errors else None
 
     def _all_counters(self) -> Counter[str]:
         of_disk = Counter({"service.kept_in_memory": self._found.n_in_memory, "service.unreadable": self._found.n_unreadable})
@@ -585,11 +605,13 @@ def _session_folder(parent: Path, clock: Clock) -> Path:
 
 
 def _point_latest_to(folder: Path) -> None:
-    link = folder.with_name(".latest.new")
+    link, latest = folder.with_name(f".{secrets.token_hex(8)}.new"), folder.with_name("latest")
+    if os.path.lexists(latest) and not latest.is_symlink():
+        log.warning("no link 'latest' in %s: something else of that name is there. Move it away.", folder.parent)
+        return
     try:
-        link.unlink(missing_ok=True)
         link.symlink_to(folder.name)
-        os.replace(link, folder.with_name("latest"))
+        os.replace(link, latest)
     except OSError as error:  # a file system without links, such as FAT on a memory card
         log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
 

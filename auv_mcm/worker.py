@@ -3,6 +3,7 @@
 The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
 feeds its pipeline and answers each message with the events that came of it, tiles left out and a picture in place of what it is drawn
 from. The answer also gives the ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
+The shared memory has no name: it goes with the last of the two processes, however they end, all killed at once included.
 
 Contacts lie on disk here, so that a long mission needs no more memory than a short one.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import gc
 import multiprocessing
 import os
@@ -21,14 +23,15 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm import errors
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.config import Config
 from auv_mcm.contacts.export import best_view
 from auv_mcm.contacts.shelf import Shelf
@@ -49,6 +52,9 @@ _PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get be
 _MOST_PLANNING_S: Final = 1.0  # while pings wait
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 _NO_OUTLINE: Final = np.empty((0, 2))
+
+
+_Shared: TypeAlias = "ctypes.Array[ctypes.c_ubyte]"
 
 
 class Perceiving(Protocol):
@@ -160,13 +166,12 @@ class Perception:
     async def start(self) -> None:
         """Spawn the process and wait until it is ready. Raises PerceptionError if it cannot start."""
         context = multiprocessing.get_context("spawn")
-        self._memory = SharedMemory(create=True, size=self._ring.n_bytes)
-        self._to_undo.callback(self._memory.unlink)
-        self._to_undo.callback(self._memory.close)
+        shared = context.RawArray(ctypes.c_ubyte, self._ring.n_bytes)
+        self._memory = np.frombuffer(memoryview(shared), np.uint8)
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
             target=_work,
-            args=(theirs, self._memory.name, self._config, self._make_pipeline, self._folder),
+            args=(theirs, shared, self._config, self._make_pipeline, self._folder),
             name="perception",
             daemon=True,
         )
@@ -230,7 +235,7 @@ class Perception:
         return answer
 
     def close(self) -> None:
-        """End the process if it still runs and free the shared memory. May be called at any time."""
+        """End the process if it still runs. May be called at any time."""
         self._to_undo.close()
 
     def _end_process(self) -> None:
@@ -243,7 +248,7 @@ class Perception:
             nonlocal offset
             if trace is None:
                 return None
-            samples = np.ndarray(trace.samples.shape, trace.samples.dtype, self._memory.buf, offset)
+            samples = np.ndarray(trace.samples.shape, trace.samples.dtype, self._memory, offset)
             samples[...] = trace.samples
             placed = _RingTrace(offset, samples.shape, samples.dtype.str, trace.first_range_m, trace.spacing_m)
             offset += -(-trace.samples.nbytes // _ALIGNMENT) * _ALIGNMENT
@@ -321,12 +326,12 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
     return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
 
 
-def _work(connection: Connection, memory_name: str, config: Config, make_pipeline: MakePipeline, folder: Path | None) -> None:
+def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, folder: Path | None) -> None:
     """The worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.nice(_NICENESS)
-    memory = SharedMemory(memory_name)
+    memory = np.frombuffer(memoryview(shared), np.uint8)
     place = "at its start"
     kept = Shelf(folder, Contact)
     try:
@@ -361,7 +366,7 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
     except errors.AuvMcmError as error:
         connection.send(_Failure(type(error).__name__, str(error)))
     except Exception as error:
-        traceback.print_exc(file=sys.stderr)
+        print(clean_lines(traceback.format_exc()), file=sys.stderr)
         connection.send(
             _Failure(
                 "PerceptionError",
@@ -370,7 +375,6 @@ def _work(connection: Connection, memory_name: str, config: Config, make_pipelin
         )
     finally:
         kept.close()
-        memory.close()
 
 
 def _disk_full() -> Notice:
@@ -399,7 +403,7 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
             return area.propose(searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s)
         return propose(asking, request, config.plan, config.vehicle)
     except Exception as error:
-        traceback.print_exc(file=sys.stderr)
+        print(clean_lines(traceback.format_exc()), file=sys.stderr)
         return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
 
 
@@ -450,11 +454,11 @@ def _snippets(events: list[PipelineEvent]) -> dict[str, bytes]:
     return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
 
 
-def _out_of_ring(ping: _RingPing, memory: SharedMemory) -> Ping:
+def _out_of_ring(ping: _RingPing, memory: NDArray[np.uint8]) -> Ping:
     def copy(trace: _RingTrace | None) -> EchoTrace | None:
         if trace is None:
             return None
-        samples = np.ndarray(trace.shape, np.dtype(trace.dtype), memory.buf, trace.offset).copy()
+        samples = np.ndarray(trace.shape, np.dtype(trace.dtype), memory, trace.offset).copy()
         return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
 
     return msgspec.structs.replace(ping.rest, port=copy(ping.port), starboard=copy(ping.starboard))

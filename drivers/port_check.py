@@ -22,7 +22,7 @@ from drivers.links.tcp import CONNECT_S
 from drivers.links.uri import TcpAddress
 from drivers.navigation.registry import TEXT_PROTOCOLS
 from drivers.port_stream import PortStream
-from drivers.ports import PULSE, Port, read_ports
+from drivers.ports import PULSE, Port, open_to_all, read_ports
 from drivers.source import open_link
 from drivers.stamps import Stamp
 from drivers.vehicle.registry import VEHICLES
@@ -42,6 +42,8 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     Raises UsageError for ports that cannot be.
     """
     ports = read_ports(config)
+    for notice in open_to_all(ports):
+        yield Finding(f"port {notice.place}", "warning", notice.text)
 
     async def look() -> list[Finding]:
         return await asyncio.gather(*(_Listener(port, config.sonar, SystemClock()).finding(listen_s) for port in ports))

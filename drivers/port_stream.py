@@ -29,6 +29,7 @@ log = logging.getLogger(__name__)
 Told: TypeAlias = Ping | NavFix | Notice
 _EXTENDED: Final = 1 << 31
 _ID_BYTES: Final = 4
+_MAX_WORDS: Final = 200  # characters of a device's own words in a notice
 _SPOKEN: Final = {"pixse": "nmea0183"}  # bursts of an inertial unit are sentences like others
 
 
@@ -237,7 +238,8 @@ class _SonarReader:
         self._own["sonar.accepted" if reply.accepted else "sonar.refused"] += 1
         if reply.accepted or self._own["sonar.refused"] > 1:
             return []
-        text = f"the sonar at port '{self._port.name}' refused command {reply.request}" + (f": {reply.text}" if reply.text else "")
+        words = f": {reply.text[:_MAX_WORDS]}" if reply.text else ""
+        text = f"the sonar at port '{self._port.name}' refused command {reply.request}{words}"
         return [Notice(code="sonar_refused", text=f"{text}. It pings as it was set before. More are counted.", place=self._port.name)]
 
     def _of_frame(self, frame: SonarFrame) -> list[Told]:

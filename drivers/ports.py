@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from msgspec import structs
@@ -9,8 +10,9 @@ from msgspec import structs
 from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
+from auv_mcm.records import Notice
 from auv_mcm.vehicle_config import VEHICLE_NAMES
-from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, parse_link_uri
+from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, UdpAddress, parse_link_uri
 from drivers.navigation.registry import CAN_PROTOCOL
 from drivers.navigation.settings import NavMergeSettings
 from drivers.sonar.registry import sonar_named
@@ -56,6 +58,21 @@ def read_ports(config: Config) -> tuple[Port, ...]:
     """
     Guard(config.vehicle)
     return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]"))
+
+
+def open_to_all(ports: Iterable[Port]) -> list[Notice]:
+    """Report the UDP ports that hear every sender, since no `peer` is named: none of the protocols says who speaks."""
+    notices = []
+    for port in ports:
+        if isinstance(port.address, UdpAddress) and not port.address.peer_host:
+            what = "move its position" if port.unit else "add or hide contacts"
+            can = "speak for the vehicle: grant control, revoke it, and say where it is" if port.vehicle else what
+            text = (
+                f"port '{port.name}' ({port.address.place}) hears every sender: whoever reaches it can {can}. "
+                "Add peer=HOST:PORT of the device to its link, so that others are refused."
+            )
+            notices.append(Notice(code="port_open_to_all", text=text, place=port.name))
+    return notices
 
 
 def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:

@@ -22,7 +22,7 @@ from drivers.links.link import Link, LinkState
 from drivers.links.registry import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can, unpack_can
-from drivers.ports import Port, read_ports
+from drivers.ports import Port, open_to_all, read_ports
 from drivers.stamps import Stamp
 from drivers.vehicle.end import VehicleEnd
 from drivers.vehicle.pilot import Pilot
@@ -77,8 +77,10 @@ class PortSource:
         self._changed = asyncio.Event()
         self._stopping = False
         self._ended = False
-        self._ports = [_ServedPort(port, self, open_link, clock, config) for port in read_ports(config)]
+        ports = read_ports(config)
+        self._ports = [_ServedPort(port, self, open_link, clock, config) for port in ports]
         self._vehicle_port = next((port for port in self._ports if port.vehicle is not None), None)
+        self._put([*open_to_all(ports)])
 
     def record_with(self, record: Record) -> None:
         """Hand every byte to `record`, both ways, from now on."""

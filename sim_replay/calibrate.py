@@ -27,6 +27,7 @@ from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Tree, Weights
 from auv_mcm.classify.stage import region_of, take
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.config import Config
 from auv_mcm.errors import AuvMcmError, UsageError
 from auv_mcm.geodesy import LocalFrame
@@ -388,5 +389,5 @@ if __name__ == "__main__":
     try:
         raise SystemExit(main())
     except AuvMcmError as error:
-        print(f"calibrate: {error}", file=sys.stderr)
+        print(clean_lines(f"calibrate: {error}"), file=sys.stderr)
         raise SystemExit(error.exit_code) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import open_regular
 from drivers.navigation.n2k_messages import Identifier, can_id_of
 
 _CANDUMP_LOG: Final = re.compile(r"\((\d+\.\d+)\) \S+ ([0-9A-F]{8})#((?:[0-9A-F]{2}){0,8})")
@@ -47,7 +49,7 @@ def read_can_log(path: Path, counters: Counter[str]) -> Iterator[RecordedMessage
     start_s = 0.0
     n_read = 0
     try:
-        with path.open(encoding="ascii", errors="replace") as lines:
+        with io.TextIOWrapper(open_regular(path), "ascii", "replace") as lines:
             while line := lines.readline(_MAX_LINE_CHARS):
                 text = line.strip("\r\n")
                 if (started := _PCAN_START.match(text)) is not None:

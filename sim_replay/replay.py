@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import __version__, kernels
+from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.config import Config, config_yaml
 from auv_mcm.contacts.export import best_view
@@ -22,12 +23,11 @@ from auv_mcm.outputs import (
     Tally,
     area_totals,
     contact_totals,
-    make_directory,
+    make_results_directory,
     notice_lists,
     plan_waypoints,
     search_totals,
     write_clearance,
-    write_file,
     write_json,
     write_results,
     write_snippets,
@@ -38,7 +38,7 @@ from auv_mcm.plan.clearance_picture import clearance_png
 from auv_mcm.plan.performance import configured_performance
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
-from sim_replay.report import MissionRecord, PictureCollector, render_report
+from sim_replay.report import MissionRecord, PictureCollector, write_report
 
 MAX_TRACK_POINTS: Final = 4000
 
@@ -66,7 +66,7 @@ def replay(
     mission = open_mission(logs, config, chunk_bytes)
     pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)
     tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
-    make_directory(folder)
+    make_results_directory(folder)
     (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
     costs_s = {"read": 0.0, "pictures": 0.0}
     started_s = read_s = clock.monotonic_s()
@@ -101,8 +101,8 @@ def replay(
     area = area_totals(clearance, config.plan)
     totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched, **area}
     record = MissionRecord(
-        name=config.mission or ", ".join(path.stem for path in mission.sizes_bytes),
-        logs=tuple(str(path) for path in mission.sizes_bytes),
+        name=clean(config.mission or ", ".join(path.stem for path in mission.sizes_bytes)),
+        logs=tuple(clean(str(path)) for path in mission.sizes_bytes),
         start_s=tally.first_s,
         stop_s=tally.last_s,
         track_latitude_deg=gathered.track.latitude_deg,
@@ -115,8 +115,7 @@ def replay(
         searched=searched.get("searched", {}),
         clearance_png=clearance_map,
     )
-    page = render_report(record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
-    write_file(folder / "report.html", page.encode("utf-8", "replace"))
+    write_report(folder / "report.html", record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
     summary: dict[str, Any] = {
         "version": __version__,
         "mission": config.mission,

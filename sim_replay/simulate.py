@@ -49,12 +49,8 @@ def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[f
                 progress(min(1.0, (last_s - scene.track.start_time_s) / expected_s))
             yield event
 
-    log, unfinished = folder / LOG_NAME, folder / f"{LOG_NAME}.part"
-    try:
-        n_pings = write_xtf(unfinished, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz)
-        unfinished.replace(log)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    log = folder / LOG_NAME
+    n_pings = write_xtf(log, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz)
     facts = mission.truth()
     write_json(folder / TRUTH_NAME, facts)
     return Simulated(

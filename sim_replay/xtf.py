@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from auv_mcm.config import SonarConfig
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
+from auv_mcm.safe_files import open_regular
 from sim_replay.ping_clock import spread_ties
 from sim_replay.port_order import DECISIVE, PortOrderEvidence, port_order_evidence
 from sim_replay.xtf_header import (
@@ -153,10 +154,8 @@ class XtfLog:
     def _open(self) -> BinaryIO:
         if self._path.is_dir():
             raise BadInputError(f"{self._path} is a directory. Name the XTF file inside it.")
-        if self._path.exists() and not self._path.is_file():  # opening a pipe would wait for ever
-            raise BadInputError(f"{self._path} is no regular file. Copy the log to a disk first.")
         try:
-            return self._path.open("rb", buffering=self._chunk_bytes)
+            return open_regular(self._path, self._chunk_bytes)
         except FileNotFoundError as error:
             raise BadInputError(f"{self._path} does not exist. Check the path.") from error
         except OSError as error:

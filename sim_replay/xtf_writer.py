@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, SIDES, EchoTrace, NavSample, Ping, Side
+from auv_mcm.safe_files import replacing
 from sim_replay.xtf import KNOT_MPS
 from sim_replay.xtf_header import LATITUDE_LONGITUDE, PORT, STARBOARD
 
@@ -39,7 +40,7 @@ def write_xtf(
     sides: tuple[Side, ...] = SIDES,
     frequency_khz: float = 0.0,
 ) -> int:
-    """Write one log, a ping at a time; returns the number of pings.
+    """Write one log, a ping at a time, whole or not at all; returns the number of pings.
 
     A quantity that a NavSample does not give keeps its last value; one that was never given is zero for a position and an altitude
     (which readers take as unknown) and NaN else. A side that a ping lacks is left out of its packet.
@@ -48,7 +49,7 @@ def write_xtf(
     channels = tuple(sides)
     navigation = NavSample(time_s=NAN)
     n_pings = 0
-    with Path(path).open("wb") as file:
+    with replacing(Path(path), durable=False) as file:
         file.write(bytes(_file_header(channels, sample_type, frequency_khz)))
         for event in events:
             if isinstance(event, NavSample):

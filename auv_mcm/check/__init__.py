@@ -18,6 +18,7 @@ from auv_mcm import __version__
 from auv_mcm.check.finding import Finding
 from auv_mcm.check.host import clock_discipline, clock_finding, output_finding
 from auv_mcm.check.packages import has_extra, package_findings
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def run_checks(read_config: Callable[[], Config], write: Callable[[str], None]) 
     """
     verdicts = []
     for finding in _findings(read_config):
-        write(f"{finding.verdict:8}{finding.name:32}{finding.detail}")
+        write(clean_lines(f"{finding.verdict:8}{finding.name:32}{finding.detail}"))
         verdicts.append(finding.verdict)
     n_failed, n_warnings = verdicts.count("FAILED"), verdicts.count("warning")
     counted = f"{n_failed} failed" if n_failed else "nothing failed"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from auv_mcm.clean_text import clean
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
 
 
@@ -72,5 +73,5 @@ def _run(arguments: argparse.Namespace) -> int:
     print(f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; {summary['covered_km2']:g} km² covered")
     for notice in summary["notices"]:
         print(f"notice: {notice['text']}" + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else ""))
-    print(f"report: {arguments.out / 'report.html'}")
+    print(f"report: {clean(str(arguments.out / 'report.html'))}")
     return 0

@@ -56,12 +56,14 @@ def run_service(config: Config, clock: Clock | None = None) -> int:
     """
     import logging
 
+    from auv_mcm.clean_text import CleanFormatter
     from auv_mcm.service import serve
 
-    logging.Formatter.converter = time.gmtime
-    logging.basicConfig(
-        stream=sys.stderr, level=logging.INFO, format="%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", datefmt="%Y-%m-%dT%H:%M:%S"
-    )
+    formatter = CleanFormatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
+    formatter.converter = time.gmtime
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(formatter)
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     folder = serve(config, clock=clock)
     print(f"results: {folder}")
     return 0

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P, singleton_belief
+from auv_mcm.clean_text import clean
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.geojson import (
     DEGREE_DIGITS,
@@ -300,9 +301,8 @@ def _cell(text: str) -> str:
 
 
 def _xml(text: str) -> str:
-    """Text for XML 1.0: escaped, and without the control characters it forbids."""
-    allowed = "".join(sign if sign >= " " or sign in "\t\n\r" else "\ufffd" for sign in text)
-    return html.escape(allowed.encode("utf-8", "replace").decode().replace("\ufffe", "\ufffd").replace("\uffff", "\ufffd"))
+    """Escape text for XML 1.0, which forbids control characters, surrogates and two more: `clean` leaves none of them."""
+    return html.escape(clean(text))
 
 
 def _kml_style(name: str, colour: str) -> str:

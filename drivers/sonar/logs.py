@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import open_regular
 from drivers.sonar.seam import SonarDecoder, SonarFrame, SonarReply
 from drivers.stamps import Stamp
 
@@ -23,7 +24,7 @@ def read_log(path: Path, decoder: SonarDecoder) -> Iterator[SonarFrame | SonarRe
     """
     n_frames = 0
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             while chunk := file.read(_CHUNK_BYTES):
                 for item in decoder.feed(chunk, NOT_RECEIVED):
                     n_frames += isinstance(item, SonarFrame)

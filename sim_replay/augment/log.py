@@ -20,6 +20,7 @@ from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, PoseTrack, Side
+from auv_mcm.safe_files import open_regular
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
@@ -110,7 +111,7 @@ def read_survey(path: Path, config: Config) -> Survey:
 
 
 def _absorption_per_m(path: Path) -> float:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         data = file.read(HEADER_BLOCK)
     header = pyxtf.XTFFileHeader.from_buffer_copy(data)
     stated = [c.frequency for c in channels(header, data) if c.kind in SIDE_SCAN and c.frequency > 0.0]
@@ -224,7 +225,7 @@ def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], S
     samples; a trace that the reader scaled has none.
     """
     places: dict[tuple[int, Side], SamplePlace] = {}
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         size = path.stat().st_size
         first = header_bytes(file, 0, size) or HEADER_BLOCK
         packets = read_packets(file, first, size, (_SONAR_PACKET,), lambda data: None)

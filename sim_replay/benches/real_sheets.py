@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.outputs import write_file
 from sim_replay.benches.real_calls import CALLED, Called, is_call
 from sim_replay.benches.real_outlines import Judged
 from sim_replay.benches.real_pictures import Mask
@@ -33,7 +34,7 @@ def write_sheets(folder: Path, judged: Sequence[Judged], called: Sequence[Called
     """Write real-outlines.jpg and real-calls.jpg into the folder."""
     paths = folder / "real-outlines.jpg", folder / "real-calls.jpg"
     for path, sheet in zip(paths, (outlines_sheet(judged), calls_sheet(called)), strict=True):
-        path.write_bytes(cv2.imencode(".jpg", sheet, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
+        write_file(path, cv2.imencode(".jpg", sheet, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
     return paths
 
 

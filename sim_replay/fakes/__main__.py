@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.errors import AuvMcmError, UsageError
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.feed import mission_events, read_ahead, time_line
@@ -43,7 +44,7 @@ def main() -> int:
     except* AuvMcmError as group:
         failed = list(_leaves(group))
     for error in failed:
-        print(f"fake device: {error}", file=sys.stderr)
+        print(clean_lines(f"fake device: {error}"), file=sys.stderr)
     return max((error.exit_code for error in failed if isinstance(error, AuvMcmError)), default=0)
 
 

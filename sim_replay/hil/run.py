@@ -24,7 +24,8 @@ import yaml
 
 from auv_mcm.config import Config
 from auv_mcm.errors import HardwareError
-from auv_mcm.outputs import make_directory
+from auv_mcm.outputs import make_directory, write_file
+from auv_mcm.safe_files import open_for_append
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
@@ -137,7 +138,7 @@ class _Run:
     async def _device(self, job: Job | VehicleJob) -> _Process:
         name = _name_of(job)
         path = self._folder / f"{name}.yaml"
-        path.write_text(yaml.safe_dump(msgspec.to_builtins(job), sort_keys=False), "utf-8")
+        write_file(path, yaml.safe_dump(msgspec.to_builtins(job), sort_keys=False).encode())
         arguments = ["-m", "sim_replay.fakes", str(path)]
         return await _Process.begin(f"fake device '{name}'", arguments, self._folder / f"{name}.log")
 
@@ -156,7 +157,7 @@ class _Run:
 
     async def _service(self, uris: dict[str, str]) -> _Process:
         path = self._folder / "service.yaml"
-        path.write_text(service_yaml(self._scenario, uris, self._folder / RESULTS), "utf-8")
+        write_file(path, service_yaml(self._scenario, uris, self._folder / RESULTS).encode())
         step = self._scenario.host_clock_step
         arguments = ["-m", "auv_mcm", "run", "--config", str(path)]
         if step is not None:
@@ -295,7 +296,8 @@ class _Process:
 
     async def _read(self) -> None:
         assert self._process.stdout is not None
-        with self._log.open("wb", buffering=0) as log:
+        self._log.unlink(missing_ok=True)
+        with open_for_append(self._log) as log:
             async for line in self._process.stdout:
                 log.write(line)
                 async with self._more:

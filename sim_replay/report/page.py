@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import is_mine_like
 from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.outputs import write_file
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from sim_replay.report import words
 from sim_replay.report.cards import band, cards, place_m
@@ -59,7 +60,8 @@ def write_report(
     pictures: PictureCollector,
 ) -> None:
     """Write the page to `path`."""
-    path.write_text(render_report(mission, contacts, patches, waypoints, notices, counters, pictures), encoding="utf-8", errors="replace")
+    page = render_report(mission, contacts, patches, waypoints, notices, counters, pictures)
+    write_file(path, page.encode("utf-8", "replace"))
 
 
 def render_report(

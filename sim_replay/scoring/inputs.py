@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar
 import msgspec
 from msgspec import Meta
 
+from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN
 from sim_replay.scoring.seabed_map import SeabedMap, decode
@@ -58,6 +59,11 @@ class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
     burial_m: float = 0.0
     seabed: str | None = None
     looks: tuple[Look, ...] | None = None
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "kind", clean(self.kind))
+        if self.seabed is not None:
+            msgspec.structs.force_setattr(self, "seabed", clean(self.seabed))
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
@@ -146,7 +152,7 @@ def _contact(feature: _Feature, place: str) -> ReportedContact:
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         p_mine=told.p_mine,
-        classification=told.classification,
+        classification=clean(told.classification),
         length_m=_or_nan(told.length_m),
         width_m=_or_nan(told.width_m),
         height_m=_or_nan(told.height_m),

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clean_text import clean
 from auv_mcm.errors import UsageError
 from sim_replay.scoring.breakdown import (
     Confusion,
@@ -107,9 +108,8 @@ def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: flo
     if repeated is not None:
         raise UsageError(f"{repeated} is given twice: its contacts would count double. Name each contacts file once")
     _check(gate_m, threshold)
-    missions = [
-        Mission(read_contacts(contacts), read_truth(truth), str(contacts)) for contacts, truth in zip(paths[::2], paths[1::2], strict=True)
-    ]
+    pairs = zip(paths[::2], paths[1::2], strict=True)
+    missions = [Mission(read_contacts(contacts), read_truth(truth), clean(str(contacts))) for contacts, truth in pairs]
     return score_missions(missions, gate_m=gate_m, threshold=threshold)
 
 

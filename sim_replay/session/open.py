@@ -10,6 +10,7 @@ from typing import Protocol
 from auv_mcm.config import Config, parse_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SourceEvent
+from auv_mcm.safe_files import open_regular
 from drivers.stamps import Stamp
 from sim_replay.session.layout import FILE_PATTERN, PROFILE
 from sim_replay.session.reader import Session
@@ -35,9 +36,9 @@ def is_session(path: Path) -> bool:
     if path.is_dir():
         return any(path.glob(FILE_PATTERN))
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return PROFILE.encode() in stream.read(64)
-    except OSError:
+    except (OSError, BadInputError):  # who reads it as a log says why it cannot be
         return False
 
 

@@ -15,6 +15,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
+from auv_mcm.safe_files import open_regular
 from drivers.stamps import Stamp
 from sim_replay.session.layout import (
     FILE_PATTERN,
@@ -91,7 +92,7 @@ class Session:
         self._begin()
         for file in self._files:
             read_before = self.bytes_read
-            with file.path.open("rb") as opened:
+            with open_regular(file.path) as opened:
                 channels: dict[int, Channel] = {}
                 stream = _WholeReads(opened, file.size_bytes)
                 for chunk in self._chunks(stream, file):
@@ -179,7 +180,7 @@ def _records_in(chunk: Chunk) -> list[McapRecord]:
 def _read_head(path: Path) -> FileHead:
     """Raises BadInputError."""
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             for record in _records(_WholeReads(stream, path.stat().st_size)):
                 if isinstance(record, Header) and record.profile != PROFILE:
                     raise BadInputError(f"{path} is an MCAP file of profile '{record.profile}', not a session ('{PROFILE}'). Name another.")

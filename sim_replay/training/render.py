@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from auv_mcm.clean_text import clean_lines
 from auv_mcm.config import Config
 from auv_mcm.detect.cascade.codes import codes_of
 from auv_mcm.detect.stage import TileDetections, worth_looking
@@ -246,5 +247,5 @@ if __name__ == "__main__":
     try:
         raise SystemExit(main())
     except AuvMcmError as error:
-        print(f"render: {error}", file=sys.stderr)
+        print(clean_lines(f"render: {error}"), file=sys.stderr)
         raise SystemExit(error.exit_code) from None

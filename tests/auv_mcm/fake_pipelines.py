@@ -155,6 +155,13 @@ class Failing(Base):
         return super().feed(event)
 
 
+class Quoting(Base):
+    """Has a defect that quotes what a device said."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        raise ValueError("no such mode: x\x1b[2J\n2026-01-01T00:00:00.000Z INFO ready")
+
+
 class Refusing(Base):
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         raise BadInputError("no such sonar")

@@ -208,6 +208,14 @@ def test_the_check_of_the_payload_does_not_import_the_simulator() -> None:
     assert run(code=code).stdout.splitlines()[-1] == "[]"
 
 
+def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "c.yaml").write_text("ports: [{name: pilot, link: 'udp://0.0.0.0:6001', device: imc}]")
+    main(["check", "--config", str(tmp_path / "c.yaml")])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "peer=" in line]
+    assert line.startswith("warning port pilot")
+    assert "grant control" in line
+
+
 def test_check_notices_kernels_that_disagree(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from auv_mcm import kernels
     from auv_mcm.kernels import viterbi

@@ -12,6 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.config import Config, DetectConfig, SonarConfig, config_schema, config_yaml, parse_config
 from auv_mcm.errors import UsageError
 from auv_mcm.vehicle_config import VehicleConfig
@@ -29,7 +30,7 @@ def test_defaults_written_out_read_back_as_defaults() -> None:
 
 
 @given(
-    mission=st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), max_size=50),
+    mission=st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), max_size=50).filter(is_clean),
     probability=st.floats(1e-12, 0.49),
     lever=st.tuples(*[st.floats(-100.0, 100.0)] * 3),
     full_scale=st.none() | st.floats(1e-9, 1e300),
@@ -111,6 +112,11 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
         ("mission", "sections"),
         ("1: 2", "str"),
         ("mission: a\nmission: b", "'mission' is given twice"),
+        ('mission: "a\\e[2Jb"', "without control characters, got 'a\\x1b[2Jb' - at `mission`"),
+        ('mission: "a\\0"', "got 'a\\x00' - at `mission`"),
+        ("mission: |\n  one\n  two", "one line of text without control characters, got 'one\\ntwo' - at `mission`"),
+        ('mission: "\\u202e"', "got '\\u202e' - at `mission`"),
+        (f'ports: [{GNSS}, {{name: "a\\tb", link: "x", device: iver}}]', "got 'a\\tb' - at `ports.1.name`"),
         ("sonar: &a {blank_m: 1}\nplan: *a", "aliases"),
         ("sonar: &a\n  x: *a", "aliases"),
         ("[", "not valid YAML"),

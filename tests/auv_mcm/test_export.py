@@ -242,7 +242,7 @@ def test_kml_is_xml_with_two_folders_whatever_the_names() -> None:
         [contact(reasons=("<b>&]]>\x00",)), contact(id="C<2>", p_mine=0.1, classification="clutter")], 'Lines "A" & <B>\x07'
     )
     document = ElementTree.fromstring(text)[0]
-    assert document.findtext(f"{KML}name") == 'Lines "A" & <B>\ufffd'
+    assert document.findtext(f"{KML}name") == 'Lines "A" & <B>\\x07'
     folders = document.findall(f"{KML}Folder")
     assert [folder.findtext(f"{KML}name") for folder in folders] == ["Mine-like (1)", "Clutter (1)"]
     description = folders[0].findtext(f"{KML}Placemark/{KML}description")

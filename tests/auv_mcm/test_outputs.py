@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.config import PlanConfig
+from auv_mcm.errors import UsageError
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.outputs import (
     Journal,
@@ -19,6 +20,7 @@ from auv_mcm.outputs import (
     Tally,
     area_totals,
     make_directory,
+    make_results_directory,
     plan_waypoints,
     search_totals,
     write_clearance,
@@ -110,18 +112,62 @@ def test_snippets_of_an_earlier_replay_go_and_other_files_stay(tmp_path: Path) -
     assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {"C2.png": b"3", "notes.txt": b"mine"}
 
 
+def test_files_that_are_no_pictures_of_contacts_stay_among_the_snippets(tmp_path: Path) -> None:
+    write_snippets(tmp_path, {"C1": b"1"})
+    snippets = tmp_path / "snippets"
+    (snippets / "C9photo.png").write_bytes(b"mine")
+    (snippets / "C8.png").symlink_to("C9photo.png")
+    (snippets / "C7.png").mkdir()
+    write_snippets(tmp_path, {"C2": b"2"})
+    assert {path.name for path in snippets.iterdir()} == {"C2.png", "C9photo.png", "C8.png", "C7.png"}
+    assert (snippets / "C9photo.png").read_bytes() == b"mine"
+
+
+def test_no_link_in_the_directory_of_the_results_is_followed(tmp_path: Path) -> None:
+    victims, folder = tmp_path / "victims", tmp_path / "out"
+    victims.mkdir()
+    make_results_directory(folder)
+    for name in (".writable", ".contacts.csv.new", "contacts.csv", "j.jsonl", "snippets/C1.png"):
+        victim = victims / name.replace("/", "-")
+        victim.write_bytes(b"precious")
+        (folder / name).symlink_to(victim)
+    make_results_directory(folder)
+    write_file(folder / "contacts.csv", b"new")
+    write_snippets(folder, {"C1": b"picture"})
+    with pytest.raises(OSError, match="symbolic links"):
+        Journal(folder / "j.jsonl")
+    assert {path.read_bytes() for path in victims.iterdir()} == {b"precious"}
+    assert (folder / "contacts.csv").read_bytes() == b"new"
+    assert not (folder / "contacts.csv").is_symlink()
+    assert (folder / "snippets" / "C1.png").read_bytes() == b"picture"
+
+
+def test_a_link_in_the_place_of_snippets_is_refused_and_nothing_behind_it_is_touched(tmp_path: Path) -> None:
+    other, folder = tmp_path / "other", tmp_path / "out"
+    other.mkdir()
+    folder.mkdir()
+    (other / "C9.png").write_bytes(b"mine")
+    (folder / "snippets").symlink_to(other)
+    with pytest.raises(UsageError, match="snippets is a link"):
+        make_results_directory(folder)
+    with pytest.raises(OSError, match="Not a directory"):
+        write_snippets(folder, {"C1": b"1"})
+    with pytest.raises(OSError, match="Not a directory"):
+        Snippets(folder).write({"C1": b"1"})
+    assert {path.name: path.read_bytes() for path in other.iterdir()} == {"C9.png": b"mine"}
+
+
 def test_pictures_that_a_full_disk_does_not_take_are_written_later_and_none_is_left_in_pieces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    snippets, write = Snippets(tmp_path), Path.write_bytes
+    snippets = Snippets(tmp_path)
     snippets.write({"C1": b"one"})
 
-    def a_piece(path: Path, data: bytes) -> int:
-        write(path, data[:1])
+    def no_space(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as full:
-        full.setattr(Path, "write_bytes", a_piece)
+        full.setattr("auv_mcm.safe_files.os.replace", no_space)
         for pictures in ({"C2": b"two", "C3": b"three"}, {"C2": b"again"}):
             with pytest.raises(OSError, match="No space"):
                 snippets.write(pictures)

@@ -6,9 +6,12 @@ import asyncio
 import contextlib
 import json
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Sequence
 from functools import partial
@@ -21,8 +24,10 @@ import pytest
 from auv_mcm.config import Config, ServiceConfig
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.liaison import VehicleEnd
+from auv_mcm.outputs import Journal
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from auv_mcm.service import RECORDING, EventQueue, Record, Service, parse_source_uri
+from auv_mcm.recovery import BALLAST_BYTES, RECORDING, Ballast
+from auv_mcm.service import EventQueue, Record, Service, parse_source_uri
 from auv_mcm.worker import MakePipeline, PerceptionError
 from drivers.stamps import Stamp
 from sim_replay.session.reader import Session
@@ -183,12 +188,14 @@ def test_what_a_full_disk_does_not_take_is_counted_told_and_still_among_the_resu
     def full(*_: object) -> int:
         raise OSError(28, "No space left on device")
 
-    def full_but_for_a_probe(path: Path, data: bytes, write: Callable[[Path, bytes], int] = Path.write_bytes) -> int:
-        return full() if data else write(path, data)
+    def full_of_pictures(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        if old.suffix == ".png":
+            full()
+        replace(new, old, **folders)
 
     with monkeypatch.context() as disk:  # of the service alone: perception is a process of its own
         disk.setattr("auv_mcm.contacts.shelf.os.pwrite", full)
-        disk.setattr(Path, "write_bytes", full_but_for_a_probe)
+        disk.setattr("auv_mcm.safe_files.os.replace", full_of_pictures)
         results = serve(tmp_path, Events(mission(30)), fake.Seeing)
     assert ids(results) == ["C00001"]
     counters = summary(results)["counters"]
@@ -327,10 +334,98 @@ def test_contacts_announced_before_perception_failed_are_kept(
     assert announced == ids(tmp_path / "latest") == journal(tmp_path / "latest") == ["C0000", "C0003"]
 
 
+def test_what_perception_took_with_it_is_said_to_be_in_the_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    lines: list[str] = []
+    config = Config(service=ServiceConfig(output_directory=str(tmp_path)))
+    with pytest.raises(PerceptionError):
+        asyncio.run(Service(config, Ports(mission(300)), console=lines.append, make_pipeline=fake.Dying).run())
+    (line,) = [line for line in lines if line.startswith("notice contacts_in_recording")]
+    command = shlex.split(line.partition("run: ")[2])
+    assert command[:2] == ["auv-mcm", "replay"]
+    assert len(list(Session(Path(command[2])))) > 5
+    assert "contacts_in_recording" in [notice["code"] for notice in summary(tmp_path / "latest")["notices"]]
+    assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it said so itself"
+
+
+def test_a_restart_after_a_kill_says_how_to_get_what_was_not_announced(tmp_path: Path) -> None:
+    killed = serve_ports(tmp_path, Ports(mission(10)))
+    (killed / "summary.json").unlink()
+    with contextlib.closing(Journal(killed / "contacts.jsonl")):
+        assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it still runs"
+    (tmp_path / "latest").unlink()
+    (tmp_path / "latest").symlink_to(killed.name)
+    (line,) = [line for line in started_again(tmp_path) if line.startswith("notice contacts_in_recording")]
+    assert f"auv-mcm replay {killed}/recording --out {killed}/replayed" in line
+    assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "once is enough"
+
+
+def started_again(folder: Path) -> list[str]:
+    lines: list[str] = []
+    serve(folder, Events(mission(1)), console=lines.append)
+    return lines
+
+
+def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full_for_the_largest(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        if old.name in ("contacts.geojson", "coverage.geojson"):
+            raise OSError(28, "No space left on device")
+        replace(new, old, **folders)
+
+    monkeypatch.setattr("auv_mcm.safe_files.os.replace", full_for_the_largest)
+    with pytest.raises(HardwareError, match=r"contacts\.geojson, coverage\.geojson cannot be written.*No space.*contacts\.jsonl"):
+        serve(tmp_path, Events(mission(30)))
+    results = tmp_path / "latest"
+    assert len((results / "contacts.csv").read_text().splitlines()) == 12
+    assert [notice["code"] for notice in summary(results)["notices"]] == ["results_missing"]
+    assert not [path for path in results.iterdir() if path.suffix == ".new"]
+
+
+def test_space_is_held_for_the_results_and_pictures_come_after_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+
+    class Watched(Ballast):
+        def release(self) -> None:
+            done.append(f"release {self.n_bytes}")
+            super().release()
+
+    def replace(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
+        if old.suffix == ".png" and not any(entry.startswith("release") for entry in done):
+            raise OSError(28, "No space left on device")
+        done.append(old.name)
+        replace(new, old, **folders)
+
+    monkeypatch.setattr("auv_mcm.service.Ballast", Watched)
+    monkeypatch.setattr("auv_mcm.safe_files.os.replace", replace)
+    serve(tmp_path, Events(mission(30)), fake.Seeing)
+    done.remove("latest")
+    assert done[:3] == [f"release {BALLAST_BYTES}", "contacts.geojson", "contacts.csv"]
+    assert done[-1] == "C00001.png"
+
+
+def test_results_are_written_although_their_folder_was_removed_on_the_way(tmp_path: Path) -> None:
+    def remove(line: str) -> None:
+        if "C0003" in line:
+            shutil.rmtree((tmp_path / "latest").resolve())
+
+    results = serve(tmp_path, Events(mission(30)), console=remove)
+    assert len(ids(results)) == 11
+    assert summary(results)["contacts"] == 11
+
+
 def test_every_run_has_its_own_folder_and_latest_points_to_the_last(tmp_path: Path) -> None:
     results = [serve(tmp_path, Events(mission(1))) for _ in range(3)]
     assert len(set(results)) == 3
     assert (tmp_path / "latest").resolve() == results[-1].resolve()
+
+
+def test_what_lies_where_the_link_to_the_last_session_belongs_is_left_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "latest").write_bytes(b"mine")
+    results = serve(tmp_path, Events(mission(1)))
+    assert (tmp_path / "latest").read_bytes() == b"mine"
+    assert any("something else of that name" in record.getMessage() for record in caplog.records)
+    assert {path.name for path in tmp_path.iterdir()} == {"latest", results.name}
 
 
 def test_an_output_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
@@ -426,6 +521,46 @@ def test_a_signal_to_the_whole_process_group_ends_in_order(tmp_path: Path, numbe
     assert process.returncode == 0, output
     assert ids(tmp_path / "latest") == [f"C{number:04d}" for number in (*range(0, 30, 3), 9999)]
     assert "leaked" not in output
+
+
+def test_killing_all_processes_at_once_leaves_no_shared_memory_behind(tmp_path: Path) -> None:
+    with program(tmp_path, "Stuck") as process:
+        read_until(process, "C0027")
+        assert len(group(process.pid)) >= 2, "perception is a process of its own"
+        shared = shared_memory(process.pid)
+        os.killpg(process.pid, signal.SIGKILL)  # as a supervisor that kills a control group does, and a shortage of memory
+        output, _ = process.communicate(timeout=60)
+    assert [path for path in shared if path.exists()] == []
+    assert "leaked" not in output
+
+
+def test_killing_the_service_alone_ends_perception_and_is_no_news_of_leaks(tmp_path: Path) -> None:
+    with program(tmp_path, "Base") as process:
+        read_until(process, "C0027")
+        shared = shared_memory(process.pid)
+        process.kill()
+        output, _ = process.communicate(timeout=60)  # ends with the last process that holds the pipe
+    assert [path for path in shared if path.exists()] == []
+    assert "leaked" not in output
+    while group(process.pid):  # on their way out, as they let go of the pipe
+        time.sleep(0.01)
+
+
+def shared_memory(leader: int) -> set[Path]:
+    """Where the shared memory of a process group lies, or lay."""
+    lines = [line for pid in group(leader) for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/" in line]
+    return {Path(line[line.index("/dev/shm/") :].removesuffix(" (deleted)")) for line in lines}
+
+
+def group(leader: int) -> list[int]:
+    """Processes of a group that still run."""
+    members = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, process_group = status.read_text().rpartition(")")[2].split()[:3]
+            if int(process_group) == leader and state != "Z":
+                members.append(int(status.parent.name))
+    return members
 
 
 def test_a_second_signal_ends_at_once_with_the_journal_whole(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
@@ -148,6 +149,15 @@ def test_a_worker_that_fails_is_an_error_with_its_reason_and_never_a_hang(
     pings: list[Ping] = [fake.ping(number) for number in range(300)]
     with pytest.raises(error, match=message):
         asyncio.run(answers(pings, make))
+
+
+def test_words_of_a_device_in_a_traceback_forge_no_line_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(PerceptionError):
+        asyncio.run(answers([fake.ping(0)], fake.Quoting))
+    first, *others = capfd.readouterr().err.strip("\n").split("\n")
+    assert first.startswith("Traceback")
+    assert any("2026-01-01" in line for line in others)
+    assert all(line.startswith("  ") and is_clean(line) for line in others)
 
 
 def test_closing_what_never_started_or_still_works_ends_at_once() -> None:

@@ -114,6 +114,16 @@ class Bench:
         return [event.code for event in self.events if isinstance(event, Notice)]
 
 
+def test_a_udp_port_that_hears_every_sender_is_reported_when_the_source_starts() -> None:
+    open_port = "ports: [{name: n, link: 'udp://0.0.0.0:6001', device: nmea0183}]"
+    codes = []
+    for text in (open_port, open_port.replace("6001", "6001?peer=10.0.0.2:6002")):
+        bench = Bench(text)
+        bench.run(bench.state_is("n", "up"))
+        codes.append(bench.codes().count("port_open_to_all"))
+    assert codes == [1, 0]
+
+
 def test_what_comes_live_is_what_its_recording_comes_to() -> None:
     bench = Bench()
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from port_traffic import INTERVAL_S, PORTS, Chunk, config_of, fix, is_close, profile, stamp, time_of, traffic
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.config import config_yaml, parse_config
 from auv_mcm.errors import UsageError
 from auv_mcm.port_config import SONAR_NAMES, NavUnitName
@@ -21,9 +22,11 @@ from drivers.navigation.n2k_messages import Heading, Identifier, can_id_of, enco
 from drivers.navigation.registry import CAN_PROTOCOL, TEXT_PROTOCOLS
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can, unpack_can
-from drivers.ports import read_ports
+from drivers.ports import open_to_all, read_ports
 from drivers.sonar.imagenex import commands as sportscan_commands
 from drivers.sonar.jsf_messages import PING_RANGE, Command, JsfMessage, to_wire
+from drivers.sonar.ping_messages import Nack
+from drivers.sonar.ping_messages import encode as encode_ping
 from drivers.sonar.ping_protocol import PingDecoder
 from drivers.sonar.registry import SONARS
 from drivers.sonar.seam import SonarSettings
@@ -296,6 +299,34 @@ def test_commands_may_have_a_wire_of_their_own() -> None:
     events, intake = taken_in(text, [Chunk("s.commands", refusal, stamp(0.0))])
     assert [event.code for event in events if isinstance(event, Notice)] == ["sonar_refused"]
     assert intake.counters["port.s.commands.sonar.refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("device", "harm"),
+    [("nmea0183", "move its position"), ("imc", "grant control"), ("ping_protocol", "hide contacts")],
+)
+def test_a_udp_port_that_hears_every_sender_is_reported_by_name_with_what_to_do(device: str, harm: str) -> None:
+    def reported(link: str) -> list[Notice]:
+        return open_to_all(read_ports(config_of(f"ports: [{{name: a, link: '{link}', device: {device}}}]")))
+
+    (notice,) = reported("udp://0.0.0.0:6001")
+    assert (notice.code, notice.place) == ("port_open_to_all", "a")
+    assert harm in notice.text
+    assert "peer=HOST:PORT" in notice.text
+    for link in ("udp://0.0.0.0:6001?peer=10.0.0.2:6002", "udp://0.0.0.0:6001?peer=10.0.0.2", "tcp://10.0.0.2:6002"):
+        assert reported(link) == []
+
+
+def test_the_words_of_a_refusal_forge_no_line_and_fill_no_log() -> None:
+    text = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: ping_protocol, sonar: {range_m: 30}}]"
+    words = "no\x1b[2J\r\nnotice port_up: port 's' is up" + "x" * 900
+    nack = encode_ping(Nack(2197, words))
+    events, _ = taken_in(text, [Chunk("s", nack, stamp(0.0))])
+    (notice,) = [event for event in events if isinstance(event, Notice)]
+    assert notice.code == "sonar_refused"
+    assert is_clean(notice.text)
+    assert "no\\x1b[2J\\r\\nnotice port_up" in notice.text
+    assert len(notice.text) < 500
 
 
 def test_the_names_in_the_configuration_are_those_of_the_drivers() -> None:

@@ -16,7 +16,8 @@ from auv_mcm.clock import SystemClock
 from auv_mcm.commands import read_config
 from auv_mcm.config import parse_config
 from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
-from auv_mcm.service import RECORDING, Service
+from auv_mcm.recovery import RECORDING
+from auv_mcm.service import Service
 from drivers.source import PortSource
 from sim_replay.fakes.port import FakePort
 from sim_replay.recorded import session_config

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import socket
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from xtf_logs import edit_headers
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.cli import main
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from sim_replay.simulator.mission import Mission
@@ -150,10 +153,45 @@ def test_what_is_no_log_is_refused(name: str, content: bytes, tmp_path: Path, ca
     refused(path, tmp_path / "out", capsys)
 
 
+def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "a\x1b[2J\nnotice: all is well<script>\u202e\udc80.xtf"
+    log.write_bytes(log_of(tmp_path / "plain.xtf", mission()).read_bytes()[:-100])  # cut off, which a notice says with the name
+    folder = tmp_path / "out\x1b"
+    summary = replayed(log, folder)
+    assert "cut off" in json.dumps(summary["notices"])
+    told = "".join(capsys.readouterr())
+    assert not [line for line in told.splitlines() if not is_clean(line) or "all is well" in line.partition("a\\x1b[2J")[0]]
+    for name in ("report.html", "summary.json", "contacts.kml"):
+        text = (folder / name).read_text("utf-8")
+        assert [line for line in text.split("\n") if not is_clean(line)] == []
+        assert "<script>\\u202e" not in text or name == "summary.json"
+    assert r"a\x1b[2J\nnotice" in (folder / "report.html").read_text("utf-8")
+
+
 def test_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "folder.xtf"
     path.mkdir()
     assert "directory" in refused(path, tmp_path / "out", capsys)
+
+
+def test_a_pipe_given_as_a_log_is_refused_without_waiting(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.xtf")
+    assert "no regular file" in refused(tmp_path / "pipe.xtf", tmp_path / "out", capsys)
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    os.mkfifo(folder / "session-00000.mcap")
+    assert "no regular file" in refused(folder, tmp_path / "out", capsys)
+    config = tmp_path / "live.yaml"
+    config.write_text(f"service: {{source: 'replay://{tmp_path}/pipe.xtf', output_directory: '{tmp_path}/live'}}\n")
+    assert main(["run", "--config", str(config)]) == 3
+    assert "no regular file" in capsys.readouterr().err
+
+
+def test_a_device_or_a_socket_given_as_a_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket.xtf"))
+        for path in (tmp_path / "socket.xtf", Path("/dev/zero"), Path("/dev/tty")):
+            assert "no regular file" in refused(path, tmp_path / "out", capsys)
 
 
 def test_a_log_without_pings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -113,7 +113,7 @@ def test_writing_is_streaming(tmp_path: Path) -> None:
 
     def watched() -> Iterator[NavSample | Ping]:
         for event in mission(400):
-            written_so_far.append(path.stat().st_size)
+            written_so_far.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
             yield event
 
     write_xtf(path, watched())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,12 @@ def test_a_file_that_is_no_model_is_refused_by_name(tmp_path: Path, data: bytes 
         path.write_bytes(data)
     with pytest.raises(BadInputError, match=r"model\.json"):
         configured_model(with_model(str(path)))
+
+
+def test_a_pipe_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "model.json")
+    with pytest.raises(BadInputError, match=r"model\.json is no regular file"):
+        configured_model(with_model(str(tmp_path / "model.json")))
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:

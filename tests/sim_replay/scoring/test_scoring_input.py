@@ -14,10 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scoring_cases import collection, contact, thing, write_pair
 
+from auv_mcm.clean_text import is_clean
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NAN
-from sim_replay.scoring import parse_contacts, parse_truth, read_contacts, read_truth, score_files
+from sim_replay.scoring import parse_contacts, parse_truth, read_contacts, read_truth, score_files, table
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 
@@ -72,6 +73,19 @@ def test_truth_as_the_simulator_tells_it_is_understood() -> None:
     assert look.ground_range_m == pytest.approx(9.0, abs=0.5)
     assert told.seabed_map is not None
     assert told.area_km2 == pytest.approx(20.0 * 35.0e-6, rel=0.2)
+
+
+def test_words_of_a_truth_file_reach_the_table_without_control_characters(tmp_path: Path) -> None:
+    hostile = "mine\x1b[2J\n0.99\x9b"
+    objects = [{"kind": hostile, "lat": 43.1, "lon": 5.9, "is_target": True, "seabed": hostile}]
+    told = changed({"type": "FeatureCollection", "features": [contact(0.0, 0.0)]}, "features.0.properties.class", hostile)
+    (tmp_path / "truth.json").write_text(json.dumps({"area_km2": 1, "objects": objects}))
+    paths = [tmp_path / name for name in ("a\x1b.geojson", "truth.json", "b\x1b.geojson", "truth.json")]
+    for path in paths[::2]:
+        path.write_text(json.dumps(told))
+    lines = table(score_files(paths)).split("\n")
+    assert [line for line in lines if not is_clean(line)] == []
+    assert any(r"mine\x1b[2J\n0.99\x9b" in line for line in lines)
 
 
 def test_least_that_other_producers_write_is_enough(tmp_path: Path) -> None:

@@ -1,0 +1,96 @@
+"""Open files so that no link, pipe or device stands in for them: not for a result that is written, nor for a log that is read.
+
+Whoever may write to the directory of the results could otherwise put a link there and have the service overwrite another file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from auv_mcm.errors import BadInputError
+
+_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+_DIRECTORY: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+
+
+def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
+    """Open a regular file for reading. Raises OSError, and BadInputError for a pipe, a socket or a device.
+
+    A pipe would make its reader wait for ever, and opening a device may change its state: neither is opened.
+    """
+    _refuse_irregular(path, os.stat(path).st_mode)
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOCTTY | os.O_NONBLOCK)  # a pipe opens at once
+    try:
+        _refuse_irregular(path, os.fstat(descriptor).st_mode)  # it may have been exchanged in between
+        return open(descriptor, "rb", buffering=buffering)
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def _refuse_irregular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise BadInputError(f"{path} is no regular file. Copy it to a disk first.")
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, directory: int | None = None, durable: bool = True) -> Iterator[BinaryIO]:
+    """Write a new file, which takes the place of `path` once it is whole; of one that fails nothing is left. Raises OSError.
+
+    Until then it has a name that nobody can foresee. A link at `path` is replaced, not followed. directory: the descriptor that `path`
+    starts from, if not the working directory. durable: on disk when the block ends.
+    """
+    temporary = path.with_name(f".{secrets.token_hex(8)}.new")
+    descriptor = os.open(temporary, _NEW, 0o666, dir_fd=directory)
+    try:
+        with open(descriptor, "wb") as file:
+            yield file
+            file.flush()
+            if durable:
+                os.fsync(descriptor)
+        os.replace(temporary, path, src_dir_fd=directory, dst_dir_fd=directory)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary, dir_fd=directory)
+        raise
+    if durable and directory is None:
+        sync_directory(path.parent)
+
+
+@contextlib.contextmanager
+def own_directory(path: Path) -> Iterator[int]:
+    """Give the descriptor of a directory, made if it is not there. Raises OSError, also for a link in its place."""
+    with contextlib.suppress(FileExistsError):
+        path.mkdir()
+    descriptor = os.open(path, _DIRECTORY | os.O_NOFOLLOW)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def open_for_append(path: Path) -> BinaryIO:
+    """Open a file, made if it is not there, to write behind its end, unbuffered. Raises OSError, also for a link or a pipe."""
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+
+    return open(path, "ab", buffering=0, opener=opener)
+
+
+def sync_directory(folder: Path) -> None:
+    """Make the names in a directory durable. Raises OSError."""
+    descriptor = os.open(folder, _DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

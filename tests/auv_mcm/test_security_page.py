@@ -1,0 +1,39 @@
+"""What auv_mcm/docs/security.md says of the whole source holds for every file of it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ON_THE_VEHICLE = sorted(path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py"))
+
+
+@pytest.mark.parametrize(
+    ("claim", "against"),
+    [
+        ("no TCP port is listened on", r"\.listen\(|start_server|create_server|start_unix_server"),
+        (
+            "nothing that is read is executed or unpickled",
+            r"\beval\(|\bexec\(|\bpickle\b|\bmarshal\b|allow_pickle=True|unsafe_load|FullLoader",
+        ),
+        ("there is no shell", r"shell=True|os\.system|os\.popen|\bsubprocess\b"),
+    ],
+)
+def test_what_the_page_says_of_the_code_that_runs_on_the_vehicle(claim: str, against: str) -> None:
+    guilty = [path.relative_to(ROOT).as_posix() for path in ON_THE_VEHICLE if re.search(against, path.read_text("utf-8"))]
+    assert guilty == [], claim
+
+
+def test_only_one_module_opens_files_for_writing() -> None:
+    writing = re.compile(r"write_text\(|write_bytes\(|open\([^)]*[\"'][wax]b?[\"']|O_CREAT")
+    names = [path.relative_to(ROOT).as_posix() for path in ON_THE_VEHICLE if writing.search(path.read_text("utf-8"))]
+    # A file that a person names on the command line is made there, by `write_new`, or replaced where a link leads, by `score --json`.
+    assert names == ["auv_mcm/commands/__init__.py", "auv_mcm/commands/score.py", "auv_mcm/safe_files.py"]
+
+
+def test_what_is_opened_at_the_end_of_a_wire_is_only_what_the_page_lists() -> None:
+    binding = [path.name for path in ON_THE_VEHICLE if ".bind(" in path.read_text("utf-8")]
+    assert binding == ["udp.py"]
