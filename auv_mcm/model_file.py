@@ -27,4 +27,6 @@ def read_model(key: str, name: str, parse: Callable[[bytes, str], Model], shippe
     except OSError as error:
         message = f"{key} {name}: {error.strerror}. Name a model file, or '{SHIPPED}' for the one of the package{else_}"
         raise BadInputError(message) from error
+    except BadInputError as error:  # a pipe or a device
+        raise BadInputError(f"{key} {error}") from error
     return parse(data, f"{key} {name}")
