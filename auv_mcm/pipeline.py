@@ -23,15 +23,17 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
 from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Contacts, Ledger
+from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows
+from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows, uncovered
 from auv_mcm.records import (
     SIDES,
     Contact,
+    CoveragePatch,
     Detection,
     EchoTrace,
     NavSample,
@@ -214,12 +216,17 @@ class Pipeline:
         events: list[PipelineEvent] = []
         settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
-            grid = self._cells_around(tile)
-            with self._timed("seabed"):
-                seabed = None if grid is None else seabed_cells(tile, self._seabed)
-            with self._timed("coverage"):
-                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result), grid, seabed)
-            events += [tile, patch]
+            events.append(tile)
+            patch: CoveragePatch | Defect
+            if isinstance(result, Defect):
+                events += self._failed(result, "detection", tile)
+                patch, result = uncovered(tile), TileDetections((), 0, 0)
+            else:
+                patch = caught(partial(self._cover, tile, evaluated_fraction(result)))
+            if isinstance(patch, Defect):
+                events += self._failed(patch, "coverage", tile)
+                patch = uncovered(tile)
+            events.append(patch)
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
@@ -237,6 +244,24 @@ class Pipeline:
                 settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop))
         return events + self._conclude(settled)
 
+    def _cover(self, tile: Tile, evaluated: float) -> CoveragePatch:
+        grid = self._cells_around(tile)
+        with self._timed("seabed"):
+            seabed = None if grid is None else seabed_cells(tile, self._seabed)
+        with self._timed("coverage"):
+            return cover_tile(tile, self._config.sonar, evaluated, grid, seabed)
+
+    def _failed(self, defect: Defect, what: str, tile: Tile) -> list[PipelineEvent]:
+        """Count a piece that could not be processed; the first one of each kind of work is reported."""
+        counter = f"pipeline.{what}_failed"
+        self._counts[counter] += 1
+        if self._counts[counter] > 1:
+            return []
+        pings = tile.ping_number[tile.core_start : tile.core_stop]
+        pings = pings[pings >= 0]
+        place = f"{tile.side} tile {tile.index}" + (f", pings {pings[0]} to {pings[-1]}" if pings.size else "")
+        return [defect_notice(defect, what, "That tile is not covered; the mission goes on.", place)]
+
     def _cells_around(self, tile: Tile) -> Grid | None:
         """The mission's cells, whose plane touches the Earth where its first tile that can be placed begins."""
         if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
@@ -244,10 +269,9 @@ class Pipeline:
             self._grid = Grid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
         return self._grid
 
-    def _detect(self, tile: Tile) -> TileDetections | None:
-        if not self._exhaustive and not worth_looking(tile):
-            return None
-        return self._detect_in(tile)
+    def _detect(self, tile: Tile) -> TileDetections | Defect | None:
+        """What was found; None if there is nothing to see."""
+        return caught(lambda: None if not self._exhaustive and not worth_looking(tile) else self._detect_in(tile))
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
         """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
@@ -255,7 +279,8 @@ class Pipeline:
         final: list[Detection] = []
         with self._timed("confirm"):
             for detections in settled:
-                looked_at, n_over_budget = self._confirm(detections)
+                looked_at, n_over_budget, defects = self._confirm(detections)
+                events += self._looks_failed(defects)
                 if n_over_budget and not self._counts["confirm.over_budget"]:
                     events.append(_looks_over_budget(detections[0], n_over_budget))
                 self._counts["confirm.over_budget"] += n_over_budget
@@ -263,11 +288,20 @@ class Pipeline:
         with self._timed("ledger"):
             return [*events, *self._ledger.add(final)]
 
-    def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int]:
-        """The detections of one tile, looked at, and how many more there were than may be."""
+    def _looks_failed(self, defects: list[tuple[Detection, Defect]]) -> list[PipelineEvent]:
+        first = not self._counts["pipeline.close_look_failed"]
+        self._counts["pipeline.close_look_failed"] += len(defects)
+        if not defects or not first:
+            return []
+        detection, defect = defects[0]
+        place = f"{detection.side}, ping {detection.ping_number}"
+        return [defect_notice(defect, "the close look", "That detection keeps the detector's p_mine; the mission goes on.", place)]
+
+    def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int, list[tuple[Detection, Defect]]]:
+        """The detections of one tile, looked at; how many more there were than may be; those on which the close look failed."""
         config = self._config.confirm
         if not config.enabled:
-            return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0
+            return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
         # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
         worthwhile = [config.min_p_mine <= 0.0 or is_worth_a_look(detection, self._odds, config) for detection in detections]
         best_first = sorted(
@@ -275,13 +309,16 @@ class Pipeline:
         )
         chosen, rest = best_first[: config.max_per_tile], best_first[config.max_per_tile :]
         mapped = map if self._threads is None else self._threads.map
-        looked_at = list(mapped(self._look_closely, chosen))
-        looked_at += [self._look_closely(d) for d, worth in zip(detections, worthwhile, strict=True) if not worth]
+        tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
+        looks = list(mapped(lambda detection: caught(partial(self._look_closely, detection)), tried))
+        defects = [(detection, look) for detection, look in zip(tried, looks, strict=True) if isinstance(look, Defect)]
+        looked_at = [look for look in looks if not isinstance(look, Defect)]
         for detection in looked_at:
             found = detection.confirmation
             self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
             self._counts["confirm.rejected"] += found is not None and found.rejected
-        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest)
+        looked_at += [passed_over(detection, self._odds, "look_failed") for detection, _ in defects]
+        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest), defects
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

@@ -330,8 +330,8 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
     covered_m2: area of pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
-    `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`). evaluated_fraction: of its places to look at, those that
-    the detector's budget allowed for. cells: the same area cell by cell; None where no row could be placed on Earth.
+    `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`, `failed` processing). evaluated_fraction: of its places to
+    look at, those that the detector's budget allowed for. cells: the same area cell by cell; None where no row could be placed on Earth.
     """
 
     side: Side

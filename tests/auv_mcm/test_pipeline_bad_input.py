@@ -12,9 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from short_missions import flown, one_leg
 
+from auv_mcm import pipeline as pipeline_module
 from auv_mcm.config import Config
+from auv_mcm.defects import DefectWarning
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.plan.coverage import cover_tile
 from auv_mcm.records import NAN, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
 from sim_replay.simulator.scene import SceneObject, Sonar
 
@@ -209,3 +212,60 @@ def test_candidates_beyond_the_budget_are_told() -> None:
     assert pipeline.counters["detect.over_budget"] > 0
     assert any(isinstance(event, Notice) and event.code == "detect.over_budget" for event in events)
     assert finds_the_target(pipeline)  # the best first
+
+
+# --- a stage that fails ----------------------------------------------------------------------------------------------
+
+
+class FailsOnce:
+    """A stage whose first call fails."""
+
+    def __init__(self, error: Exception, stage: Callable[..., object]) -> None:
+        self._error: Exception | None = error
+        self._stage = stage
+
+    def __call__(self, *arguments: object, **options: object) -> object:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+        return self._stage(*arguments, **options)
+
+
+STAGES = {  # what fails: name in the pipeline, counter, what the notice says of it
+    "detection": ("detect_tile", "pipeline.detection_failed", "not covered"),
+    "coverage": ("cover_tile", "pipeline.coverage_failed", "not covered"),
+    "sea floor": ("seabed_cells", "pipeline.coverage_failed", "not covered"),
+    "close look": ("look_closely", "pipeline.close_look_failed", "keeps the detector's p_mine"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::auv_mcm.defects.DefectWarning")
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 4.9 GiB"), IndexError("index 7 is out of bounds")], ids=["memory", "index"]
+)
+@pytest.mark.parametrize("stage", list(STAGES))
+def test_a_stage_that_fails_on_one_tile_costs_that_tile_and_not_the_mission(
+    stage: str, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, counter, consequence = STAGES[stage]
+    whole = covered_m2(run(list(mission()))[1])
+    monkeypatch.setattr(pipeline_module, name, FailsOnce(error, getattr(pipeline_module, name)))
+    pipeline, events = run(list(mission()))
+    assert pipeline.counters[counter] == 1
+    (notice,) = [event for event in events if isinstance(event, Notice) and event.code == "pipeline.tile_failed"]
+    assert str(error) in notice.text
+    assert consequence in notice.text
+    assert notice.place
+    patches = [event for event in events if isinstance(event, CoveragePatch)]
+    if stage == "close look":
+        assert covered_m2(events) == whole
+    else:
+        assert sum(patch.lost_m2.get("failed", 0.0) for patch in patches) > 0.0
+        assert covered_m2(events) < whole
+    assert pipeline.finish() == []
+
+
+def test_a_stage_that_fails_is_an_error_in_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline_module, "cover_tile", FailsOnce(KeyError("a slip of the pen"), cover_tile))
+    with pytest.raises(DefectWarning, match="slip of the pen"):
+        run(list(mission()))
