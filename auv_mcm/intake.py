@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.navigation import NavBuffer
-from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
+from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 
 BLOCK_PINGS: Final = 32
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
@@ -35,6 +36,14 @@ class PingBlock(NamedTuple):
     yaw_rate_rad_s: NDArray[np.float64]
     pitch_rate_rad_s: NDArray[np.float64]
 
+    def piece(self, first: int, stop: int) -> PingBlock:
+        """Pings [first, stop)."""
+        if (first, stop) == (0, len(self.pings)):
+            return self
+        rows = slice(first, stop)
+        poses = PoseTrack(**{name: getattr(self.poses, name)[rows] for name in self.poses.__struct_fields__})
+        return PingBlock(self.pings[rows], poses, self.along_m[rows], self.yaw_rate_rad_s[rows], self.pitch_rate_rad_s[rows])
+
 
 class SegmentEnd(NamedTuple):
     """The next block does not continue the one before."""
@@ -50,6 +59,7 @@ class Intake:
         self._config = config
         self._counters = counters
         self._navigation = NavBuffer(config.navigation)
+        self._n_steps = 0  # of the position, before the newest block
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
@@ -65,8 +75,10 @@ class Intake:
     def navigation_counters(self) -> Counter[str]:
         return self._refused + self._navigation.counters
 
-    def add_navigation(self, sample: NavSample) -> None:
+    def add_navigation(self, sample: NavSample) -> list[Notice]:
+        """Take a sample; return what a person should know about navigation."""
         self._navigation.add(sample)
+        return self._navigation.take_notices()
 
     def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         """Queue a ping; return what became ready."""
@@ -97,7 +109,7 @@ class Intake:
             self._counters["ping.clock_stepped_back"] += 1
             done = [*self._release(everything=True), SegmentEnd()]
             self._refused += self._navigation.counters
-            self._navigation = NavBuffer(self._config.navigation)
+            self._navigation, self._n_steps = NavBuffer(self._config.navigation), 0
         elif step_s > self._longest_hole_s:
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
@@ -133,7 +145,7 @@ class Intake:
             for _ in run:
                 self._pending.popleft()
             self._run = []
-            released.append(self._block(run))
+            released += self._blocks(run)
         return released
 
     def _next_run(self, *, everything: bool) -> list[Ping]:
@@ -147,6 +159,18 @@ class Intake:
             run.append(item)
         self._run = run
         return run
+
+    def _blocks(self, pings: list[Ping]) -> list[PingBlock | SegmentEnd]:
+        """The pings with their poses, in pieces with a segment's end between where the position steps to another place."""
+        block = self._block(pings)
+        n_steps = self._navigation.n_steps_before(block.poses.time_s)
+        pieces: list[PingBlock | SegmentEnd] = []
+        for first, stop in pairwise([0, *(np.flatnonzero(np.diff(n_steps)) + 1).tolist(), len(pings)]):
+            if n_steps[first] != self._n_steps:
+                self._n_steps = int(n_steps[first])
+                pieces.append(SegmentEnd())
+            pieces.append(block.piece(first, stop))
+        return pieces
 
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])

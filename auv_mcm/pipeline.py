@@ -116,8 +116,7 @@ class Pipeline:
             return [event]
         if isinstance(event, NavSample):
             with self._timed("intake"):
-                self._intake.add_navigation(event)
-            return []
+                return list(self._intake.add_navigation(event))
         self._counts["ping.received"] += 1
         prepared = self._prepare(event)
         if prepared is None:

@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
+from auv_mcm.fix_agreement import FixAgreement
 from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NAN, NavSample, Notice
 from drivers.clocks import DeviceClock, wire_delay_s
@@ -40,7 +41,6 @@ _QUEUE_SLACK_S: Final = 0.25  # beyond the longest latency, for links of unequal
 _RECKONING_PERIOD_S: Final = 0.1
 _RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma at which a person should know
 _JUMP_SLACK_M: Final = 3.0  # receivers scatter and round
-_REFIX_COUNT: Final = 3  # this many positions in a row that agree on a new place are believed
 _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a person hears of it; as many that agree end it
@@ -75,13 +75,13 @@ class _Given(NamedTuple):
 class _Channel:
     """One quantity of one unit."""
 
-    def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float) -> None:
+    def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float, agreement: FixAgreement[_Given]) -> None:
         self.health = UnitHealth(source, unit.priority, unit.valid_s)
         self.watch = GnssWatch(surface_depth_m) if unit.surface_only else None
         self.doubt: Doubt | None = None  # of its newest position
         self.given: _Given | None = None
         self.unit_time_s: float | None = None
-        self.suspects: list[_Given] = []
+        self.agreement = agreement
         self.n_disagree = 0
         self.disagrees = False
 
@@ -142,7 +142,7 @@ class NavMerge:
             if self._repeats(channel, fix, quantity):
                 continue
             if quantity == "position":
-                reading = self._believed(channel, unit, time_s, self._without_arm(reading, unit), events)
+                reading = self._believed(channel, time_s, self._without_arm(reading, unit))
             elif quantity == "speed" and unit.surface_only and self._submerged(fix.source):
                 reading = None
             elif quantity == "depth" or quantity == "altitude":
@@ -218,7 +218,9 @@ class NavMerge:
     def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> _Channel:
         channel = self._channels.get((quantity, source))
         if channel is None:
-            channel = self._channels[quantity, source] = _Channel(source, unit, self._settings.surface_depth_m)
+            channel = self._channels[quantity, source] = _Channel(
+                source, unit, self._settings.surface_depth_m, FixAgreement(_apart_m, self._reach_m, span_s=0.0)
+            )
             self._fallbacks[quantity].add(channel.health)
         return channel
 
@@ -264,9 +266,7 @@ class NavMerge:
         down_m = arm_north_east_down(unit.lever_arm_m, 0.0, *attitude)[2]
         return value_m - down_m if quantity == "depth" else value_m + down_m
 
-    def _believed(
-        self, channel: _Channel, unit: NavUnitSettings, time_s: float, position: Position, events: list[Event]
-    ) -> Position | None:
+    def _believed(self, channel: _Channel, time_s: float, position: Position) -> Position | None:
         """The position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
@@ -274,22 +274,13 @@ class NavMerge:
             if channel.doubt is not None:
                 self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1
                 return None
-        given = _Given(time_s, position)
-        last = channel.given
-        if last is None or self._reachable(last, given):
-            channel.suspects.clear()
+        decision = channel.agreement.add(_Given(time_s, position))
+        if decision.accepted and decision.step_m == 0.0:
             return position
         self.counters[f"nav.jump.{source}"] += 1
-        if channel.suspects and not self._reachable(channel.suspects[-1], given):
-            channel.suspects.clear()
-        channel.suspects.append(given)
-        if len(channel.suspects) < _REFIX_COUNT:
+        if not decision.accepted:
             return None
-        channel.suspects.clear()
-        self.counters[f"nav.refix.{source}"] += 1
-        distance_m = math.hypot(*offset_m(last.value[:2], position[:2]))
-        text = f"'{source}' jumped by {distance_m:.0f} m in {time_s - last.time_s:.1f} s and stays there: the new place is used from now on"
-        events.append(Notice(code="nav_position_jump", text=text))
+        self.counters[f"nav.refix.{source}"] += 1  # reported by perception, once it follows
         return position
 
     def _submerged(self, source: str) -> bool:
@@ -298,10 +289,9 @@ class NavMerge:
         channel = self._channels.get(("position", source))
         return (depth_m is not None and depth_m > self._settings.surface_depth_m) or (channel is not None and channel.doubt is not None)
 
-    def _reachable(self, before: _Given, after: _Given) -> bool:
+    def _reach_m(self, before: _Given, after: _Given) -> float:
         slack_m = _JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
-        distance_m = math.hypot(*offset_m(before.value[:2], after.value[:2]))
-        return distance_m <= slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
+        return slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
 
     def _choose(self, quantity: Quantity) -> list[Event]:
         """Have the best healthy unit serve; tell if that is another one than before."""
@@ -425,6 +415,10 @@ class NavMerge:
             self._last_utc_s = sample.time_s
             due.append(sample)
         return due
+
+
+def _apart_m(before: _Given, after: _Given) -> float:
+    return math.hypot(*offset_m(before.value[:2], after.value[:2]))
 
 
 def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:

@@ -14,6 +14,7 @@ from short_missions import flown, one_leg
 
 from auv_mcm import pipeline as pipeline_module
 from auv_mcm.config import Config
+from auv_mcm.contacts.export import sigma_m
 from auv_mcm.defects import DefectWarning
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
@@ -269,3 +270,61 @@ def test_a_stage_that_fails_is_an_error_in_tests(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(pipeline_module, "cover_tile", FailsOnce(KeyError("a slip of the pen"), cover_tile))
     with pytest.raises(DefectWarning, match="slip of the pen"):
         run(list(mission()))
+
+
+# --- navigation that lies --------------------------------------------------------------------------------------------
+
+
+def displaced(wrong: Callable[[int], bool], degrees: float) -> list[SourceEvent]:
+    """The mission with some of its fixes, by their running number, elsewhere."""
+    events: list[SourceEvent] = []
+    number = -1
+    for event in mission():
+        if isinstance(event, NavSample) and math.isfinite(event.latitude_deg):
+            number += 1
+            if wrong(number):
+                event = msgspec.structs.replace(
+                    event, latitude_deg=event.latitude_deg + degrees, longitude_deg=event.longitude_deg + degrees
+                )
+        events.append(event)
+    return events
+
+
+def codes(events: list[PipelineEvent]) -> set[str]:
+    return {event.code for event in events if isinstance(event, Notice)}
+
+
+def n_fixes() -> int:
+    return sum(isinstance(event, NavSample) and math.isfinite(event.latitude_deg) for event in mission())
+
+
+@pytest.mark.parametrize("degrees", [0.01, 0.5, 80.0])
+def test_fixes_far_off_for_a_moment_move_no_contact(degrees: float) -> None:
+    middle = n_fixes() // 2
+    pipeline, events = run(displaced(lambda n: middle <= n < middle + 20, degrees))
+    assert finds_the_target(pipeline)
+    assert "navigation.positions_rejected" in codes(events)
+    assert covered_m2(events) > 300.0
+
+
+def test_a_wrong_first_fix_moves_no_contact() -> None:
+    pipeline, _ = run(displaced(lambda n: n == 0, 60.0))
+    assert finds_the_target(pipeline)
+
+
+def test_a_step_that_stays_is_reported_and_no_coverage_lies_between_the_places() -> None:
+    middle = n_fixes() // 2
+    _, events = run(displaced(lambda n: n >= middle, 0.5))
+    assert "nav_position_jump" in codes(events)
+    rings = [ring for event in events if isinstance(event, CoveragePatch) for ring in event.rings_deg]
+    assert max(np.ptp(ring[:, 1]) for ring in rings) < 0.001
+    assert {round(float(ring[0, 1]), 1) for ring in rings} == {50.0, 50.5}
+
+
+def test_contacts_of_a_disputed_position_say_so_in_their_sigma_and_nothing_there_is_covered() -> None:
+    pipeline, events = run(displaced(lambda n: n % 2 == 1, 0.01))
+    assert {"navigation.position_disputed", "navigation.positions_rejected"} <= codes(events)
+    assert pipeline.contacts
+    assert all(sigma_m(contact) > 1000.0 for contact in pipeline.contacts)
+    assert all("stale_navigation" in contact.views[0].reasons for contact in pipeline.contacts)
+    assert covered_m2(events) == 0.0
