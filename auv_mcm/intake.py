@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.navigation import NavBuffer
+from auv_mcm.navigation_checks import AltitudeCheck
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 
 BLOCK_PINGS: Final = 32
@@ -59,6 +60,10 @@ class Intake:
         self._config = config
         self._counters = counters
         self._navigation = NavBuffer(config.navigation)
+        self._altitude_check = AltitudeCheck()
+        self._beyond_range: Notice | None = None
+        self._last_beyond = (math.nan, math.nan, "")  # altitude and range in metres, place
+        self._notices: list[Notice] = []
         self._n_steps = 0  # of the position, before the newest block
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
@@ -79,6 +84,11 @@ class Intake:
         """Take a sample; return what a person should know about navigation."""
         self._navigation.add(sample)
         return self._navigation.take_notices()
+
+    def take_notices(self) -> list[Notice]:
+        """What a person should know about the pings since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
 
     def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         """Queue a ping; return what became ready."""
@@ -121,7 +131,9 @@ class Intake:
         """Everything still waiting, and the end of the segment."""
         leap, self._leap = self._leap, None
         late = [] if leap is None else self._accept(leap)
-        return [*late, *self._release(everything=True), SegmentEnd()]
+        released = [*late, *self._release(everything=True), SegmentEnd()]
+        self._check_altitude(at_end=True)
+        return released
 
     def start_segment(self, along_m: float) -> None:
         """The next block's first ping lies just after this along-track distance."""
@@ -185,6 +197,7 @@ class Intake:
         span_s = after_s - before_s
         before, after = self._navigation.interpolate(before_s), self._navigation.interpolate(after_s)
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
+        self._compare_altitude(pings, poses)
         self._counters["navigation.ping_stale"] += int(np.count_nonzero(poses.stale))
         return PingBlock(
             pings,
@@ -193,6 +206,31 @@ class Intake:
             _rate(after.heading_rad - before.heading_rad, span_s),
             _rate(after.pitch_rad - before.pitch_rad, span_s),
         )
+
+    def _compare_altitude(self, pings: list[Ping], poses: PoseTrack) -> None:
+        """Altitudes of a block against the range of its pings, which have one layout."""
+        if self._beyond_range is not None:
+            return
+        altitude_m = np.where(np.isfinite(poses.altitude_m), poses.altitude_m, [ping.altitude_m for ping in pings])
+        range_m = max(
+            trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in (pings[0].port, pings[0].starboard) if trace
+        )
+        beyond = altitude_m > range_m
+        self._altitude_check.add(int(np.count_nonzero(np.isfinite(altitude_m))), int(np.count_nonzero(beyond)))
+        if beyond.any():
+            self._last_beyond = (float(np.max(altitude_m[beyond])), range_m, pings[0].place)
+        self._check_altitude(at_end=False)
+
+    def _check_altitude(self, *, at_end: bool) -> None:
+        if self._beyond_range is not None or not self._altitude_check.is_beyond_range(at_end=at_end):
+            return
+        altitude_m, range_m, place = self._last_beyond
+        text = (
+            f"altitude ({altitude_m:.1f} m) is greater than the sonar's range ({range_m:.1f} m) in most pings: no echo can come from the "
+            "sea floor. Check the altimeter and its unit, and the range setting of the sonar."
+        )
+        self._beyond_range = Notice(code="navigation.altitude_beyond_range", text=text, place=place)
+        self._notices.append(self._beyond_range)
 
     def place_along_track(self, block: PingBlock) -> PingBlock:
         """The block with its along-track distances: speed over ground integrated over time, strictly increasing."""

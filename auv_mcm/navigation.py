@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from auv_mcm.config import NavigationConfig
 from auv_mcm.fix_agreement import Decision, FixAgreement
 from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, ecef_to_geodetic, geodetic_to_ecef
+from auv_mcm.navigation_checks import ZERO_ALTITUDES, HeadingCheck
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 
 MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that says so is wrong
@@ -88,6 +89,8 @@ class NavBuffer:
         self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
+        self._heading_check = HeadingCheck()
+        self._n_zero_altitudes = 0  # in a row
         self._notices: list[Notice] = []
         self._raised: set[str] = set()
         self._last_fix: _Fix | None = None
@@ -235,6 +238,8 @@ class NavBuffer:
                 self.counters["navigation.not_finite"] += 1
             elif not low <= value <= high:
                 self.counters[f"navigation.{name}_out_of_range"] += 1
+                if channel is self._altitude and value == 0.0:
+                    self._count_zero_altitude(time_s)
             elif channel.last_s == time_s:
                 self.counters["navigation.time_repeated"] += 1
             elif channel is self._heading:
@@ -242,6 +247,17 @@ class NavBuffer:
                 channel.append(time_s, self._last_heading)
             else:
                 channel.append(time_s, value)
+                if channel is self._altitude:
+                    self._n_zero_altitudes = 0
+
+    def _count_zero_altitude(self, time_s: float) -> None:
+        self._n_zero_altitudes += 1
+        if self._n_zero_altitudes >= ZERO_ALTITUDES:
+            text = (
+                f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found from the echoes "
+                "alone. Check that the altimeter is connected, logged, and has bottom lock."
+            )
+            self._raise_once("navigation.altitude_zero", text, time_s)
 
     def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
         if not (math.isfinite(latitude) and math.isfinite(longitude)):
@@ -318,6 +334,20 @@ class NavBuffer:
         if distance >= CHORD_M:
             self._last_course = self._unwrap(_course(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
+            self._check_heading(middle_s, self._last_course)
+
+    def _check_heading(self, time_s: float, course_rad: float) -> None:
+        heading = self._heading.at(np.array([time_s]))
+        if not heading.fresh[0]:
+            return
+        offset_rad = self._heading_check.add(float(heading.values[0, 0]), course_rad)
+        if offset_rad is not None:
+            side = "right" if offset_rad > 0.0 else "left"
+            text = (
+                f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: contacts lie on the "
+                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port and starboard are swapped."
+            )
+            self._raise_once("navigation.heading_off_course", text, time_s)
 
     def _unwrap(self, angle_rad: float, time_s: float) -> float:
         """The turn count nearest to the heading, to the course while the compass is silent: a track may change between them."""

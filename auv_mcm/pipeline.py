@@ -40,9 +40,11 @@ from auv_mcm.records import (
     Notice,
     Ping,
     PipelineEvent,
+    Side,
     SourceEvent,
     Tile,
 )
+from auv_mcm.sample_checks import SampleCheck
 from auv_mcm.seabed.model import shipped_seabed_model
 from auv_mcm.seabed.stage import seabed_cells
 from auv_mcm.waterfall.stage import Waterfall
@@ -80,6 +82,7 @@ class Pipeline:
         self._counts: Counter[str] = Counter()
         self.costs_s: dict[str, float] = {}
         self._intake = Intake(config, self._counts)
+        self._samples = {side: SampleCheck(side, config.sonar.full_scale, self._counts) for side in SIDES}
         self._probe: list[Ping] = []
         self._transfer: Transfer | None = None
         self._after_gap: list[Ping] | None = None  # the first pings after a hole in time, to check the transfer again
@@ -121,10 +124,11 @@ class Pipeline:
         prepared = self._prepare(event)
         if prepared is None:
             return []
+        notices: list[PipelineEvent] = [*self._check_samples(prepared)]
         if self._waterfall is None:
             self._probe.append(prepared)
-            return self._start() if len(self._probe) == _PROBE_PINGS else []
-        return self._take(prepared)
+            return notices + (self._start() if len(self._probe) == _PROBE_PINGS else [])
+        return notices + self._take(prepared)
 
     def finish(self) -> list[PipelineEvent]:
         """Everything still in the chain, at the end of the stream. Calling it again returns nothing."""
@@ -142,7 +146,7 @@ class Pipeline:
 
     def _prepare(self, ping: Ping) -> Ping | None:
         """The ping without what cannot be an echo trace; None if nothing is left."""
-        port, starboard = self._usable(ping.port), self._usable(ping.starboard)
+        port, starboard = self._usable(ping.port, "port"), self._usable(ping.starboard, "starboard")
         if port is None and starboard is None:
             self._counts["ping.without_samples"] += 1
             return None
@@ -150,14 +154,18 @@ class Pipeline:
             return ping
         return msgspec.structs.replace(ping, port=port, starboard=starboard)
 
-    def _usable(self, trace: EchoTrace | None) -> EchoTrace | None:
+    def _check_samples(self, ping: Ping) -> list[Notice]:
+        traces = {"port": ping.port, "starboard": ping.starboard}
+        return [n for side in SIDES if (t := traces[side]) is not None for n in self._samples[side].check(t, ping.place)]
+
+    def _usable(self, trace: EchoTrace | None, side: Side) -> EchoTrace | None:
         if trace is None:
             return None
         metric = math.isfinite(trace.first_range_m) and math.isfinite(trace.spacing_m) and trace.spacing_m > 0.0
         if trace.samples.ndim != 1 or trace.samples.shape[0] < 2 or trace.samples.dtype.kind not in "uif" or not metric:
             self._counts["ping.trace_unusable"] += 1
             return None
-        return trace
+        return self._samples[side].scaled(trace)
 
     def _start(self) -> list[PipelineEvent]:
         """Decide the sample transfer from the first pings, then run them."""
@@ -193,7 +201,7 @@ class Pipeline:
 
     def _run(self, released: list[PingBlock | SegmentEnd]) -> list[PipelineEvent]:
         assert self._waterfall is not None
-        events: list[PipelineEvent] = []
+        events: list[PipelineEvent] = [*self._intake.take_notices()]
         for item in released:
             if isinstance(item, SegmentEnd):
                 with self._timed("waterfall"):

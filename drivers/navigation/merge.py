@@ -22,6 +22,7 @@ from drivers.navigation.corrections import (
     Attitude,
     Heading,
     Position,
+    Readings,
     Speed,
     arm_north_east_down,
     moved,
@@ -45,6 +46,16 @@ _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or recko
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a person hears of it; as many that agree end it
 _N_SIGMA: Final = 3.0
+_N_IMPOSSIBLE: Final = 20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
+_FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
+    "position": ("latitude_deg", "longitude_deg"),
+    "heading": ("heading_rad",),
+    "attitude": ("pitch_rad", "roll_rad"),
+    "depth": ("depth_m",),
+    "altitude": ("altitude_m",),
+    "speed": ("speed_mps",),
+}
+_UNITS: Final = {"deg": "degrees", "rad": "rad", "m": "m", "mps": "m/s"}
 _MAX_UNKNOWN: Final = 32
 _TICK_S: Final = 1e-3
 # Differences that are nothing to talk about: the units measure at different places and instants.
@@ -101,6 +112,8 @@ class NavMerge:
         self._fallbacks = {quantity: Fallback(settings.recover_s) for quantity in QUANTITIES}
         self._clocks: dict[str, DeviceClock] = {}
         self._unknown: set[str] = set()
+        self._n_impossible: dict[tuple[Quantity, str], int] = {}  # in a row
+        self._impossible_reported: set[tuple[Quantity, str]] = set()
         self._reckoner = Reckoner()
         self._lost: set[Quantity] = set()
         self._reckoned_s = -math.inf
@@ -127,8 +140,7 @@ class NavMerge:
         time_s = fix.received.mono_ns * 1e-9 - age_s
         utc_s = fix.received.utc_ns * 1e-9 - age_s
         readings, impossible = readings_of(fix, unit)
-        for quantity in impossible:
-            self.counters[f"nav.impossible.{quantity}.{fix.source}"] += 1
+        events += self._refuse(impossible, readings, fix)
         delivered = {
             quantity: reading
             for quantity, reading in zip(QUANTITIES, readings, strict=True)
@@ -192,6 +204,29 @@ class NavMerge:
             serving = None if fallback.serving is None else fallback.serving.source
             health[quantity] = QuantityHealth(serving, {unit.source: self._now_s - unit.last_s for unit in fallback.units})
         return health
+
+    def _refuse(self, impossible: list[Quantity], readings: Readings, fix: NavFix) -> list[Event]:
+        """Count what cannot be; a unit that goes on sending such values is reported once per quantity."""
+        events: list[Event] = []
+        for quantity, reading in zip(QUANTITIES, readings, strict=True):
+            if reading is not None:
+                self._n_impossible.pop((quantity, fix.source), None)
+        for quantity in impossible:
+            self.counters[f"nav.impossible.{quantity}.{fix.source}"] += 1
+            if quantity == "position" and fix.latitude_deg == fix.longitude_deg == 0.0:
+                continue  # a receiver that waits for its first fix
+            key = (quantity, fix.source)
+            self._n_impossible[key] = self._n_impossible.get(key, 0) + 1
+            if self._n_impossible[key] < _N_IMPOSSIBLE or key in self._impossible_reported:
+                continue
+            self._impossible_reported.add(key)
+            values = ", ".join(
+                f"{name.rpartition('_')[0]} {getattr(fix, name):g} {_UNITS[name.rpartition('_')[2]]}" for name in _FIELDS[quantity]
+            )
+            text = f"'{fix.source}' sends a {quantity} that cannot be ({values}); it is not used. "
+            text += "Check the unit's settings, sensor and wiring."
+            events.append(Notice(code="nav_impossible", text=text))
+        return events
 
     def _unknown_source(self, source: str) -> list[Event]:
         self.counters["nav.unknown_source"] += 1

@@ -53,6 +53,8 @@ MEANINGS: Final = {
     "quality.dead": "traces without any signal",
     "quality.no_samples": "traces without samples",
     "quality.ping_mostly_saturated": "traces with most of their echoes clipped",
+    "quality.trace_all_negative": "traces without a positive sample",
+    "quality.trace_scaled": "traces scaled by a power of two, since their squares would not fit into single precision",
     "quality.stuck": "traces that repeat the one before, sample by sample",
     "replay.log_unusable": "logs nothing could be read from",
     "service.event_dropped": "results dropped because the receiver was too slow",

@@ -328,3 +328,56 @@ def test_contacts_of_a_disputed_position_say_so_in_their_sigma_and_nothing_there
     assert all(sigma_m(contact) > 1000.0 for contact in pipeline.contacts)
     assert all("stale_navigation" in contact.views[0].reasons for contact in pipeline.contacts)
     assert covered_m2(events) == 0.0
+
+
+def turned(degrees: float) -> list[SourceEvent]:
+    """The mission with every heading turned."""
+    return [
+        msgspec.structs.replace(event, heading_rad=event.heading_rad + math.radians(degrees)) if isinstance(event, NavSample) else event
+        for event in longer_mission()
+    ]
+
+
+@cache
+def longer_mission() -> tuple[SourceEvent, ...]:
+    sonar = Sonar(range_m=12.0, n_samples=128, ping_rate_hz=6.0, range_resolution_m=0.0, beam_lines=1)
+    return flown(one_leg([], sonar, length_m=70.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE))
+
+
+@pytest.mark.parametrize(("degrees", "words"), [(90.0, "90 degrees right"), (-90.0, "90 degrees left"), (180.0, "180 degrees")])
+def test_a_heading_off_the_course_for_a_whole_mission_is_reported(degrees: float, words: str) -> None:
+    _, events = run(turned(degrees))
+    (notice,) = [event for event in events if isinstance(event, Notice) and event.code == "navigation.heading_off_course"]
+    assert words in notice.text
+
+
+@pytest.mark.parametrize("degrees", [0.0, 35.0, -45.0])
+def test_a_vehicle_that_crabs_in_a_current_raises_no_notice(degrees: float) -> None:
+    assert "navigation.heading_off_course" not in codes(run(turned(degrees))[1])
+
+
+@pytest.mark.parametrize(("altitude_m", "code"), [(60.0, "navigation.altitude_beyond_range"), (0.0, "navigation.altitude_zero")])
+def test_an_altitude_that_cannot_be_is_reported(altitude_m: float, code: str) -> None:
+    events = [
+        msgspec.structs.replace(event, altitude_m=altitude_m) if isinstance(event, Ping | NavSample) else event for event in mission()
+    ]
+    (notice,) = [event for event in run(events)[1] if isinstance(event, Notice) and event.code == code]
+    assert "Check" in notice.text
+    assert notice.place
+
+
+@pytest.mark.parametrize("gain", [1e-30, 1e-25, 1e25])
+def test_the_same_contacts_come_of_float_samples_at_any_gain(gain: float) -> None:
+    def at_gain(gain: float) -> NDArray[np.float64]:
+        pipeline, _ = run(changed(lambda _, p: resampled(p, lambda s: s.astype(np.float64) * gain)))
+        return np.array([(contact.latitude_deg, contact.longitude_deg, contact.p_mine) for contact in pipeline.contacts])
+
+    np.testing.assert_allclose(at_gain(gain), at_gain(1.0), rtol=0.0, atol=1e-6)
+
+
+def test_samples_that_are_all_negative_are_reported() -> None:
+    pipeline, events = run(changed(lambda _, p: resampled(p, lambda s: -1.0 - s.astype(np.float32))))
+    notices = [event for event in events if isinstance(event, Notice) and event.code == "quality.samples_negative"]
+    assert len(notices) == 2, "one for each side"
+    assert all("sonar.transfer" in notice.text and notice.place for notice in notices)
+    assert pipeline.counters["quality.trace_all_negative"] > 100

@@ -19,8 +19,10 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.navigation import NavBuffer
 from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NavSample, Notice
+from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
 from drivers.navigation.merge import Event, NavMerge
+from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.seam import NavFix
 from drivers.navigation.settings import NavMergeSettings
 from drivers.stamps import Stamp
@@ -479,3 +481,28 @@ def test_asking_for_the_time_between_fixes_changes_no_sample(data: st.DataObject
         events += merged.feed(one)
     events += merged.finish()
     assert [event for event in events if isinstance(event, NavSample)] == plain
+
+
+def test_a_nmea_2000_latitude_beyond_90_degrees_is_counted_refused_and_reported_once() -> None:
+    bus = N2kBus("can")
+    merged = NavMerge(NavMergeSettings(units={"can.7": NavUnitSettings()}))
+    fixes: list[NavFix] = []
+    for t in range(60):
+        pgn, data = n2k.encode(n2k.RapidPosition(91.0 + 0.001 * t, 10.0))
+        fixes += bus.feed(n2k.can_id_of(n2k.Identifier(2, pgn, n2k.GLOBAL, 7)), data, at(float(t)))
+    samples, notices = run(merged, fixes)
+    assert bus.counters["n2k.impossible_position"] == 60
+    assert merged.counters["nav.impossible.position.can.7"] == 60
+    assert all(math.isnan(sample.latitude_deg) for sample in samples)
+    (notice,) = notices
+    assert notice.code == "nav_impossible"
+    assert "latitude 91.019 degrees" in notice.text
+    assert "Check" in notice.text
+
+
+def test_an_altitude_of_zero_that_goes_on_is_reported_and_a_short_one_is_not() -> None:
+    merged = merge(dvl=NavUnitSettings())
+    _, notices = run(merged, [fix("dvl", 0.1 * t, altitude_m=0.0 if t % 30 else 5.0) for t in range(19)])
+    assert "nav_impossible" not in [notice.code for notice in notices]
+    _, notices = run(merged, [fix("dvl", 2.0 + 0.1 * t, altitude_m=0.0) for t in range(60)])
+    assert [notice.code for notice in notices].count("nav_impossible") == 1
