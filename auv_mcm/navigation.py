@@ -345,7 +345,8 @@ class NavBuffer:
             side = "right" if offset_rad > 0.0 else "left"
             text = (
                 f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: contacts lie on the "
-                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port and starboard are swapped."
+                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port and starboard "
+                "are swapped."
             )
             self._raise_once("navigation.heading_off_course", text, time_s)
 
