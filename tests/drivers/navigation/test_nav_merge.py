@@ -506,3 +506,21 @@ def test_an_altitude_of_zero_that_goes_on_is_reported_and_a_short_one_is_not() -
     assert "nav_impossible" not in [notice.code for notice in notices]
     _, notices = run(merged, [fix("dvl", 2.0 + 0.1 * t, altitude_m=0.0) for t in range(60)])
     assert [notice.code for notice in notices].count("nav_impossible") == 1
+
+
+def test_a_receiver_a_degree_off_for_four_seconds_moves_no_ping() -> None:
+    """Live this killed perception: the merge follows after three positions, perception waits until they agree for longer."""
+    positions = [place(0.0, 0.15 * t) for t in range(300)]
+    for t in range(100, 140):
+        positions[t] = {name: value + 1.0 for name, value in positions[t].items()}
+    merged = merge(gps=NavUnitSettings())
+    samples, _ = run(merged, [fix("gps", 0.1 * t, **position) for t, position in enumerate(positions)])
+    buffer = NavBuffer(NavigationConfig())
+    for sample in samples:
+        buffer.add(sample)
+    poses = buffer.interpolate(T0.utc_ns * 1e-9 + np.arange(5.0, 28.0, 0.1))
+    assert merged.counters["nav.refix.gps"] == 2
+    assert buffer.counters["navigation.position_refix"] == 0
+    assert np.abs(poses.latitude_deg - HOME[0]).max() < 0.01
+    assert poses.stale.sum() < 45
+    assert "navigation.positions_rejected" in [notice.code for notice in buffer.take_notices()]
