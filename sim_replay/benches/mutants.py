@@ -38,6 +38,7 @@ GOOD_CODES: Final = (0, 3)
 
 _NEAR_M: Final = 200.0  # from the nearest position of the log: twice the greatest range of the shared logs and seconds of track
 _SIGMAS: Final = 3.0
+_PROGRESS: Final = 50  # mutants per line of progress
 _COMBINED: Final = 4  # every so many mutants combine two kinds
 _ADDRESS_SPACE_BYTES: Final = 6 << 30  # spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
 _PROGRAM: Final = (
@@ -82,6 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
             mutants.append(mutant)
             if mutant.failures:
                 print(f"FAILED {number} of {mutant.log}, {' + '.join(kinds)}: {'; '.join(mutant.failures)}", flush=True)
+            if len(mutants) % _PROGRESS == 0:
+                print(f"{len(mutants)} of {arguments.mutants}", flush=True)
     for line in table(mutants):
         print(line)
     failed = sum(bool(mutant.failures) for mutant in mutants)

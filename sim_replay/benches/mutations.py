@@ -163,6 +163,8 @@ def _set(structure: Any, name: str, value: float) -> None:
 
 def _random_fields(log: Log, random: Random) -> Log:
     pings = _pings(log)
+    if not pings:
+        return log
     names = [field[0] for field in pyxtf.XTFPingHeader._fields_ if field[0] not in ("MagicNumber", "NumBytesThisRecord")]
     for _ in range(int(random.integers(1, 30))):
         name = names[int(random.integers(len(names)))]
@@ -252,7 +254,7 @@ def _repeated(packets: list[bytearray], random: Random) -> list[bytearray]:
 
 def _channel_fields(log: Log, random: Random) -> Log:
     names = [field[0] for field in pyxtf.XTFPingChanHeader._fields_]
-    for _ in range(int(random.integers(1, 20))):
+    for _ in range(int(random.integers(1, 20)) if log.packets else 0):
         packet = log.packets[int(random.integers(len(log.packets)))]
         if packet[2] != _SONAR or len(packet) < _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES:
             continue
@@ -298,13 +300,13 @@ def _truncated(log: Log, random: Random) -> bytes:
 
 def _inserted(log: Log, random: Random) -> bytes:
     data = log.joined()
-    at = int(random.integers(FILE_HEADER_BYTES, len(data)))
+    at = int(random.integers(FILE_HEADER_BYTES, len(data) + 1))
     return data[:at] + random.bytes(int(random.integers(1, 5000))) + data[at:]
 
 
 def _removed(log: Log, random: Random) -> bytes:
     data = log.joined()
-    at = int(random.integers(FILE_HEADER_BYTES, len(data)))
+    at = int(random.integers(FILE_HEADER_BYTES, len(data) + 1))
     return data[:at] + data[at + int(random.integers(1, 20_000)) :]
 
 

@@ -41,6 +41,13 @@ def test_damage_is_the_same_for_the_same_seed_and_changes_something(kind: str, l
     assert any(damaged(log, kind, seed=seed) != log.read_bytes() for seed in range(10))
 
 
+@pytest.mark.parametrize("kind", list(CHANGES))
+def test_a_log_without_pings_can_be_damaged_too(kind: str, log: Path) -> None:
+    data = log.read_bytes()[:FILE_HEADER_BYTES]
+    for seed in range(5):
+        mutated(split(data, SHORT), (kind,), np.random.default_rng(seed))
+
+
 def test_jumps_span_ten_metres_to_ninety_degrees(log: Path) -> None:
     before = np.frombuffer(b"".join(packet[160:176] for packet in split(log.read_bytes(), SHORT).packets), dtype="<f8").reshape(-1, 2)
     lengths = []
