@@ -59,7 +59,8 @@ class Intake:
     def __init__(self, config: Config, counters: Counter[str]) -> None:
         self._config = config
         self._counters = counters
-        self._navigation = NavBuffer(config.navigation)
+        self._raised: set[str] = set()  # codes of notices about navigation
+        self._navigation = NavBuffer(config.navigation, self._raised)
         self._altitude_check = AltitudeCheck()
         self._beyond_range: Notice | None = None
         self._last_beyond = (math.nan, math.nan, "")  # altitude and range in metres, place
@@ -83,11 +84,11 @@ class Intake:
     def add_navigation(self, sample: NavSample) -> list[Notice]:
         """Take a sample; return what a person should know about navigation."""
         self._navigation.add(sample)
-        return self._navigation.take_notices()
+        return self.take_notices()
 
     def take_notices(self) -> list[Notice]:
-        """What a person should know about the pings since the last call."""
-        notices, self._notices = self._notices, []
+        """What a person should know about pings and navigation since the last call."""
+        notices, self._notices = self._notices + self._navigation.take_notices(), []
         return notices
 
     def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
@@ -119,7 +120,8 @@ class Intake:
             self._counters["ping.clock_stepped_back"] += 1
             done = [*self._release(everything=True), SegmentEnd()]
             self._refused += self._navigation.counters
-            self._navigation, self._n_steps = NavBuffer(self._config.navigation), 0
+            self._notices += self._navigation.take_notices()
+            self._navigation, self._n_steps = NavBuffer(self._config.navigation, self._raised), 0
         elif step_s > self._longest_hole_s:
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())

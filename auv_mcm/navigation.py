@@ -32,6 +32,7 @@ DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no spe
 _REJECTED_WINDOW: Final = 40  # newest decided fixes, of which _REJECTED_SHARE and _MIN_REJECTED rejected ones raise a notice
 _REJECTED_SHARE: Final = 0.2
 _MIN_REJECTED: Final = 5
+_MAX_STEPS_REPORTED: Final = 10
 MAX_TIME_LEAP_S: Final = 60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
@@ -67,7 +68,8 @@ class NavBuffer:
     `.roll_absent`.
     """
 
-    def __init__(self, config: NavigationConfig) -> None:
+    def __init__(self, config: NavigationConfig, raised: set[str] | None = None) -> None:
+        """raised: codes of notices that are not raised again, as of the buffer before a clock step; grows."""
         self.counters: Counter[str] = Counter()
         limits = _Limits(config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s))
         # Derived values stand at the middle of a chord, so they are as far apart as chords are long.
@@ -92,7 +94,7 @@ class NavBuffer:
         self._heading_check = HeadingCheck()
         self._n_zero_altitudes = 0  # in a row
         self._notices: list[Notice] = []
-        self._raised: set[str] = set()
+        self._raised = set() if raised is None else raised
         self._last_fix: _Fix | None = None
         self._chord_start: _Fix | None = None
 
@@ -306,10 +308,13 @@ class NavBuffer:
         """The track goes on at another place from this fix on."""
         self.counters["navigation.position_refix"] += 1
         self._steps_s.append((self._position.last_s, fix.time_s))
+        if len(self._steps_s) > _MAX_STEPS_REPORTED:
+            return
         text = (
             f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which place is right: "
             "contacts on one side of the jump may be wrong by as much."
         )
+        text += " Further jumps are only counted." * (len(self._steps_s) == _MAX_STEPS_REPORTED)
         self._notices.append(Notice(code="nav_position_jump", text=text, place=_utc(fix.time_s)))
 
     def _raise_once(self, code: str, text: str, time_s: float) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.intake import BLOCK_PINGS, Intake, PingBlock, SegmentEnd
-from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
+from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 
 START_S = 1.7e9
 PING_S, NAV_S = 0.1, 0.2
@@ -57,11 +57,12 @@ class Fed:
         self.counters: Counter[str] = Counter()
         self.intake = Intake(config or Config(), self.counters)
         self.released: list[PingBlock | SegmentEnd] = []
+        self.notices: list[Notice] = []
 
     def feed(self, events: Iterable[Ping | NavSample]) -> Fed:
         for event in events:
             if isinstance(event, NavSample):
-                self.intake.add_navigation(event)
+                self.notices += self.intake.add_navigation(event)
             else:
                 self.released += self.intake.add_ping(event)
         return self
@@ -347,3 +348,17 @@ def test_pings_that_cannot_wait_for_the_decision_say_so_in_their_sigma() -> None
     wrong = (np.arange(300) >= 152) & (np.abs(latitude - 43.01) > 0.005)
     assert wrong.any()
     assert (sigma_m[wrong] > 1000.0).all()
+
+
+def test_what_is_decided_only_at_the_end_is_reported_too() -> None:
+    """A mission so short that fixes are settled when nobody can wait any longer."""
+    fed = Fed().feed(displaced(mission(40), 10, 25, 0.5)).flush()
+    assert [notice.code for notice in fed.notices + fed.intake.take_notices()] == ["navigation.positions_rejected"]
+
+
+def test_a_clock_that_steps_back_again_and_again_repeats_no_notice() -> None:
+    fed = Fed()
+    for lap in range(4):
+        events = [structs.replace(event, time_s=event.time_s - 1000.0 * lap) for event in displaced(mission(40), 10, 25, 0.5)]
+        fed.feed(events)
+    assert [notice.code for notice in fed.flush().notices + fed.intake.take_notices()] == ["navigation.positions_rejected"]
