@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.navigation import NavBuffer
-from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
+from auv_mcm.navigation_checks import AltitudeCheck
+from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 
 BLOCK_PINGS: Final = 32
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
@@ -35,6 +37,14 @@ class PingBlock(NamedTuple):
     yaw_rate_rad_s: NDArray[np.float64]
     pitch_rate_rad_s: NDArray[np.float64]
 
+    def piece(self, first: int, stop: int) -> PingBlock:
+        """Pings [first, stop)."""
+        if (first, stop) == (0, len(self.pings)):
+            return self
+        rows = slice(first, stop)
+        poses = PoseTrack(**{name: getattr(self.poses, name)[rows] for name in self.poses.__struct_fields__})
+        return PingBlock(self.pings[rows], poses, self.along_m[rows], self.yaw_rate_rad_s[rows], self.pitch_rate_rad_s[rows])
+
 
 class SegmentEnd(NamedTuple):
     """The next block does not continue the one before."""
@@ -49,7 +59,13 @@ class Intake:
     def __init__(self, config: Config, counters: Counter[str]) -> None:
         self._config = config
         self._counters = counters
-        self._navigation = NavBuffer(config.navigation)
+        self._raised: set[str] = set()  # codes of notices about navigation
+        self._navigation = NavBuffer(config.navigation, self._raised)
+        self._altitude_check = AltitudeCheck()
+        self._beyond_range: Notice | None = None
+        self._last_beyond = (math.nan, math.nan, "")  # altitude and range in metres, place
+        self._notices: list[Notice] = []
+        self._n_steps = 0  # of the position, before the newest block
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
@@ -65,8 +81,15 @@ class Intake:
     def navigation_counters(self) -> Counter[str]:
         return self._refused + self._navigation.counters
 
-    def add_navigation(self, sample: NavSample) -> None:
+    def add_navigation(self, sample: NavSample) -> list[Notice]:
+        """Take a sample; return what a person should know about navigation."""
         self._navigation.add(sample)
+        return self.take_notices()
+
+    def take_notices(self) -> list[Notice]:
+        """What a person should know about pings and navigation since the last call."""
+        notices, self._notices = self._notices + self._navigation.take_notices(), []
+        return notices
 
     def add_ping(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         """Queue a ping; return what became ready."""
@@ -97,7 +120,8 @@ class Intake:
             self._counters["ping.clock_stepped_back"] += 1
             done = [*self._release(everything=True), SegmentEnd()]
             self._refused += self._navigation.counters
-            self._navigation = NavBuffer(self._config.navigation)
+            self._notices += self._navigation.take_notices()
+            self._navigation, self._n_steps = NavBuffer(self._config.navigation, self._raised), 0
         elif step_s > self._longest_hole_s:
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
@@ -109,7 +133,9 @@ class Intake:
         """Everything still waiting, and the end of the segment."""
         leap, self._leap = self._leap, None
         late = [] if leap is None else self._accept(leap)
-        return [*late, *self._release(everything=True), SegmentEnd()]
+        released = [*late, *self._release(everything=True), SegmentEnd()]
+        self._check_altitude(at_end=True)
+        return released
 
     def start_segment(self, along_m: float) -> None:
         """The next block's first ping lies just after this along-track distance."""
@@ -133,7 +159,7 @@ class Intake:
             for _ in run:
                 self._pending.popleft()
             self._run = []
-            released.append(self._block(run))
+            released += self._blocks(run)
         return released
 
     def _next_run(self, *, everything: bool) -> list[Ping]:
@@ -148,6 +174,18 @@ class Intake:
         self._run = run
         return run
 
+    def _blocks(self, pings: list[Ping]) -> list[PingBlock | SegmentEnd]:
+        """The pings with their poses, in pieces with a segment's end between where the position steps to another place."""
+        block = self._block(pings)
+        n_steps = self._navigation.n_steps_before(block.poses.time_s)
+        pieces: list[PingBlock | SegmentEnd] = []
+        for first, stop in pairwise([0, *(np.flatnonzero(np.diff(n_steps)) + 1).tolist(), len(pings)]):
+            if n_steps[first] != self._n_steps:
+                self._n_steps = int(n_steps[first])
+                pieces.append(SegmentEnd())
+            pieces.append(block.piece(first, stop))
+        return pieces
+
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])
         poses = self._navigation.interpolate(times)
@@ -161,6 +199,7 @@ class Intake:
         span_s = after_s - before_s
         before, after = self._navigation.interpolate(before_s), self._navigation.interpolate(after_s)
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
+        self._compare_altitude(pings, poses)
         self._counters["navigation.ping_stale"] += int(np.count_nonzero(poses.stale))
         return PingBlock(
             pings,
@@ -169,6 +208,31 @@ class Intake:
             _rate(after.heading_rad - before.heading_rad, span_s),
             _rate(after.pitch_rad - before.pitch_rad, span_s),
         )
+
+    def _compare_altitude(self, pings: list[Ping], poses: PoseTrack) -> None:
+        """Altitudes of a block against the range of its pings, which have one layout."""
+        if self._beyond_range is not None:
+            return
+        altitude_m = np.where(np.isfinite(poses.altitude_m), poses.altitude_m, [ping.altitude_m for ping in pings])
+        range_m = max(
+            trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in (pings[0].port, pings[0].starboard) if trace
+        )
+        beyond = altitude_m > range_m
+        self._altitude_check.add(int(np.count_nonzero(np.isfinite(altitude_m))), int(np.count_nonzero(beyond)))
+        if beyond.any():
+            self._last_beyond = (float(np.max(altitude_m[beyond])), range_m, pings[0].place)
+        self._check_altitude(at_end=False)
+
+    def _check_altitude(self, *, at_end: bool) -> None:
+        if self._beyond_range is not None or not self._altitude_check.is_beyond_range(at_end=at_end):
+            return
+        altitude_m, range_m, place = self._last_beyond
+        text = (
+            f"altitude ({altitude_m:.1f} m) is greater than the sonar's range ({range_m:.1f} m) in most pings: no echo can come from the "
+            "sea floor. Check the altimeter and its unit, and the range setting of the sonar."
+        )
+        self._beyond_range = Notice(code="navigation.altitude_beyond_range", text=text, place=place)
+        self._notices.append(self._beyond_range)
 
     def place_along_track(self, block: PingBlock) -> PingBlock:
         """The block with its along-track distances: speed over ground integrated over time, strictly increasing."""

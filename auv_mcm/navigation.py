@@ -1,14 +1,16 @@
 """Navigation samples in, vehicle poses at ping times out.
 
-Each quantity lives in its own time-ordered channel, because sources measure them at different rates. A pose at a given
-instant becomes final, that is, no later sample can change it, once the samples fed so far say so (`NavBuffer.ready_until_s`);
-who waits for that gets the same poses however the stream was cut into pieces.
+Each quantity lives in its own time-ordered channel, because sources measure them at different rates. Positions that contradict each
+other are settled by `auv_mcm.fix_agreement`; notices about them come from here alone, so that live and replayed missions say the same. A
+pose at a given instant becomes final, that is, no later sample can change it, once the samples fed so far say so
+(`NavBuffer.ready_until_s`); who waits for that gets the same poses however the stream was cut into pieces.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
+from datetime import UTC, datetime
 from operator import attrgetter
 from typing import Final, NamedTuple
 
@@ -16,12 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.config import NavigationConfig
+from auv_mcm.fix_agreement import Decision, FixAgreement
 from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, ecef_to_geodetic, geodetic_to_ecef
-from auv_mcm.records import NAN, NavSample, PoseTrack
+from auv_mcm.navigation_checks import ZERO_ALTITUDES, HeadingCheck
+from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 
 MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that says so is wrong
 JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
-REFIX_COUNT: Final = 3  # this many fixes in a row that agree on a new place are believed
+# Fixes that contradict the ones before must agree this long until they are believed: a receiver that was 1 degree off for 4 s came back.
+# Pings wait 5 s for navigation by default, so the decision comes before they are placed.
+AGREE_S: Final = 4.5
+DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no speed is known: a survey speed
+_REJECTED_WINDOW: Final = 40  # newest decided fixes, of which _REJECTED_SHARE and _MIN_REJECTED rejected ones raise a notice
+_REJECTED_SHARE: Final = 0.2
+_MIN_REJECTED: Final = 5
+_MAX_STEPS_REPORTED: Final = 10
 MAX_TIME_LEAP_S: Final = 60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
@@ -51,19 +62,20 @@ class _Limits(NamedTuple):
 class NavBuffer:
     """The vehicle's recent navigation.
 
-    `counters` tells what was refused or derived: `navigation.time_not_finite`, `.time_backwards`, `.time_repeated`,
+    `counters` holds what was refused or derived: `navigation.time_not_finite`, `.time_backwards`, `.time_repeated`,
     `.time_leap`, `.not_finite`, `.position_zero`, `.zero_with_position`, `.position_jump`, `.position_refix`,
     `.<quantity>_out_of_range`; in instants: `.heading_from_course`, `.speed_from_fixes`; at most one: `.pitch_absent`,
     `.roll_absent`.
     """
 
-    def __init__(self, config: NavigationConfig) -> None:
+    def __init__(self, config: NavigationConfig, raised: set[str] | None = None) -> None:
+        """raised: codes of notices that are not raised again, as of the buffer before a clock step; grows."""
         self.counters: Counter[str] = Counter()
         limits = _Limits(config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s))
         # Derived values stand at the middle of a chord, so they are as far apart as chords are long.
         chord_s = CHORD_MAX_S + config.max_gap_s
         chord_limits = _Limits(chord_s, chord_s, chord_s)
-        self._position = _Channel(limits, width=3)
+        self._position = _Channel(limits, width=5)  # Earth-centred metres, doubt in metres, 1 where the position is disputed
         self._heading = _Channel(limits)
         self._pitch, self._roll, self._depth, self._altitude, self._speed = (_Channel(limits) for _ in range(5))
         self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS
@@ -75,7 +87,14 @@ class NavBuffer:
         self._last_heading: float | None = None
         self._last_course: float | None = None
         self._leap: NavSample | None = None
-        self._suspects: list[_Fix] = []
+        self._agreement = FixAgreement(_distance, _reach_m, AGREE_S)
+        self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
+        self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
+        self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
+        self._heading_check = HeadingCheck()
+        self._n_zero_altitudes = 0  # in a row
+        self._notices: list[Notice] = []
+        self._raised = set() if raised is None else raised
         self._last_fix: _Fix | None = None
         self._chord_start: _Fix | None = None
 
@@ -108,6 +127,20 @@ class NavBuffer:
             self._store(leap)
         self._store(sample)
 
+    def take_notices(self) -> list[Notice]:
+        """What a person should know since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def n_steps_before(self, times_s: NDArray[np.float64]) -> NDArray[np.intp]:
+        """How often the track has stepped to another place before each instant, (n,)."""
+        before_s, after_s = np.array([*self._steps_s, (np.inf, np.inf)]).T
+        n_steps = np.searchsorted(after_s, times_s, side="right")
+        # As _Channel.at has it: between two fixes that are not joined an instant is at the nearer one.
+        until_s = after_s[n_steps] - times_s
+        at_next = (until_s < times_s - before_s[n_steps]) & (until_s <= self._position.limits.look_ahead_s + _CLOCK_S)
+        return np.asarray(n_steps + at_next)
+
     @property
     def span_s(self) -> tuple[float, float]:
         """Times of the oldest and the newest sample believed; both -inf before the first one."""
@@ -120,13 +153,15 @@ class NavBuffer:
         Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays so.
         """
         newest_s = self._newest_s
+        next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be believed
         # Later chords have their middle at or after this instant; the next fix after a hole starts a new chord.
-        next_chord_s = newest_s
+        next_chord_s = next_fix_s
         start, last = self._chord_start, self._last_fix
-        if start is not None and last is not None and newest_s - last.time_s <= self._position.limits.bridge_s:
-            next_chord_s = 0.5 * (start.time_s + newest_s)
+        if start is not None and last is not None and next_fix_s - last.time_s <= self._position.limits.bridge_s:
+            next_chord_s = 0.5 * (start.time_s + next_fix_s)
         derived_s = min(self._course.final_until(next_chord_s), self._track_speed.final_until(next_chord_s))
-        ready_s = min(channel.final_until(newest_s) for channel in (self._position, self._heading, *self._plain))
+        ready_s = min(channel.final_until(newest_s) for channel in (self._heading, *self._plain))
+        ready_s = min(ready_s, self._position.final_until(next_fix_s))
         for channel in (self._heading, self._speed):
             if channel.has_hole(derived_s, newest_s):
                 ready_s = min(ready_s, derived_s)
@@ -138,13 +173,19 @@ class NavBuffer:
         Never extrapolates. Beyond the ends, and in holes longer than `max_gap_s`, a quantity keeps its nearest value, taken
         from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll: 0). Heading
         and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
-        `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart.
+        `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart, and those whose
+        position is disputed. Asked for instants later than `ready_until_s` before any track of fixes is believed, it believes the best.
         """
         times = np.array(times_s, dtype=np.float64)
+        if not self._agreement.is_decided and times.size and float(times.max()) > self.ready_until_s:
+            self._decide(self._agreement.decide())
         position = self._position.at(times)
         heading, heading_fresh = self._measured_or_derived(self._heading, self._course, "navigation.heading_from_course", times)
         speed, _ = self._measured_or_derived(self._speed, self._track_speed, "navigation.speed_from_fixes", times)
-        latitude, longitude, _ = ecef_to_geodetic(position.values)
+        latitude, longitude, _ = ecef_to_geodetic(position.values[:, :3])
+        doubt_m, disputed = np.nan_to_num(position.values[:, 3]), position.values[:, 4] > 0.0
+        doubt_m = np.where(times >= self._agreement.waiting_since_s, np.maximum(doubt_m, self._agreement.waiting_apart_m), doubt_m)
+        drift_m = np.where(position.fresh, 0.0, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
         return PoseTrack(
             time_s=times,
             latitude_deg=latitude,
@@ -155,7 +196,8 @@ class NavBuffer:
             roll_rad=self._or_level(self._roll, "navigation.roll_absent", times),
             speed_mps=speed,
             altitude_m=self._altitude.at(times).values[:, 0],
-            stale=~(position.fresh & heading_fresh),
+            stale=~(position.fresh & heading_fresh) | disputed,
+            position_sigma_m=np.hypot(doubt_m, np.where(np.isfinite(drift_m), drift_m, 0.0)),
         )
 
     def forget_before(self, time_s: float) -> None:
@@ -167,7 +209,8 @@ class NavBuffer:
         self._newest_s = self._oldest_s = -math.inf
         for channel in self._all:
             channel.clear()
-        self._suspects.clear()
+        self._agreement = FixAgreement(_distance, _reach_m, AGREE_S)
+        self._last_offered_s = -math.inf
         self._last_fix = self._chord_start = None
         self._last_heading = self._last_course = None
 
@@ -188,6 +231,8 @@ class NavBuffer:
                 plain = [NAN if value == 0.0 else value for value in plain]
         if latitude == latitude or longitude == longitude:
             self._store_position(time_s, latitude, longitude)
+        if math.isfinite(self._agreement.waiting_since_s):
+            self._decide(self._agreement.advance(time_s))
         for channel, value, (name, low, high) in zip((self._heading, *self._plain), (heading, *plain), _RANGES, strict=True):
             if value != value:  # NaN: not measured
                 continue
@@ -195,6 +240,8 @@ class NavBuffer:
                 self.counters["navigation.not_finite"] += 1
             elif not low <= value <= high:
                 self.counters[f"navigation.{name}_out_of_range"] += 1
+                if channel is self._altitude and value == 0.0:
+                    self._count_zero_altitude(time_s)
             elif channel.last_s == time_s:
                 self.counters["navigation.time_repeated"] += 1
             elif channel is self._heading:
@@ -202,35 +249,82 @@ class NavBuffer:
                 channel.append(time_s, self._last_heading)
             else:
                 channel.append(time_s, value)
+                if channel is self._altitude:
+                    self._n_zero_altitudes = 0
+
+    def _count_zero_altitude(self, time_s: float) -> None:
+        self._n_zero_altitudes += 1
+        if self._n_zero_altitudes >= ZERO_ALTITUDES:
+            text = (
+                f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found from the echoes "
+                "alone. Check that the altimeter is connected, logged, and has bottom lock."
+            )
+            self._raise_once("navigation.altitude_zero", text, time_s)
 
     def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
         if not (math.isfinite(latitude) and math.isfinite(longitude)):
             self.counters["navigation.not_finite"] += 1
             return
         if not (-90.0 <= latitude <= 90.0 and -180.0 <= longitude <= 360.0):
-            self.counters["navigation.position_out_of_range"] += 1
+            self._last_offered_s = time_s
+            self._reject(1, "navigation.position_out_of_range")
             return
-        if time_s in (self._position.last_s, self._suspects[-1].time_s if self._suspects else None):
+        if time_s == self._last_offered_s:
             self.counters["navigation.time_repeated"] += 1
             return
-        fix = _fix(time_s, latitude, longitude)
-        if self._last_fix is None or _reachable(self._last_fix, fix):
-            self._suspects.clear()
-            self._accept(fix, joined=True)
-            return
-        self.counters["navigation.position_jump"] += 1
-        if self._suspects and not _reachable(self._suspects[-1], fix):
-            self._suspects.clear()
-        self._suspects.append(fix)
-        if len(self._suspects) >= REFIX_COUNT:
-            # Only the newest counts: poses at the times of the others may already be in use.
-            self.counters["navigation.position_refix"] += 1
-            self._suspects.clear()
-            self._accept(fix, joined=False)
+        self._last_offered_s = time_s
+        self._decide(self._agreement.add(_fix(time_s, latitude, longitude)))
 
-    def _accept(self, fix: _Fix, joined: bool) -> None:
+    def _decide(self, decision: Decision[_Fix]) -> None:
+        accepted = [fix for fix in decision.accepted if fix.time_s > self._position.last_s]
+        for number, fix in enumerate(accepted):
+            if number == 0 and decision.step_m > 0.0:
+                self._step(fix, decision.step_m)
+            doubt = (decision.doubt_m, float(decision.disputed))
+            self._accept(fix, number > 0 or decision.step_m == 0.0, doubt)
+        if decision.disputed and accepted:
+            text = (
+                f"fixes give two places {decision.doubt_m:.0f} m apart again and again: which one is right is not known. Contacts there "
+                "carry that distance as their sigma and nothing there counts as covered. Check the navigation units and their cables."
+            )
+            self._raise_once("navigation.position_disputed", text, accepted[-1].time_s)
+        self._decided.extend([False] * len(accepted))
+        if decision.n_rejected:
+            self._reject(decision.n_rejected, "navigation.position_jump")
+
+    def _reject(self, n_fixes: int, counter: str) -> None:
+        """Count rejected fixes; raise the notice where they are many of the newest ones."""
+        self.counters[counter] += n_fixes
+        self._decided.extend([True] * n_fixes)
+        n_rejected = self._decided.count(True)
+        if n_rejected >= max(_MIN_REJECTED, _REJECTED_SHARE * len(self._decided)):
+            text = (
+                f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, or the vehicle cannot "
+                "have moved there and back. Check the navigation unit, its antenna and its cable. More are counted."
+            )
+            self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
+
+    def _step(self, fix: _Fix, step_m: float) -> None:
+        """The track goes on at another place from this fix on."""
+        self.counters["navigation.position_refix"] += 1
+        self._steps_s.append((self._position.last_s, fix.time_s))
+        if len(self._steps_s) > _MAX_STEPS_REPORTED:
+            return
+        text = (
+            f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which place is right: "
+            "contacts on one side of the jump may be wrong by as much."
+        )
+        text += " Further jumps are only counted." * (len(self._steps_s) == _MAX_STEPS_REPORTED)
+        self._notices.append(Notice(code="nav_position_jump", text=text, place=_utc(fix.time_s)))
+
+    def _raise_once(self, code: str, text: str, time_s: float) -> None:
+        if code not in self._raised:
+            self._raised.add(code)
+            self._notices.append(Notice(code=code, text=text, place=_utc(time_s)))
+
+    def _accept(self, fix: _Fix, joined: bool, doubt: tuple[float, float]) -> None:
         """Take a fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
-        self._position.append(fix.time_s, (fix.x, fix.y, fix.z), joined)
+        self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt), joined)
         start, last = self._chord_start, self._last_fix
         self._last_fix = fix
         if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
@@ -245,6 +339,21 @@ class NavBuffer:
         if distance >= CHORD_M:
             self._last_course = self._unwrap(_course(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
+            self._check_heading(middle_s, self._last_course)
+
+    def _check_heading(self, time_s: float, course_rad: float) -> None:
+        heading = self._heading.at(np.array([time_s]))
+        if not heading.fresh[0]:
+            return
+        offset_rad = self._heading_check.add(float(heading.values[0, 0]), course_rad)
+        if offset_rad is not None:
+            side = "right" if offset_rad > 0.0 else "left"
+            text = (
+                f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: contacts lie on the "
+                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port and starboard "
+                "are swapped."
+            )
+            self._raise_once("navigation.heading_off_course", text, time_s)
 
     def _unwrap(self, angle_rad: float, time_s: float) -> float:
         """The turn count nearest to the heading, to the course while the compass is silent: a track may change between them."""
@@ -307,14 +416,16 @@ def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTr
         speed_mps=blend(track.speed_mps),
         altitude_m=blend(track.altitude_m),
         stale=track.stale[below] | (track.stale[above] & (fraction > 0.0)),
+        position_sigma_m=blend(track.position_sigma_m),
     )
 
 
 class _Values(NamedTuple):
-    """values: (n, width), NaN where nothing is known; fresh: (n,)."""
+    """values: (n, width), NaN where nothing is known; fresh: (n,); age_s: (n,) to the nearest value, inf without one."""
 
     values: NDArray[np.float64]
     fresh: NDArray[np.bool_]
+    age_s: NDArray[np.float64]
 
 
 class _Channel:
@@ -332,7 +443,7 @@ class _Channel:
         self.last_s = -math.inf
         self._hole_end_s = math.inf  # of the newest hole too long to bridge; the time before the first sample is one
 
-    def append(self, time_s: float, value: float | tuple[float, float, float], joined: bool = True) -> None:
+    def append(self, time_s: float, value: float | tuple[float, ...], joined: bool = True) -> None:
         """Add a value later than all others; `joined` is False if no line may lead to it from its predecessor."""
         stop = self._stop
         if stop == self._times.shape[0]:
@@ -358,7 +469,7 @@ class _Channel:
         known_s = self._times[self._start : self._stop]
         known = self._values[self._start : self._stop]
         if known_s.size == 0:
-            return _Values(np.full((times.size, known.shape[1]), NAN), np.zeros(times.size, dtype=np.bool_))
+            return _Values(np.full((times.size, known.shape[1]), NAN), np.zeros(times.size, dtype=np.bool_), np.full(times.size, np.inf))
         last = known_s.size - 1
         right = np.searchsorted(known_s, times, side="right")
         left = np.maximum(right - 1, 0)
@@ -374,7 +485,7 @@ class _Channel:
         distance = np.minimum(since, until)
         values = np.where(bridged[:, np.newaxis], known[left] + fraction[:, np.newaxis] * (known[right] - known[left]), known[nearest])
         values = np.where(np.isfinite(distance)[:, np.newaxis], values, NAN)
-        return _Values(values, bridged | (distance <= limits.fresh_s + _CLOCK_S))
+        return _Values(values, bridged | (distance <= limits.fresh_s + _CLOCK_S), distance)
 
     def forget_before(self, time_s: float) -> None:
         """Keep the last sample at or before `time_s`, as left neighbour, and all later ones."""
@@ -418,8 +529,16 @@ def _distance(a: _Fix, b: _Fix) -> float:
     return math.hypot(b.x - a.x, b.y - a.y, b.z - a.z)
 
 
-def _reachable(a: _Fix, b: _Fix) -> bool:
-    return _distance(a, b) <= JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)
+def _reach_m(a: _Fix, b: _Fix) -> float:
+    return JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)
+
+
+def _utc(time_s: float) -> str:
+    """The instant for messages."""
+    try:
+        return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (OverflowError, ValueError, OSError):
+        return f"time {time_s:g} s"
 
 
 def _course(a: _Fix, b: _Fix) -> float:

@@ -203,11 +203,23 @@ def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> d
         "searched": {
             "km2": round(p.size * cell_m2 * 1e-6, 6),
             "p_detected_mean": round(float(p.mean()), 4),
+            "km2_elsewhere": round(clearance.n_elsewhere * cell_m2 * 1e-6, 6),
             "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
             "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
             "mines_left": {"expected": round(left.expected, 4), "at_most_95": left.high, "p_none": round(left.p_none, 4)},
         }
     }
+
+
+def clearance_notices(clearance: Clearance | None) -> list[Notice]:
+    """What a person should know about the map of clearance."""
+    if clearance is None or not clearance.n_elsewhere:
+        return []
+    text = (
+        f"{clearance.n_elsewhere * clearance.cell_m**2 * 1e-6:.3g} km² were searched too far from the rest to be in the clearance map "
+        "and in the figures of the search. Check the positions in coverage.geojson; replay separate sites apart, or raise plan.cell_m."
+    )
+    return [Notice(code="clearance.elsewhere", text=text)]
 
 
 def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:

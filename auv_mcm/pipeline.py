@@ -23,24 +23,28 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
 from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Contacts, Ledger
+from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows
+from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows, uncovered
 from auv_mcm.records import (
     SIDES,
     Contact,
+    CoveragePatch,
     Detection,
     EchoTrace,
     NavSample,
     Notice,
     Ping,
     PipelineEvent,
+    Side,
     SourceEvent,
     Tile,
 )
+from auv_mcm.sample_checks import SampleCheck
 from auv_mcm.seabed.model import configured_seabed_model
 from auv_mcm.seabed.stage import seabed_cells
 from auv_mcm.waterfall.stage import Waterfall
@@ -78,6 +82,7 @@ class Pipeline:
         self._counts: Counter[str] = Counter()
         self.costs_s: dict[str, float] = {}
         self._intake = Intake(config, self._counts)
+        self._samples = {side: SampleCheck(side, config.sonar.full_scale, self._counts) for side in SIDES}
         self._probe: list[Ping] = []
         self._transfer: Transfer | None = None
         self._after_gap: list[Ping] | None = None  # the first pings after a hole in time, to check the transfer again
@@ -114,16 +119,16 @@ class Pipeline:
             return [event]
         if isinstance(event, NavSample):
             with self._timed("intake"):
-                self._intake.add_navigation(event)
-            return []
+                return list(self._intake.add_navigation(event))
         self._counts["ping.received"] += 1
         prepared = self._prepare(event)
         if prepared is None:
             return []
+        notices: list[PipelineEvent] = [*self._check_samples(prepared)]
         if self._waterfall is None:
             self._probe.append(prepared)
-            return self._start() if len(self._probe) == _PROBE_PINGS else []
-        return self._take(prepared)
+            return notices + (self._start() if len(self._probe) == _PROBE_PINGS else [])
+        return notices + self._take(prepared)
 
     def finish(self) -> list[PipelineEvent]:
         """Everything still in the chain, at the end of the stream. Calling it again returns nothing."""
@@ -141,7 +146,7 @@ class Pipeline:
 
     def _prepare(self, ping: Ping) -> Ping | None:
         """The ping without what cannot be an echo trace; None if nothing is left."""
-        port, starboard = self._usable(ping.port), self._usable(ping.starboard)
+        port, starboard = self._usable(ping.port, "port"), self._usable(ping.starboard, "starboard")
         if port is None and starboard is None:
             self._counts["ping.without_samples"] += 1
             return None
@@ -149,14 +154,18 @@ class Pipeline:
             return ping
         return msgspec.structs.replace(ping, port=port, starboard=starboard)
 
-    def _usable(self, trace: EchoTrace | None) -> EchoTrace | None:
+    def _check_samples(self, ping: Ping) -> list[Notice]:
+        traces = {"port": ping.port, "starboard": ping.starboard}
+        return [n for side in SIDES if (t := traces[side]) is not None for n in self._samples[side].check(t, ping.place)]
+
+    def _usable(self, trace: EchoTrace | None, side: Side) -> EchoTrace | None:
         if trace is None:
             return None
         metric = math.isfinite(trace.first_range_m) and math.isfinite(trace.spacing_m) and trace.spacing_m > 0.0
         if trace.samples.ndim != 1 or trace.samples.shape[0] < 2 or trace.samples.dtype.kind not in "uif" or not metric:
             self._counts["ping.trace_unusable"] += 1
             return None
-        return trace
+        return self._samples[side].scaled(trace)
 
     def _start(self) -> list[PipelineEvent]:
         """Decide the sample transfer from the first pings, then run them."""
@@ -192,7 +201,7 @@ class Pipeline:
 
     def _run(self, released: list[PingBlock | SegmentEnd]) -> list[PipelineEvent]:
         assert self._waterfall is not None
-        events: list[PipelineEvent] = []
+        events: list[PipelineEvent] = [*self._intake.take_notices()]
         for item in released:
             if isinstance(item, SegmentEnd):
                 with self._timed("waterfall"):
@@ -214,12 +223,17 @@ class Pipeline:
         events: list[PipelineEvent] = []
         settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
-            grid = self._cells_around(tile)
-            with self._timed("seabed"):
-                seabed = None if grid is None else seabed_cells(tile, self._seabed)
-            with self._timed("coverage"):
-                patch = cover_tile(tile, self._config.sonar, evaluated_fraction(result), grid, seabed)
-            events += [tile, patch]
+            events.append(tile)
+            patch: CoveragePatch | Defect
+            if isinstance(result, Defect):
+                events += self._failed(result, "detection", tile)
+                patch, result = uncovered(tile), TileDetections((), 0, 0)
+            else:
+                patch = caught(partial(self._cover, tile, evaluated_fraction(result)))
+            if isinstance(patch, Defect):
+                events += self._failed(patch, "coverage", tile)
+                patch = uncovered(tile)
+            events.append(patch)
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
@@ -237,6 +251,24 @@ class Pipeline:
                 settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop))
         return events + self._conclude(settled)
 
+    def _cover(self, tile: Tile, evaluated: float) -> CoveragePatch:
+        grid = self._cells_around(tile)
+        with self._timed("seabed"):
+            seabed = None if grid is None else seabed_cells(tile, self._seabed)
+        with self._timed("coverage"):
+            return cover_tile(tile, self._config.sonar, evaluated, grid, seabed)
+
+    def _failed(self, defect: Defect, what: str, tile: Tile) -> list[PipelineEvent]:
+        """Count a piece that could not be processed; the first one of each kind of work is reported."""
+        counter = f"pipeline.{what}_failed"
+        self._counts[counter] += 1
+        if self._counts[counter] > 1:
+            return []
+        pings = tile.ping_number[tile.core_start : tile.core_stop]
+        pings = pings[pings >= 0]
+        place = f"{tile.side} tile {tile.index}" + (f", pings {pings[0]} to {pings[-1]}" if pings.size else "")
+        return [defect_notice(defect, what, "That tile is not covered; the mission goes on.", place)]
+
     def _cells_around(self, tile: Tile) -> Grid | None:
         """The mission's cells, whose plane touches the Earth where its first tile that can be placed begins."""
         if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
@@ -244,10 +276,9 @@ class Pipeline:
             self._grid = Grid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
         return self._grid
 
-    def _detect(self, tile: Tile) -> TileDetections | None:
-        if not self._exhaustive and not worth_looking(tile):
-            return None
-        return self._detect_in(tile)
+    def _detect(self, tile: Tile) -> TileDetections | Defect | None:
+        """What was found; None if there is nothing to see."""
+        return caught(lambda: None if not self._exhaustive and not worth_looking(tile) else self._detect_in(tile))
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
         """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
@@ -255,7 +286,8 @@ class Pipeline:
         final: list[Detection] = []
         with self._timed("confirm"):
             for detections in settled:
-                looked_at, n_over_budget = self._confirm(detections)
+                looked_at, n_over_budget, defects = self._confirm(detections)
+                events += self._looks_failed(defects)
                 if n_over_budget and not self._counts["confirm.over_budget"]:
                     events.append(_looks_over_budget(detections[0], n_over_budget))
                 self._counts["confirm.over_budget"] += n_over_budget
@@ -263,11 +295,20 @@ class Pipeline:
         with self._timed("ledger"):
             return [*events, *self._ledger.add(final)]
 
-    def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int]:
-        """The detections of one tile, looked at, and how many more there were than may be."""
+    def _looks_failed(self, defects: list[tuple[Detection, Defect]]) -> list[PipelineEvent]:
+        first = not self._counts["pipeline.close_look_failed"]
+        self._counts["pipeline.close_look_failed"] += len(defects)
+        if not defects or not first:
+            return []
+        detection, defect = defects[0]
+        place = f"{detection.side}, ping {detection.ping_number}"
+        return [defect_notice(defect, "the close look", "That detection keeps the detector's p_mine; the mission goes on.", place)]
+
+    def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int, list[tuple[Detection, Defect]]]:
+        """The detections of one tile, looked at; how many more there were than may be; those on which the close look failed."""
         config = self._config.confirm
         if not config.enabled:
-            return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0
+            return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
         # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
         worthwhile = [config.min_p_mine <= 0.0 or is_worth_a_look(detection, self._odds, config) for detection in detections]
         best_first = sorted(
@@ -275,13 +316,16 @@ class Pipeline:
         )
         chosen, rest = best_first[: config.max_per_tile], best_first[config.max_per_tile :]
         mapped = map if self._threads is None else self._threads.map
-        looked_at = list(mapped(self._look_closely, chosen))
-        looked_at += [self._look_closely(d) for d, worth in zip(detections, worthwhile, strict=True) if not worth]
+        tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
+        looks = list(mapped(lambda detection: caught(partial(self._look_closely, detection)), tried))
+        defects = [(detection, look) for detection, look in zip(tried, looks, strict=True) if isinstance(look, Defect)]
+        looked_at = [look for look in looks if not isinstance(look, Defect)]
         for detection in looked_at:
             found = detection.confirmation
             self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
             self._counts["confirm.rejected"] += found is not None and found.rejected
-        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest)
+        looked_at += [passed_over(detection, self._odds, "look_failed") for detection, _ in defects]
+        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest), defects
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

@@ -93,7 +93,9 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Vehicle poses at n instants; every array has shape (n,) and dtype float64 (`stale`: bool).
 
     Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track.
-    `stale` marks instants farther from a navigation sample than the permitted gap; their values are the nearest known ones.
+    `stale` marks instants farther from a navigation sample than the permitted gap, whose values are the nearest known ones, and instants
+    at which fixes dispute the position. `position_sigma_m` is the 1-sigma per axis that age and disputes add to the error of a fix itself;
+    left out, it is 0.
     """
 
     time_s: NDArray[np.float64]
@@ -106,6 +108,11 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     speed_mps: NDArray[np.float64]
     altitude_m: NDArray[np.float64]
     stale: NDArray[np.bool_]
+    position_sigma_m: NDArray[np.float64] = msgspec.field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if not self.position_sigma_m.size:
+            msgspec.structs.force_setattr(self, "position_sigma_m", np.zeros(self.time_s.shape))
 
     def __len__(self) -> int:
         return int(self.time_s.shape[0])
@@ -341,8 +348,8 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
     covered_m2: area of pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
-    `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`). evaluated_fraction: of its places to look at, those that
-    the detector's budget allowed for. cells: the same area cell by cell; None where no row could be placed on Earth.
+    `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`, `failed` processing). evaluated_fraction: of its places to
+    look at, those that the detector's budget allowed for. cells: the same area cell by cell; None where no row could be placed on Earth.
     """
 
     side: Side

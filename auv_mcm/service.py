@@ -38,6 +38,7 @@ from auv_mcm.outputs import (
     Snippets,
     Tally,
     area_totals,
+    clearance_notices,
     contact_totals,
     make_directory,
     notice_lists,
@@ -442,6 +443,8 @@ class Service:
         self._is_finished = True
         self._pipeline_counters = answer.counters
         self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
+        for notice in clearance_notices(self._clearance):
+            self._announce(notice)
 
     async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
         now = iso_time(self._clock.utc_s())

@@ -22,6 +22,7 @@ from auv_mcm.contacts.picture import snippet_png
 from auv_mcm.outputs import (
     Tally,
     area_totals,
+    clearance_notices,
     contact_totals,
     make_results_directory,
     notice_lists,
@@ -97,6 +98,7 @@ def replay(
     clearance = gathered.searched.snapshot()
     clearance_map = b"" if clearance is None else clearance_png(clearance)
     write_clearance(folder, clearance, clearance_map)
+    gathered.add(clearance_notices(clearance))
     searched = search_totals(clearance, contacts)
     area = area_totals(clearance, config.plan)
     totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched, **area}

@@ -90,7 +90,7 @@ class XtfLog:
 
     Navigation: a header that repeats all navigation of the one before brings no NavSample; a position is given only where it differs from
     the one before, so that interpolation runs between distinct fixes and a frozen navigation ages until it counts as stale. Zero means
-    unknown for a position, for an altitude, and for a header without any navigation.
+    unknown for a position and for a header without any navigation; an altitude of zero is delivered as it is, and refused by intake.
     """
 
     def __init__(self, path: str | os.PathLike[str], sonar: SonarConfig, *, chunk_bytes: int = 1 << 18) -> None:
@@ -425,7 +425,7 @@ class XtfLog:
             pitch_rad=math.radians(pitch),
             roll_rad=math.radians(roll),
             depth_m=depth,
-            altitude_m=altitude if altitude > 0.0 else NAN,
+            altitude_m=altitude,
             speed_mps=speed * KNOT_MPS,
         )
 

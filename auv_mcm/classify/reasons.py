@@ -16,6 +16,7 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     # what was looked at
     "not_looked_at": "the odds of a mine were too low for a close look",
     "over_budget": "there were more detections than may be looked at closely: this one keeps the detector's odds",
+    "look_failed": "the close look at it failed: this one keeps the detector's odds",
     "views_contradict": "its views contradict each other so much that they may show two objects: the most mine-like one speaks for it",
     "region_too_small": "too few pixels around it to look at it closely",
     "geometry_unknown": "altitude or range is not known there, so that no height can be told",

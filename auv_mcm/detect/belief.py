@@ -32,7 +32,7 @@ REASONS: Final[dict[str, str]] = {
     "extended": "part of a structure many metres long, such as a wreck or an outcrop",
     "in_turn": "seen in a turn: shape and position are distorted",
     "bottom_not_seen": "the first bottom return was not seen: range across track and height are uncertain",
-    "stale_navigation": "navigation was missing or old: the position is uncertain",
+    "stale_navigation": "navigation was missing, old, or contradicted itself: the position is uncertain",
     "saturated": "the echo was clipped: its strength is a lower bound",
 }
 

@@ -93,7 +93,8 @@ def _placed(tile: Tile, config: Config, candidates: list[Candidate], measured: l
     latitude, longitude, _ = locate(echoes, config.sonar)
     first_return_sigma_m = _between(tile.first_return_sigma_m, position)
     covariance = position_covariance(echoes, config.sonar, config.navigation, first_return_sigma_m)
-    covariance[pose.stale] += _STALE_SIGMA_M**2 * np.eye(2)
+    added_m2 = pose.position_sigma_m**2 + np.where(pose.stale, _STALE_SIGMA_M**2, 0.0)
+    covariance += added_m2[:, np.newaxis, np.newaxis] * np.eye(2)
     aspect = aspect_deg(echoes, config.sonar)
     detections = []
     for index, (candidate, m) in enumerate(zip(candidates, measured, strict=True)):

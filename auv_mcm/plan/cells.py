@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 _BLOCK_M: Final = 0.5  # pixels as near to each other are placed together
 _LEAST_FRACTION: Final = 0.01  # of a cell, below which it counts as not seen
+_KEY: Final = 1 << 32  # east index times this plus north index: one number per cell
 
 
 def surveyed_cells(
@@ -33,7 +34,7 @@ def surveyed_cells(
 
     covered: (core rows, n_columns) bool, False where the row cannot be placed. frame: the mission's plane. Pixels are placed in
     blocks of half a metre. evaluated_fraction: of the places to look at, those that the detector's budget allowed for. None if nothing was
-    covered.
+    covered. Memory grows with the number of blocks, not with the distance between them.
     """
     n_rows = max(1, round(_BLOCK_M / tile.row_spacing_m))
     n_columns = max(1, round(_BLOCK_M / tile.column_spacing_m))
@@ -53,10 +54,8 @@ def surveyed_cells(
     if not len(area):
         return None
     index = np.floor(place / cell_m).astype(np.int64)
-    low = index.min(axis=0)
-    width = int(np.ptp(index[:, 1])) + 1
-    key = (index[:, 0] - low[0]) * width + (index[:, 1] - low[1])
-    n_cells = int(key.max()) + 1
+    cell, key = np.unique(index[:, 0] * _KEY + index[:, 1], return_inverse=True)
+    n_cells = len(cell)
     total = np.bincount(key, area, n_cells)
     kept = np.flatnonzero(total >= _LEAST_FRACTION * cell_m * cell_m)
     if not len(kept):
@@ -65,6 +64,7 @@ def surveyed_cells(
     def mean(value: Array) -> Array:
         return np.asarray(np.bincount(key, area * value, n_cells)[kept] / total[kept])
 
+    east = (cell[kept] + _KEY // 2) // _KEY
     look = (far_m - near_m)[of_block]
     look /= np.maximum(np.hypot(look[:, 0], look[:, 1]), 1e-9)[:, np.newaxis]
     look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
@@ -74,8 +74,8 @@ def surveyed_cells(
         origin_latitude_deg=frame.latitude_deg,
         origin_longitude_deg=frame.longitude_deg,
         cell_m=cell_m,
-        east_index=(kept // width + low[0]).astype(np.int32),
-        north_index=(kept % width + low[1]).astype(np.int32),
+        east_index=east.astype(np.int32),
+        north_index=(cell[kept] - east * _KEY).astype(np.int32),
         fraction=(evaluated_fraction * np.minimum(total[kept] / (cell_m * cell_m), 1.0)).astype(np.float32),
         ground_range_m=mean(ground_m).astype(np.float32),
         altitude_m=mean(altitude_m).astype(np.float32),

@@ -24,6 +24,8 @@ _SAME_LOOK_RAD: Final = math.radians(15.0)
 _SAME_PASS_S: Final = 60.0
 _ROUNDING_RAD: Final = 1e-6
 _KEY: Final = 1 << 32
+_MAX_BOX_CELLS: Final = 1 << 22  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
+_DENSE_CELLS: Final = 1024  # side of the squares among which the one searched most is taken as the middle of a map too large to lay out
 
 
 class LookModel(Protocol):
@@ -56,7 +58,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. towards uint64: the
     directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
     wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where
-    nothing was seen these are `unknown` and NaN.
+    nothing was seen these are `unknown` and NaN. n_elsewhere: cells seen too far from the others to be laid out in one box with them.
     """
 
     origin_latitude_deg: float
@@ -71,6 +73,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     ripple_rad: NDArray[np.float32]
     wavelength_m: NDArray[np.float32]
     altitude_m: NDArray[np.float32]
+    n_elsewhere: int = 0
 
     @property
     def p_detected(self) -> Array:
@@ -186,6 +189,9 @@ class ClearanceMap:
     def _laid_out(self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]) -> Clearance:
         east = (cell + _KEY // 2) // _KEY
         north = cell - east * _KEY
+        kept = _around_the_densest(east, north)
+        n_elsewhere = len(cell) - len(kept)
+        east, north, exponent, n_looks, towards = east[kept], north[kept], exponent[kept], n_looks[kept], towards[kept]
         first_east, first_north = int(east.min()), int(north.min())
         shape = int(np.ptp(north)) + 1, int(np.ptp(east)) + 1
         at = (north - first_north, east - first_east)
@@ -202,15 +208,17 @@ class ClearanceMap:
         wavelength = np.full(shape, np.nan, dtype=np.float32)
         altitude, weight = np.zeros(shape), np.zeros(shape)
         for told in self._looks:
-            place = told.cells.north_index - first_north, told.cells.east_index - first_east
-            sure = told.cells.confidence * told.cells.fraction
+            row, column = told.cells.north_index - first_north, told.cells.east_index - first_east
+            inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+            place = row[inside], column[inside]
+            sure = (told.cells.confidence * told.cells.fraction)[inside]
             better = sure > confidence[place]
             surer = place[0][better], place[1][better]
             confidence[surer] = sure[better]
             for layer, values in ((seabed, told.cells.seabed), (ripple, told.cells.ripple_rad), (wavelength, told.cells.wavelength_m)):
-                layer[surer] = values[better]
-            fraction = told.cells.fraction.astype(np.float64)
-            altitude[place] += fraction * told.cells.altitude_m
+                layer[surer] = values[inside][better]
+            fraction = told.cells.fraction[inside].astype(np.float64)
+            altitude[place] += fraction * told.cells.altitude_m[inside]
             weight[place] += fraction
         plane = self._looks[0].cells
         return Clearance(
@@ -226,7 +234,24 @@ class ClearanceMap:
             ripple_rad=ripple,
             wavelength_m=wavelength,
             altitude_m=np.divide(altitude, weight, out=np.full(shape, np.nan), where=weight > 0.0).astype(np.float32),
+            n_elsewhere=n_elsewhere,
         )
+
+
+def _around_the_densest(east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Indices, rising, of the cells to lay out: all, unless their box is too large; then those nearest to where most was seen.
+
+    A position that was wrong by kilometres, or a second site, must not cost the memory of all that lies between.
+    """
+    if (int(np.ptp(east)) + 1) * (int(np.ptp(north)) + 1) <= _MAX_BOX_CELLS:
+        return np.arange(len(east))
+    _, square, n_cells = np.unique(east // _DENSE_CELLS * _KEY + north // _DENSE_CELLS, return_inverse=True, return_counts=True)
+    densest = square == np.argmax(n_cells)
+    middle_east, middle_north = int(np.median(east[densest])), int(np.median(north[densest]))
+    order = np.argsort(np.maximum(np.abs(east - middle_east), np.abs(north - middle_north)), kind="stable")
+    n_east = np.maximum.accumulate(east[order]) - np.minimum.accumulate(east[order]) + 1
+    n_north = np.maximum.accumulate(north[order]) - np.minimum.accumulate(north[order]) + 1
+    return np.sort(order[n_east * n_north <= _MAX_BOX_CELLS])
 
 
 def _plane(cells: SurveyedCells) -> tuple[float, float, float]:

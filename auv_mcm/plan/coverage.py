@@ -75,6 +75,22 @@ def cover_tile(
     )
 
 
+def uncovered(tile: Tile) -> CoveragePatch:
+    """Coverage of a tile whose processing failed: none, all its valid pixels lost to `failed`."""
+    core = slice(tile.core_start, tile.core_stop)
+    failed_m2 = float(np.count_nonzero(tile.mask[core] & VALID)) * tile.row_spacing_m * tile.column_spacing_m
+    return CoveragePatch(
+        side=tile.side,
+        tile_index=tile.index,
+        start_s=float(tile.pose.time_s[tile.core_start]),
+        stop_s=float(tile.pose.time_s[tile.core_stop - 1]),
+        rings_deg=(),
+        covered_m2=0.0,
+        lost_m2={"failed": failed_m2},
+        evaluated_fraction=0.0,
+    )
+
+
 def placed_rows(tile: Tile) -> NDArray[np.bool_]:
     """Rows whose echoes can be placed on Earth, (n_rows,)."""
     pose = tile.pose

@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
+from auv_mcm.fix_agreement import FixAgreement
 from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NAN, NavSample, Notice
 from drivers.clocks import DeviceClock, wire_delay_s
@@ -21,6 +22,7 @@ from drivers.navigation.corrections import (
     Attitude,
     Heading,
     Position,
+    Readings,
     Speed,
     arm_north_east_down,
     moved,
@@ -40,11 +42,20 @@ _QUEUE_SLACK_S: Final = 0.25  # beyond the longest latency, for links of unequal
 _RECKONING_PERIOD_S: Final = 0.1
 _RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma at which a person should know
 _JUMP_SLACK_M: Final = 3.0  # receivers scatter and round
-_REFIX_COUNT: Final = 3  # this many positions in a row that agree on a new place are believed
 _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a person hears of it; as many that agree end it
 _N_SIGMA: Final = 3.0
+_N_IMPOSSIBLE: Final = 20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
+_FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
+    "position": ("latitude_deg", "longitude_deg"),
+    "heading": ("heading_rad",),
+    "attitude": ("pitch_rad", "roll_rad"),
+    "depth": ("depth_m",),
+    "altitude": ("altitude_m",),
+    "speed": ("speed_mps",),
+}
+_UNITS: Final = {"deg": "degrees", "rad": "rad", "m": "m", "mps": "m/s"}
 _MAX_UNKNOWN: Final = 32
 _TICK_S: Final = 1e-3
 # Differences that are nothing to talk about: the units measure at different places and instants.
@@ -75,13 +86,13 @@ class _Given(NamedTuple):
 class _Channel:
     """One quantity of one unit."""
 
-    def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float) -> None:
+    def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float, agreement: FixAgreement[_Given]) -> None:
         self.health = UnitHealth(source, unit.priority, unit.valid_s)
         self.watch = GnssWatch(surface_depth_m) if unit.surface_only else None
         self.doubt: Doubt | None = None  # of its newest position
         self.given: _Given | None = None
         self.unit_time_s: float | None = None
-        self.suspects: list[_Given] = []
+        self.agreement = agreement
         self.n_disagree = 0
         self.disagrees = False
 
@@ -101,6 +112,8 @@ class NavMerge:
         self._fallbacks = {quantity: Fallback(settings.recover_s) for quantity in QUANTITIES}
         self._clocks: dict[str, DeviceClock] = {}
         self._unknown: set[str] = set()
+        self._n_impossible: dict[tuple[Quantity, str], int] = {}  # in a row
+        self._impossible_reported: set[tuple[Quantity, str]] = set()
         self._reckoner = Reckoner()
         self._lost: set[Quantity] = set()
         self._reckoned_s = -math.inf
@@ -127,8 +140,7 @@ class NavMerge:
         time_s = fix.received.mono_ns * 1e-9 - age_s
         utc_s = fix.received.utc_ns * 1e-9 - age_s
         readings, impossible = readings_of(fix, unit)
-        for quantity in impossible:
-            self.counters[f"nav.impossible.{quantity}.{fix.source}"] += 1
+        events += self._refuse(impossible, readings, fix)
         delivered = {
             quantity: reading
             for quantity, reading in zip(QUANTITIES, readings, strict=True)
@@ -142,7 +154,7 @@ class NavMerge:
             if self._repeats(channel, fix, quantity):
                 continue
             if quantity == "position":
-                reading = self._believed(channel, unit, time_s, self._without_arm(reading, unit), events)
+                reading = self._believed(channel, time_s, self._without_arm(reading, unit))
             elif quantity == "speed" and unit.surface_only and self._submerged(fix.source):
                 reading = None
             elif quantity == "depth" or quantity == "altitude":
@@ -193,6 +205,29 @@ class NavMerge:
             health[quantity] = QuantityHealth(serving, {unit.source: self._now_s - unit.last_s for unit in fallback.units})
         return health
 
+    def _refuse(self, impossible: list[Quantity], readings: Readings, fix: NavFix) -> list[Event]:
+        """Count what cannot be; a unit that goes on sending such values is reported once per quantity."""
+        events: list[Event] = []
+        for quantity, reading in zip(QUANTITIES, readings, strict=True):
+            if reading is not None:
+                self._n_impossible.pop((quantity, fix.source), None)
+        for quantity in impossible:
+            self.counters[f"nav.impossible.{quantity}.{fix.source}"] += 1
+            if quantity == "position" and fix.latitude_deg == fix.longitude_deg == 0.0:
+                continue  # a receiver that waits for its first fix
+            key = (quantity, fix.source)
+            self._n_impossible[key] = self._n_impossible.get(key, 0) + 1
+            if self._n_impossible[key] < _N_IMPOSSIBLE or key in self._impossible_reported:
+                continue
+            self._impossible_reported.add(key)
+            values = ", ".join(
+                f"{name.rpartition('_')[0]} {getattr(fix, name):g} {_UNITS[name.rpartition('_')[2]]}" for name in _FIELDS[quantity]
+            )
+            text = f"'{fix.source}' sends a {quantity} that cannot be ({values}); it is not used. "
+            text += "Check the unit's settings, sensor and wiring."
+            events.append(Notice(code="nav_impossible", text=text))
+        return events
+
     def _unknown_source(self, source: str) -> list[Event]:
         self.counters["nav.unknown_source"] += 1
         if source in self._unknown or len(self._unknown) >= _MAX_UNKNOWN:
@@ -218,7 +253,9 @@ class NavMerge:
     def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> _Channel:
         channel = self._channels.get((quantity, source))
         if channel is None:
-            channel = self._channels[quantity, source] = _Channel(source, unit, self._settings.surface_depth_m)
+            channel = self._channels[quantity, source] = _Channel(
+                source, unit, self._settings.surface_depth_m, FixAgreement(_apart_m, self._reach_m, span_s=0.0)
+            )
             self._fallbacks[quantity].add(channel.health)
         return channel
 
@@ -264,9 +301,7 @@ class NavMerge:
         down_m = arm_north_east_down(unit.lever_arm_m, 0.0, *attitude)[2]
         return value_m - down_m if quantity == "depth" else value_m + down_m
 
-    def _believed(
-        self, channel: _Channel, unit: NavUnitSettings, time_s: float, position: Position, events: list[Event]
-    ) -> Position | None:
+    def _believed(self, channel: _Channel, time_s: float, position: Position) -> Position | None:
         """The position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
@@ -274,22 +309,13 @@ class NavMerge:
             if channel.doubt is not None:
                 self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1
                 return None
-        given = _Given(time_s, position)
-        last = channel.given
-        if last is None or self._reachable(last, given):
-            channel.suspects.clear()
+        decision = channel.agreement.add(_Given(time_s, position))
+        if decision.accepted and decision.step_m == 0.0:
             return position
         self.counters[f"nav.jump.{source}"] += 1
-        if channel.suspects and not self._reachable(channel.suspects[-1], given):
-            channel.suspects.clear()
-        channel.suspects.append(given)
-        if len(channel.suspects) < _REFIX_COUNT:
+        if not decision.accepted:
             return None
-        channel.suspects.clear()
-        self.counters[f"nav.refix.{source}"] += 1
-        distance_m = math.hypot(*offset_m(last.value[:2], position[:2]))
-        text = f"'{source}' jumped by {distance_m:.0f} m in {time_s - last.time_s:.1f} s and stays there: the new place is used from now on"
-        events.append(Notice(code="nav_position_jump", text=text))
+        self.counters[f"nav.refix.{source}"] += 1  # reported by perception, once it follows
         return position
 
     def _submerged(self, source: str) -> bool:
@@ -298,10 +324,9 @@ class NavMerge:
         channel = self._channels.get(("position", source))
         return (depth_m is not None and depth_m > self._settings.surface_depth_m) or (channel is not None and channel.doubt is not None)
 
-    def _reachable(self, before: _Given, after: _Given) -> bool:
+    def _reach_m(self, before: _Given, after: _Given) -> float:
         slack_m = _JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
-        distance_m = math.hypot(*offset_m(before.value[:2], after.value[:2]))
-        return distance_m <= slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
+        return slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
 
     def _choose(self, quantity: Quantity) -> list[Event]:
         """Have the best healthy unit serve; tell if that is another one than before."""
@@ -426,6 +451,10 @@ class NavMerge:
             self._last_utc_s = sample.time_s
             due.append(sample)
         return due
+
+
+def _apart_m(before: _Given, after: _Given) -> float:
+    return math.hypot(*offset_m(before.value[:2], after.value[:2]))
 
 
 def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:

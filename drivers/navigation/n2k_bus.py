@@ -43,7 +43,8 @@ class N2kBus:
 
     Units are called SOURCE.ADDRESS; one that claims another address keeps its name, by the 64-bit NAME in its claim. Messages of one unit
     with one sid carry the stamp of the first of them, since they were measured together. `counters`: n2k.messages, .ignored (groups not
-    known here), .short, .claims, .heading_magnetic (no variation known), .heading_reference_unknown, and those of FastPackets.
+    known here), .short, .claims, .impossible_position, .heading_magnetic (no variation known), .heading_reference_unknown, and those of
+    FastPackets.
     """
 
     def __init__(self, source: str) -> None:
@@ -130,20 +131,28 @@ class N2kBus:
                 known = not (math.isnan(record.ground_mps) and math.isnan(record.water_mps))
                 return {"speed_mps": record.ground_mps, "water_speed_mps": record.water_mps, "valid": known}
             case WaterDepth():
-                return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
+                return {"altitude_m": record.depth_m, "valid": record.depth_m > 0.0}
             case RapidPosition():
-                return _place(record.latitude_deg, record.longitude_deg) if talker.has_fix else {"valid": False}
+                return self._place(record.latitude_deg, record.longitude_deg) if talker.has_fix else {"valid": False}
             case RapidCourse():
                 course_rad = record.course_rad if record.reference == _TRUE else NAN
                 return {"speed_mps": record.speed_mps, "course_rad": course_rad, "valid": not math.isnan(record.speed_mps)}
             case GnssPosition():
                 talker.has_fix = not (record.method in _NOT_MEASURED or math.isnan(record.method))
-                place = _place(record.latitude_deg, record.longitude_deg) if talker.has_fix else {"valid": False}
+                place = self._place(record.latitude_deg, record.longitude_deg) if talker.has_fix else {"valid": False}
                 time_utc_s = _utc_s(record.date_days, record.time_of_day_s)
                 return {"time_utc_s": time_utc_s, "estimated": record.method == _ESTIMATED, **place}
             case SystemTime():
                 return {"time_utc_s": _utc_s(record.date_days, record.time_of_day_s)}
         return None
+
+    def _place(self, latitude_deg: float, longitude_deg: float) -> dict[str, Any]:
+        """A position as sent; the fields have room for 214 degrees. NavMerge refuses and reports what cannot be."""
+        if math.isnan(latitude_deg) or math.isnan(longitude_deg):
+            return {"valid": False}
+        is_possible = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
+        self._own["n2k.impossible_position"] += not is_possible
+        return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "valid": is_possible}
 
     def _heading(self, record: Heading, talker: _Talker) -> dict[str, Any] | None:
         if math.isnan(record.heading_rad):
@@ -190,11 +199,6 @@ class _Talker:
             return stamp
         self._groups.add(pgn)
         return first
-
-
-def _place(latitude_deg: float, longitude_deg: float) -> dict[str, Any]:
-    known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
-    return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg} if known else {"valid": False}
 
 
 def _utc_s(date_days: float, time_of_day_s: float) -> float | None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.config import Config
 from auv_mcm.intake import BLOCK_PINGS, Intake, PingBlock, SegmentEnd
-from auv_mcm.records import EchoTrace, NavSample, Ping, PoseTrack
+from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
 
 START_S = 1.7e9
 PING_S, NAV_S = 0.1, 0.2
@@ -57,11 +57,12 @@ class Fed:
         self.counters: Counter[str] = Counter()
         self.intake = Intake(config or Config(), self.counters)
         self.released: list[PingBlock | SegmentEnd] = []
+        self.notices: list[Notice] = []
 
     def feed(self, events: Iterable[Ping | NavSample]) -> Fed:
         for event in events:
             if isinstance(event, NavSample):
-                self.intake.add_navigation(event)
+                self.notices += self.intake.add_navigation(event)
             else:
                 self.released += self.intake.add_ping(event)
         return self
@@ -296,3 +297,68 @@ def test_unknown_speed_is_counted_and_guessed() -> None:
     distance = np.concatenate(along(fed))
     assert fed.counters["navigation.speed_unknown"] == 10
     np.testing.assert_allclose(np.diff(distance), 1.5 * PING_S, rtol=1e-5)
+
+
+# --- positions that jump ---------------------------------------------------------------------------------------------
+
+
+def displaced(events: Iterable[Ping | NavSample], from_ping: int, to_ping: int, degrees: float) -> list[Ping | NavSample]:
+    """The events with the positions of some pings' time elsewhere."""
+    first_s, stop_s = START_S + PING_S * from_ping, START_S + PING_S * to_ping
+    return [
+        structs.replace(event, latitude_deg=event.latitude_deg + degrees)
+        if isinstance(event, NavSample) and first_s <= event.time_s < stop_s
+        else event
+        for event in events
+    ]
+
+
+def test_a_step_to_another_place_ends_the_segment_there() -> None:
+    fed = Fed().feed(displaced(mission(300), 150, 300, 0.5)).flush()
+    before, after = fed.segments
+    assert before == list(range(before[0], after[0]))
+    assert [*before, *after] == list(range(300))
+    assert abs(after[0] - 150) <= 1
+    latitude = np.concatenate([block.poses.latitude_deg for block in fed.blocks])
+    assert np.abs(latitude[: after[0]] - 43.0).max() < 0.01
+    assert np.abs(latitude[after[0] :] - 43.5).max() < 0.01
+
+
+def test_an_excursion_of_seconds_moves_no_ping_and_ends_no_segment() -> None:
+    fed = Fed().feed(displaced(mission(300), 150, 190, 0.5)).flush()
+    assert len(fed.segments) == 1
+    assert all(np.abs(block.poses.latitude_deg - 43.0).max() < 0.01 for block in fed.blocks)
+    assert fed.intake.navigation_counters["navigation.position_jump"] == 20
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.3])
+def test_a_step_ends_the_segment_at_the_same_ping_whenever_navigation_arrives(delay_s: float) -> None:
+    one = Fed().feed(displaced(mission(300), 150, 300, 0.5)).flush()
+    other = Fed().feed(displaced(mission(300, delay_s), 150, 300, 0.5)).flush()
+    assert one.segments == other.segments
+
+
+def test_pings_that_cannot_wait_for_the_decision_say_so_in_their_sigma() -> None:
+    """Navigation so late that the wait for it ends while fixes still contradict each other."""
+    late = Fed().feed(displaced(mission(300, nav_delay_s=2.5), 150, 300, 0.01)).flush()
+    doubtful = [block.poses for block in late.blocks if (block.poses.position_sigma_m > 1000.0).any()]
+    assert doubtful
+    latitude = np.concatenate([block.poses.latitude_deg for block in late.blocks])
+    sigma_m = np.concatenate([block.poses.position_sigma_m for block in late.blocks])
+    wrong = (np.arange(300) >= 152) & (np.abs(latitude - 43.01) > 0.005)
+    assert wrong.any()
+    assert (sigma_m[wrong] > 1000.0).all()
+
+
+def test_what_is_decided_only_at_the_end_is_reported_too() -> None:
+    """A mission so short that fixes are settled when nobody can wait any longer."""
+    fed = Fed().feed(displaced(mission(40), 10, 25, 0.5)).flush()
+    assert [notice.code for notice in fed.notices + fed.intake.take_notices()] == ["navigation.positions_rejected"]
+
+
+def test_a_clock_that_steps_back_again_and_again_repeats_no_notice() -> None:
+    fed = Fed()
+    for lap in range(4):
+        events = [structs.replace(event, time_s=event.time_s - 1000.0 * lap) for event in displaced(mission(40), 10, 25, 0.5)]
+        fed.feed(events)
+    assert [notice.code for notice in fed.flush().notices + fed.intake.take_notices()] == ["navigation.positions_rejected"]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from auv_mcm.config import PlanConfig
 from auv_mcm.errors import UsageError
@@ -19,6 +20,7 @@ from auv_mcm.outputs import (
     Snippets,
     Tally,
     area_totals,
+    clearance_notices,
     make_directory,
     make_results_directory,
     plan_waypoints,
@@ -197,6 +199,16 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
     seen_p = np.array([0.5, 0.9001, 0.96])
     assert searched["mines_left"]["expected"] == pytest.approx(0.5 * (1.0 - seen_p).sum() / seen_p.sum(), abs=1e-3)
+
+
+def test_what_was_searched_too_far_off_for_the_map_is_summed_up_and_reported() -> None:
+    assert search_totals(searched_half(), [])["searched"]["km2_elsewhere"] == 0.0
+    assert clearance_notices(searched_half()) == clearance_notices(None) == []
+    split = structs.replace(searched_half(), n_elsewhere=500)
+    assert search_totals(split, [])["searched"]["km2_elsewhere"] == pytest.approx(0.008)
+    (notice,) = clearance_notices(split)
+    assert notice.code == "clearance.elsewhere"
+    assert "0.008 km²" in notice.text
 
 
 def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not_found() -> None:

@@ -12,9 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from short_missions import flown, one_leg
 
+from auv_mcm import pipeline as pipeline_module
 from auv_mcm.config import Config
+from auv_mcm.contacts.export import sigma_m
+from auv_mcm.defects import DefectWarning
 from auv_mcm.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.plan.coverage import cover_tile
 from auv_mcm.records import NAN, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
 from sim_replay.simulator.scene import SceneObject, Sonar
 
@@ -209,3 +213,171 @@ def test_candidates_beyond_the_budget_are_told() -> None:
     assert pipeline.counters["detect.over_budget"] > 0
     assert any(isinstance(event, Notice) and event.code == "detect.over_budget" for event in events)
     assert finds_the_target(pipeline)  # the best first
+
+
+# --- a stage that fails ----------------------------------------------------------------------------------------------
+
+
+class FailsOnce:
+    """A stage whose first call fails."""
+
+    def __init__(self, error: Exception, stage: Callable[..., object]) -> None:
+        self._error: Exception | None = error
+        self._stage = stage
+
+    def __call__(self, *arguments: object, **options: object) -> object:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+        return self._stage(*arguments, **options)
+
+
+STAGES = {  # what fails: name in the pipeline, counter, what the notice says of it
+    "detection": ("detect_tile", "pipeline.detection_failed", "not covered"),
+    "coverage": ("cover_tile", "pipeline.coverage_failed", "not covered"),
+    "sea floor": ("seabed_cells", "pipeline.coverage_failed", "not covered"),
+    "close look": ("look_closely", "pipeline.close_look_failed", "keeps the detector's p_mine"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::auv_mcm.defects.DefectWarning")
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 4.9 GiB"), IndexError("index 7 is out of bounds")], ids=["memory", "index"]
+)
+@pytest.mark.parametrize("stage", list(STAGES))
+def test_a_stage_that_fails_on_one_tile_costs_that_tile_and_not_the_mission(
+    stage: str, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, counter, consequence = STAGES[stage]
+    whole = covered_m2(run(list(mission()))[1])
+    monkeypatch.setattr(pipeline_module, name, FailsOnce(error, getattr(pipeline_module, name)))
+    pipeline, events = run(list(mission()))
+    assert pipeline.counters[counter] == 1
+    (notice,) = [event for event in events if isinstance(event, Notice) and event.code == "pipeline.tile_failed"]
+    assert str(error) in notice.text
+    assert consequence in notice.text
+    assert notice.place
+    patches = [event for event in events if isinstance(event, CoveragePatch)]
+    if stage == "close look":
+        assert covered_m2(events) == whole
+    else:
+        assert sum(patch.lost_m2.get("failed", 0.0) for patch in patches) > 0.0
+        assert covered_m2(events) < whole
+    assert pipeline.finish() == []
+
+
+def test_a_stage_that_fails_is_an_error_in_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline_module, "cover_tile", FailsOnce(KeyError("a slip of the pen"), cover_tile))
+    with pytest.raises(DefectWarning, match="slip of the pen"):
+        run(list(mission()))
+
+
+# --- navigation that lies --------------------------------------------------------------------------------------------
+
+
+def displaced(wrong: Callable[[int], bool], degrees: float) -> list[SourceEvent]:
+    """The mission with some of its fixes, by their running number, elsewhere."""
+    events: list[SourceEvent] = []
+    number = -1
+    for event in mission():
+        if isinstance(event, NavSample) and math.isfinite(event.latitude_deg):
+            number += 1
+            if wrong(number):
+                event = msgspec.structs.replace(
+                    event, latitude_deg=event.latitude_deg + degrees, longitude_deg=event.longitude_deg + degrees
+                )
+        events.append(event)
+    return events
+
+
+def codes(events: list[PipelineEvent]) -> set[str]:
+    return {event.code for event in events if isinstance(event, Notice)}
+
+
+def n_fixes() -> int:
+    return sum(isinstance(event, NavSample) and math.isfinite(event.latitude_deg) for event in mission())
+
+
+@pytest.mark.parametrize("degrees", [0.01, 0.5, 80.0])
+def test_fixes_far_off_for_a_moment_move_no_contact(degrees: float) -> None:
+    middle = n_fixes() // 2
+    pipeline, events = run(displaced(lambda n: middle <= n < middle + 20, degrees))
+    assert finds_the_target(pipeline)
+    assert "navigation.positions_rejected" in codes(events)
+    assert covered_m2(events) > 300.0
+
+
+def test_a_wrong_first_fix_moves_no_contact() -> None:
+    pipeline, _ = run(displaced(lambda n: n == 0, 60.0))
+    assert finds_the_target(pipeline)
+
+
+def test_a_step_that_stays_is_reported_and_no_coverage_lies_between_the_places() -> None:
+    middle = n_fixes() // 2
+    _, events = run(displaced(lambda n: n >= middle, 0.5))
+    assert "nav_position_jump" in codes(events)
+    rings = [ring for event in events if isinstance(event, CoveragePatch) for ring in event.rings_deg]
+    assert max(np.ptp(ring[:, 1]) for ring in rings) < 0.001
+    assert {round(float(ring[0, 1]), 1) for ring in rings} == {50.0, 50.5}
+
+
+def test_contacts_of_a_disputed_position_say_so_in_their_sigma_and_nothing_there_is_covered() -> None:
+    pipeline, events = run(displaced(lambda n: n % 2 == 1, 0.01))
+    assert {"navigation.position_disputed", "navigation.positions_rejected"} <= codes(events)
+    assert pipeline.contacts
+    assert all(sigma_m(contact) > 1000.0 for contact in pipeline.contacts)
+    assert all("stale_navigation" in contact.views[0].reasons for contact in pipeline.contacts)
+    assert covered_m2(events) == 0.0
+
+
+def turned(degrees: float) -> list[SourceEvent]:
+    """The mission with every heading turned."""
+    return [
+        msgspec.structs.replace(event, heading_rad=event.heading_rad + math.radians(degrees)) if isinstance(event, NavSample) else event
+        for event in longer_mission()
+    ]
+
+
+@cache
+def longer_mission() -> tuple[SourceEvent, ...]:
+    sonar = Sonar(range_m=12.0, n_samples=128, ping_rate_hz=6.0, range_resolution_m=0.0, beam_lines=1)
+    return flown(one_leg([], sonar, length_m=70.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE))
+
+
+@pytest.mark.parametrize(("degrees", "words"), [(90.0, "90 degrees right"), (-90.0, "90 degrees left"), (180.0, "180 degrees")])
+def test_a_heading_off_the_course_for_a_whole_mission_is_reported(degrees: float, words: str) -> None:
+    _, events = run(turned(degrees))
+    (notice,) = [event for event in events if isinstance(event, Notice) and event.code == "navigation.heading_off_course"]
+    assert words in notice.text
+
+
+@pytest.mark.parametrize("degrees", [0.0, 35.0, -45.0])
+def test_a_vehicle_that_crabs_in_a_current_raises_no_notice(degrees: float) -> None:
+    assert "navigation.heading_off_course" not in codes(run(turned(degrees))[1])
+
+
+@pytest.mark.parametrize(("altitude_m", "code"), [(60.0, "navigation.altitude_beyond_range"), (0.0, "navigation.altitude_zero")])
+def test_an_altitude_that_cannot_be_is_reported(altitude_m: float, code: str) -> None:
+    events = [
+        msgspec.structs.replace(event, altitude_m=altitude_m) if isinstance(event, Ping | NavSample) else event for event in mission()
+    ]
+    (notice,) = [event for event in run(events)[1] if isinstance(event, Notice) and event.code == code]
+    assert "Check" in notice.text
+    assert notice.place
+
+
+@pytest.mark.parametrize("gain", [1e-30, 1e-25, 1e25])
+def test_the_same_contacts_come_of_float_samples_at_any_gain(gain: float) -> None:
+    def at_gain(gain: float) -> NDArray[np.float64]:
+        pipeline, _ = run(changed(lambda _, p: resampled(p, lambda s: s.astype(np.float64) * gain)))
+        return np.array([(contact.latitude_deg, contact.longitude_deg, contact.p_mine) for contact in pipeline.contacts])
+
+    np.testing.assert_allclose(at_gain(gain), at_gain(1.0), rtol=0.0, atol=1e-6)
+
+
+def test_samples_that_are_all_negative_are_reported() -> None:
+    pipeline, events = run(changed(lambda _, p: resampled(p, lambda s: -1.0 - s.astype(np.float32))))
+    notices = [event for event in events if isinstance(event, Notice) and event.code == "quality.samples_negative"]
+    assert len(notices) == 2, "one for each side"
+    assert all("sonar.transfer" in notice.text and notice.place for notice in notices)
+    assert pipeline.counters["quality.trace_all_negative"] > 100

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from collections import defaultdict
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from covered_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, plain, tile_of, track
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.config import SonarConfig
@@ -129,3 +131,26 @@ def test_without_a_map_of_the_sea_floor_it_is_unknown() -> None:
     assert set(cells.seabed.tolist()) == {SEABED_TYPES.index("unknown")}
     assert not cells.confidence.any()
     assert np.isnan(cells.ripple_rad).all()
+
+
+def displaced(tile: Tile, degrees: float, rows: slice) -> Tile:
+    """The same tile with some rows placed elsewhere on Earth."""
+    latitude, longitude = tile.pose.latitude_deg.copy(), tile.pose.longitude_deg.copy()
+    latitude[rows] += degrees
+    longitude[rows] += degrees
+    return structs.replace(tile, pose=structs.replace(tile.pose, latitude_deg=latitude, longitude_deg=longitude))
+
+
+@pytest.mark.parametrize("degrees", [0.001, 0.5, 30.0])
+def test_a_tile_with_a_position_far_off_costs_no_memory_for_what_lies_between(degrees: float) -> None:
+    tile = displaced(tile_of(plain()), degrees, slice(100, 140))
+    cells_of(tile_of(plain()))  # what is allocated once
+    tracemalloc.start()
+    try:
+        cells = cells_of(tile)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 20e6
+    # A few blocks lie between the two places: they straddle the step. Nothing is lost or counted twice.
+    assert cells.fraction.sum() * CELL_M**2 == pytest.approx(cells_of(tile_of(plain())).fraction.sum() * CELL_M**2, rel=0.05)

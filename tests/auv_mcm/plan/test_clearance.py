@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from collections import defaultdict
 from typing import NamedTuple
 
@@ -215,3 +216,27 @@ def test_the_map_holds_the_directions_that_each_cell_was_looked_at_in() -> None:
     towards = snapshot(*map(patch, told)).towards
     north, east = look_bit(np.radians([10.0, 100.0]))
     assert towards.tolist() == [[north | east, east]]
+
+
+def test_cells_seen_far_from_the_others_are_not_laid_out_but_counted() -> None:
+    site = [(east, north, 1.0, 10.0) for east in range(40) for north in range(30)]
+    far = [(east + 14_000, north - 9_000, 1.0, 10.0) for east in range(5) for north in range(5)]
+    tracemalloc.start()
+    try:
+        told = snapshot(patch(Told(0.0, "port", 0.0, far)), patch(Told(1000.0, "port", 0.0, site)))
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 20e6
+    assert told.looks.shape == (30, 40)
+    assert (told.looks == 1).all()
+    assert told.n_elsewhere == 25
+    alone = snapshot(patch(Told(1000.0, "port", 0.0, site)))
+    np.testing.assert_array_equal(told.exponent, alone.exponent)
+    assert alone.n_elsewhere == 0
+
+
+def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:
+    told = snapshot(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])), patch(Told(1000.0, "port", 0.0, [(900, 700, 1.0, 10.0)])))
+    assert told.looks.shape == (701, 901)
+    assert told.n_elsewhere == 0

@@ -19,8 +19,10 @@ from auv_mcm.geodesy import LocalFrame
 from auv_mcm.navigation import NavBuffer
 from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NavSample, Notice
+from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
 from drivers.navigation.merge import Event, NavMerge
+from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.seam import NavFix
 from drivers.navigation.settings import NavMergeSettings
 from drivers.stamps import Stamp
@@ -316,7 +318,18 @@ def test_a_single_leap_is_dropped_and_a_new_place_is_believed_the_third_time() -
     assert merged.counters == {"nav.jump.ins": 4, "nav.refix.ins": 1}
     east = [round(east) for _, east, _ in track(samples)]
     assert east == [0] * 29 + [300] * 8
-    assert "nav_position_jump" in [notice.code for notice in notices]
+    assert notices == [], "perception reports it when it follows, in the same words live and replayed"
+
+
+def test_a_wrong_first_position_and_two_places_in_turn_do_not_silence_a_unit() -> None:
+    """Every one of the later positions was refused against the wrong first one."""
+    positions = [(90_000.0, 0.0)] + [(1100.0 * (t % 2), 1.5 * t) for t in range(1, 40)]
+    merged = merge(ins=NavUnitSettings())
+    samples, _ = run(merged, [fix("ins", float(t), **place(*position)) for t, position in enumerate(positions)])
+    east = {round(east) for _, east, _ in track(samples)[1:]}
+    assert len(track(samples)) >= 16
+    assert len(east) == 1
+    assert east <= {0, 1100}
 
 
 def test_the_sigma_of_reckoned_positions_grows_and_steps_are_told() -> None:
@@ -470,3 +483,46 @@ def test_asking_for_the_time_between_fixes_changes_no_sample(data: st.DataObject
         events += merged.feed(one)
     events += merged.finish()
     assert [event for event in events if isinstance(event, NavSample)] == plain
+
+
+def test_a_nmea_2000_latitude_beyond_90_degrees_is_counted_refused_and_reported_once() -> None:
+    bus = N2kBus("can")
+    merged = NavMerge(NavMergeSettings(units={"can.7": NavUnitSettings()}))
+    fixes: list[NavFix] = []
+    for t in range(60):
+        pgn, data = n2k.encode(n2k.RapidPosition(91.0 + 0.001 * t, 10.0))
+        fixes += bus.feed(n2k.can_id_of(n2k.Identifier(2, pgn, n2k.GLOBAL, 7)), data, at(float(t)))
+    samples, notices = run(merged, fixes)
+    assert bus.counters["n2k.impossible_position"] == 60
+    assert merged.counters["nav.impossible.position.can.7"] == 60
+    assert all(math.isnan(sample.latitude_deg) for sample in samples)
+    (notice,) = notices
+    assert notice.code == "nav_impossible"
+    assert "latitude 91.019 degrees" in notice.text
+    assert "Check" in notice.text
+
+
+def test_an_altitude_of_zero_that_goes_on_is_reported_and_a_short_one_is_not() -> None:
+    merged = merge(dvl=NavUnitSettings())
+    _, notices = run(merged, [fix("dvl", 0.1 * t, altitude_m=0.0 if t % 30 else 5.0) for t in range(19)])
+    assert "nav_impossible" not in [notice.code for notice in notices]
+    _, notices = run(merged, [fix("dvl", 2.0 + 0.1 * t, altitude_m=0.0) for t in range(60)])
+    assert [notice.code for notice in notices].count("nav_impossible") == 1
+
+
+def test_a_receiver_a_degree_off_for_four_seconds_moves_no_ping() -> None:
+    """Live this killed perception: the merge follows after three positions, perception waits until they agree for longer."""
+    positions = [place(0.0, 0.15 * t) for t in range(300)]
+    for t in range(100, 140):
+        positions[t] = {name: value + 1.0 for name, value in positions[t].items()}
+    merged = merge(gps=NavUnitSettings())
+    samples, _ = run(merged, [fix("gps", 0.1 * t, **position) for t, position in enumerate(positions)])
+    buffer = NavBuffer(NavigationConfig())
+    for sample in samples:
+        buffer.add(sample)
+    poses = buffer.interpolate(T0.utc_ns * 1e-9 + np.arange(5.0, 28.0, 0.1))
+    assert merged.counters["nav.refix.gps"] == 2
+    assert buffer.counters["navigation.position_refix"] == 0
+    assert np.abs(poses.latitude_deg - HOME[0]).max() < 0.01
+    assert poses.stale.sum() < 45
+    assert "navigation.positions_rejected" in [notice.code for notice in buffer.take_notices()]

@@ -1,0 +1,225 @@
+"""Decide which position fixes of one source to believe, by which of them agree with each other.
+
+Fixes that a vehicle can have reached one from another form a track. One track is believed; the others are rivals. No single fix is worth
+more than another because it came first: at the start the track with most fixes is chosen once they span a while, and a rival takes over
+when the believed track falls silent or has far fewer fixes. The decision depends on the fixes and their times alone.
+
+Autopilots reset their position filter in the same way, after several seconds of consistent rejected fixes (PX4 EKF2 `EKF2_NOAID_TOUT`,
+5 s; ArduPilot EKF3 position timeout, 10 s).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+
+REFIX_COUNT: Final = 3  # fixes that agree before a rival is believed: two may be one glitch that was reported twice
+WINDOW: Final = 30  # newest fixes that are compared
+_OUTNUMBERED: Final = 2  # a rival with so many times the believed track's fixes in the window takes over
+_COMPARABLE: Final = 0.25  # of the believed track's fixes in the window: a rival with fewer is noise
+_MAX_RIVALS: Final = 8  # the one silent for longest is forgotten; scattered fixes must cost no memory
+_HOLD_FACTOR: Final = 4.0 / 3.0  # times span_s: undecided fixes older than this are rejected, so that nobody waits for them for ever
+
+
+class Timed(Protocol):
+    @property
+    def time_s(self) -> float: ...
+
+
+F = TypeVar("F", bound=Timed)
+
+
+class Decision(NamedTuple, Generic[F]):
+    """What one fix decided.
+
+    accepted: fixes believed now, in order of time. n_rejected: fixes refused for good. step_m: distance from the last fix believed before
+    to the first accepted one if the vehicle cannot have travelled it, else 0. doubt_m: distance to the farthest track that may be the
+    true one instead and has a comparable number of the newest fixes, 0 without one: the track believed before a step, or one that comes
+    back again and again, in which case the position is disputed.
+    """
+
+    accepted: tuple[F, ...] = ()
+    n_rejected: int = 0
+    step_m: float = 0.0
+    doubt_m: float = 0.0
+    disputed: bool = False
+
+
+class _Track(Generic[F]):
+    def __init__(self, fix: F) -> None:
+        self.last = fix
+        self.since_s = fix.time_s  # first fix since the present track is believed
+        self.n_since_settled = 0
+        self.n_runs = 0  # since then: how often it got fixes again after another track had some
+        self.run_since_s = fix.time_s  # first fix since the believed track had its last one
+        self.n_run = 0
+        self.waiting: list[F] = []
+
+    def take(self, fix: F, resumes: bool) -> None:
+        self.n_runs += resumes
+        if self.n_since_settled == 0:
+            self.since_s = fix.time_s
+        if self.n_run == 0:
+            self.run_since_s = fix.time_s
+        self.last = fix
+        self.n_run += 1
+        self.n_since_settled += 1
+        self.waiting.append(fix)
+
+
+class FixAgreement(Generic[F]):
+    """Fixes of one source in order of arrival; see the module."""
+
+    def __init__(self, apart_m: Callable[[F, F], float], reach_m: Callable[[F, F], float], span_s: float) -> None:
+        """apart_m: distance between two fixes. reach_m: what the vehicle can have travelled between them, their errors included.
+
+        span_s: how long fixes have to agree before the first or a new track is believed.
+        """
+        self._apart_m = apart_m
+        self._reach_m = reach_m
+        self._span_s = span_s
+        self._believed: _Track[F] | None = None
+        self._rivals: list[_Track[F]] = []
+        self._recent: deque[_Track[F]] = deque(maxlen=WINDOW)
+
+    @property
+    def last(self) -> F | None:
+        """The newest believed fix."""
+        return None if self._believed is None else self._believed.last
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether any track is believed yet, or there is nothing to decide."""
+        return self._believed is not None or not self._rivals
+
+    @property
+    def waiting_since_s(self) -> float:
+        """Time of the oldest fix that may still be believed; inf if there is none."""
+        return min((rival.waiting[0].time_s for rival in self._rivals if rival.waiting), default=math.inf)
+
+    @property
+    def waiting_apart_m(self) -> float:
+        """Distance from the newest believed fix to the farthest track that may still be believed; 0 if there is none."""
+        if self._believed is None:
+            return 0.0
+        last = self._believed.last
+        return max((self._apart_m(last, rival.last) for rival in self._rivals if rival.waiting), default=0.0)
+
+    def add(self, fix: F) -> Decision[F]:
+        """Take the next fix."""
+        believed = self._believed
+        rival = self._nearest_rival(fix)
+        if believed is not None and self._continues(believed, rival, fix):
+            believed.last = fix
+            believed.n_since_settled += 1
+            self._recent.append(believed)
+            n_rejected = self._reject_waiting()
+            if self._rivals:
+                recent = set(map(id, self._recent))
+                self._rivals = [rival for rival in self._rivals if id(rival) in recent]
+            return Decision((fix,), n_rejected, 0.0, *self._doubt())
+        n_forgotten = 0
+        if rival is None:
+            n_forgotten = self._make_room()
+            rival = _Track(fix)
+            self._rivals.append(rival)
+        rival.take(fix, resumes=not self._recent or self._recent[-1] is not rival)
+        self._recent.append(rival)
+        decision = self._settle(self._best_rival()) if believed is None and self._spans(fix.time_s) else Decision[F]()
+        if believed is not None and self._takes_over(rival, believed, fix):
+            decision = self._settle(rival)
+        return decision._replace(n_rejected=decision.n_rejected + n_forgotten)
+
+    def advance(self, time_s: float) -> Decision[F]:
+        """Time has passed without a fix: settle the first track if it is due, reject fixes that waited too long."""
+        if self._believed is None:
+            return self._settle(self._best_rival()) if self._rivals and self._spans(time_s) else Decision()
+        n_rejected = 0
+        for rival in self._rivals:
+            while rival.waiting and time_s - rival.waiting[0].time_s > _HOLD_FACTOR * self._span_s:
+                del rival.waiting[0]
+                n_rejected += 1
+        return Decision(n_rejected=n_rejected)
+
+    def decide(self) -> Decision[F]:
+        """Believe the track that most fixes support so far, because somebody cannot wait."""
+        return Decision() if self.is_decided else self._settle(self._best_rival())
+
+    def _reaches(self, before: F, after: F) -> bool:
+        return self._apart_m(before, after) <= self._reach_m(before, after)
+
+    def _spans(self, time_s: float) -> bool:
+        return time_s - min(rival.run_since_s for rival in self._rivals) >= self._span_s
+
+    def _nearest_rival(self, fix: F) -> _Track[F] | None:
+        within = [rival for rival in self._rivals if self._reaches(rival.last, fix)]
+        return min(within, key=lambda rival: self._apart_m(rival.last, fix), default=None)
+
+    def _continues(self, believed: _Track[F], rival: _Track[F] | None, fix: F) -> bool:
+        """Whether a fix goes on where the believed track is, not where a rival has fixes meanwhile: in time any place can be reached."""
+        if not self._reaches(believed.last, fix):
+            return False
+        if rival is None or rival.n_run == 0:
+            return True
+        return self._apart_m(believed.last, fix) <= self._apart_m(rival.last, fix)
+
+    def _make_room(self) -> int:
+        """Forget the rival with fewest new fixes if there are too many; how many fixes were rejected with it."""
+        if len(self._rivals) < _MAX_RIVALS:
+            return 0
+        silent = min(self._rivals, key=lambda rival: (self._recent.count(rival), rival.last.time_s))
+        self._rivals.remove(silent)
+        return len(silent.waiting)
+
+    def _best_rival(self) -> _Track[F]:
+        """The one with most fixes, the latest of equals."""
+        return max(self._rivals, key=lambda rival: (len(rival.waiting), rival.last.time_s))
+
+    def _takes_over(self, rival: _Track[F], believed: _Track[F], fix: F) -> bool:
+        """Whether the rival has fixes alone for long enough, or outnumbers the believed track although that one interrupts it."""
+        if rival.n_run >= REFIX_COUNT and fix.time_s - rival.run_since_s >= self._span_s:
+            return True
+        if len(self._recent) < WINDOW or fix.time_s - rival.since_s < self._span_s:
+            return False
+        return self._recent.count(rival) >= _OUTNUMBERED * self._recent.count(believed)
+
+    def _reject_waiting(self) -> int:
+        n_rejected = 0
+        for rival in self._rivals:
+            n_rejected += len(rival.waiting)
+            rival.waiting.clear()
+            rival.n_run = 0
+        return n_rejected
+
+    def _settle(self, track: _Track[F]) -> Decision[F]:
+        before = self._believed
+        self._rivals.remove(track)
+        n_rejected = self._reject_waiting()
+        step_m = 0.0
+        accepted = tuple(sorted(track.waiting, key=attrgetter("time_s")))
+        if before is not None:
+            self._rivals.append(before)
+            step_m = self._apart_m(before.last, accepted[0])
+            before.n_run = 0
+            for rival in self._rivals:
+                rival.n_since_settled = rival.n_runs = 0
+        track.waiting = []
+        self._believed = track
+        return Decision(accepted, n_rejected, step_m, *self._doubt())
+
+    def _doubt(self) -> tuple[float, bool]:
+        believed = self._believed
+        if believed is None or not self._rivals:
+            return 0.0, False
+        n_fixes = Counter(map(id, self._recent))
+        doubt_m, disputed = 0.0, False
+        for rival in self._rivals:
+            comes_back, believed_before = rival.n_runs > 1, rival.n_since_settled == 0
+            comparable = n_fixes[id(rival)] >= max(REFIX_COUNT, _COMPARABLE * n_fixes[id(believed)])
+            if comparable and (comes_back or believed_before):
+                doubt_m = max(doubt_m, self._apart_m(believed.last, rival.last))
+                disputed = disputed or comes_back
+        return doubt_m, disputed

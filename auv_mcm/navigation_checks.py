@@ -1,0 +1,54 @@
+"""Find navigation that is believable sample by sample and wrong as a whole: a compass mounted askew, an altitude without a sea floor."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+from typing import Final
+
+# Courses come from chords of 2 m or more, so that 25 of them are at least 50 m of track.
+_N_CHORDS: Final = 25
+# A vehicle crabs by asin(cross current / speed): 60 degrees needs a current of 0.87 of its speed, in which no survey line is held.
+_MAX_OFFSET_RAD: Final = math.radians(60.0)
+_MIN_RESULTANT: Final = 0.9  # of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
+
+_MIN_PINGS: Final = 100
+_MIN_PINGS_AT_END: Final = 20  # of a short mission
+_MOST: Final = 0.5
+
+ZERO_ALTITUDES: Final = 20
+"""Altitudes of exactly 0 in a row that are reported: a bottom lock that is lost for a ping or two is not."""
+
+
+class HeadingCheck:
+    """Compare the measured heading with the course over ground, chord by chord."""
+
+    def __init__(self) -> None:
+        self._differences: deque[complex] = deque(maxlen=_N_CHORDS)
+
+    def add(self, heading_rad: float, course_rad: float) -> float | None:
+        """Take one chord; return how far heading is off the course, radians in (-pi, pi], if that is a steady large angle."""
+        self._differences.append(cmath.rect(1.0, heading_rad - course_rad))
+        if len(self._differences) < _N_CHORDS:
+            return None
+        mean = sum(self._differences) / _N_CHORDS
+        offset_rad = cmath.phase(mean)
+        return offset_rad if abs(mean) >= _MIN_RESULTANT and abs(offset_rad) > _MAX_OFFSET_RAD else None
+
+
+class AltitudeCheck:
+    """Compare the measured altitude with the range of the sonar, ping by ping."""
+
+    def __init__(self) -> None:
+        self._n_pings = 0
+        self._n_beyond = 0
+
+    def add(self, n_pings: int, n_beyond: int) -> None:
+        """Take so many pings with a measured altitude, of which n_beyond are higher than the sonar ranges."""
+        self._n_pings += n_pings
+        self._n_beyond += n_beyond
+
+    def is_beyond_range(self, *, at_end: bool) -> bool:
+        """Whether most pings so far have an altitude beyond the range; never from few pings, unless no more will come."""
+        return self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS) and self._n_beyond > _MOST * self._n_pings

@@ -1,0 +1,67 @@
+"""Check and scale the samples of one side before anything is computed from them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import EchoTrace, Notice, Side
+
+# Intensities are squares of amplitudes in float32, which ends at 2^-126 and 2^127; 2^12 = 36 dB above and below the middle sample fit.
+_MAX_EXPONENT: Final = 50
+_N_SOME: Final = 128  # samples that give the exponent of the middle one
+_N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a single damaged ping raises nothing
+
+
+class SampleCheck:
+    """Traces of one side in order; counts in `counters`.
+
+    Floating-point samples are scaled by a power of two where their squares would not fit into float32: nothing depends on absolute gain.
+    """
+
+    def __init__(self, side: Side, full_scale: float | None, counters: Counter[str]) -> None:
+        """full_scale: the configured one, in the recorder's own numbers; samples are not scaled then."""
+        self._side = side
+        self._scales = full_scale is None
+        self._counters = counters
+        self._exponent = 0
+        self._n_negative = 0
+        self._reported = False
+
+    def scaled(self, trace: EchoTrace) -> EchoTrace:
+        """The trace, scaled where that is necessary."""
+        if not self._scales or trace.samples.dtype.kind != "f":
+            return trace
+        some = np.abs(trace.samples[:: max(trace.samples.shape[0] // _N_SOME, 1)]).astype(np.float64)
+        some = some[np.isfinite(some) & (some > 0.0)]
+        if some.size:
+            exponent = math.frexp(float(np.partition(some, some.size // 2)[some.size // 2]))[1]
+            if abs(exponent - self._exponent) > _MAX_EXPONENT:
+                self._exponent = exponent if abs(exponent) > _MAX_EXPONENT else 0
+        if not self._exponent:
+            return trace
+        self._counters["quality.trace_scaled"] += 1
+        samples: NDArray[Any] = np.ldexp(trace.samples.astype(np.float64), -self._exponent)
+        return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
+
+    def check(self, trace: EchoTrace, place: str) -> list[Notice]:
+        """What a person should know about the samples."""
+        samples = trace.samples
+        if samples.dtype.kind == "u" or (samples > 0).any() or not (samples < 0).any():
+            self._n_negative = 0
+            return []
+        self._n_negative += 1
+        self._counters["quality.trace_all_negative"] += 1
+        if self._n_negative < _N_NEGATIVE or self._reported:
+            return []
+        self._reported = True
+        text = (
+            f"the samples of {self._side} are negative, in {_N_NEGATIVE} pings in a row. They may be decibels below full scale, or signed "
+            "numbers read with the wrong sign or offset. Check the recorder's sample format and set sonar.transfer; contacts cannot be "
+            "relied on until then."
+        )
+        return [Notice(code="quality.samples_negative", text=text, place=place)]

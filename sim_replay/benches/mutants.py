@@ -1,0 +1,188 @@
+"""Damaged logs through the real command: none may crash it, hang it, take its memory, or make it report what cannot be.
+
+auv-mcm bench mutants LOG... [--mutants N] [--seed N] [--pings N] [--keep DIR]
+
+Every mutant is replayed by a process of its own. It passes if that ends with code 0 or 3 within 20 s of processor time and 400 MB, without
+a traceback or a failed tile, and if what it writes is strict JSON with finite numbers and every contact lies near a position of the log,
+within three of its sigmas. A log without side scan passes with code 3. Exit code 5 if a mutant fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import SonarConfig
+from auv_mcm.errors import AuvMcmError, SelfCheckError
+from auv_mcm.geodesy import geodetic_to_ecef
+from auv_mcm.records import NavSample
+from sim_replay.benches.arguments import count
+from sim_replay.benches.mutations import CHANGES, JUMPS, mutated, split
+from sim_replay.xtf import XtfLog
+
+MAX_CPU_S: Final = 20.0
+MAX_RSS_MB: Final = 400.0
+GOOD_CODES: Final = (0, 3)
+
+_NEAR_M: Final = 200.0  # from the nearest position of the log: twice the greatest range of the shared logs and seconds of track
+_SIGMAS: Final = 3.0
+_PROGRESS: Final = 50  # mutants per line of progress
+_COMBINED: Final = 4  # every so many mutants combine two kinds
+_ADDRESS_SPACE_BYTES: Final = 6 << 30  # spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
+_PROGRAM: Final = (
+    "import resource, sys\n"
+    f"resource.setrlimit(resource.RLIMIT_CPU, ({round(MAX_CPU_S) + 1}, {round(MAX_CPU_S) + 2}))\n"
+    f"resource.setrlimit(resource.RLIMIT_AS, ({_ADDRESS_SPACE_BYTES},) * 2)\n"
+    "from auv_mcm.cli import main\n"
+    "sys.exit(main(sys.argv[1:]))\n"
+)
+
+
+class Mutant(NamedTuple):
+    """What became of one damaged log. failures: why it does not pass, empty if it does."""
+
+    number: int
+    log: str
+    kinds: tuple[str, ...]
+    code: int
+    cpu_s: float
+    rss_mb: float
+    failures: tuple[str, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF log to damage")
+    parser.add_argument("--mutants", metavar="N", type=count, default=300, help="damaged logs in all (default 300)")
+    parser.add_argument("--seed", metavar="N", type=count, default=1, help="of the damage (default 1)")
+    parser.add_argument("--pings", metavar="N", type=count, default=461, help="packets of each log, at most, from its start (default 461)")
+    parser.add_argument("--keep", metavar="DIR", type=Path, help="where mutants that fail are kept, with what was written of them")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises SelfCheckError if a mutant fails."""
+    mutants: list[Mutant] = []
+    logs = {path: path.read_bytes() for path in arguments.logs}
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-mutants-") as scratch:
+        for number in range(arguments.mutants):
+            random = np.random.default_rng((arguments.seed, number))
+            path, kinds = arguments.logs[int(random.integers(len(arguments.logs)))], kinds_of(number)
+            data = mutated(split(logs[path], arguments.pings), kinds, random)
+            mutant = judged(number, path.name, kinds, data, Path(scratch), arguments.keep)
+            mutants.append(mutant)
+            if mutant.failures:
+                print(f"FAILED {number} of {mutant.log}, {' + '.join(kinds)}: {'; '.join(mutant.failures)}", flush=True)
+            if len(mutants) % _PROGRESS == 0:
+                print(f"{len(mutants)} of {arguments.mutants}", flush=True)
+    for line in table(mutants):
+        print(line)
+    failed = sum(bool(mutant.failures) for mutant in mutants)
+    if failed:
+        raise SelfCheckError(f"{failed} of {len(mutants)} damaged logs did not pass")
+    return 0
+
+
+def kinds_of(number: int) -> tuple[str, ...]:
+    """What is done to a mutant: every second one has a navigation jump, every fourth two kinds of damage."""
+    names, jumps = list(CHANGES), list(JUMPS)
+    first = jumps[number // 2 % len(jumps)] if number % 2 else names[number // 2 % len(names)]
+    if number % _COMBINED:
+        return (first,)
+    second = names[(7 * number // _COMBINED + 3) % len(names)]
+    return (first,) if second == first else (first, second)
+
+
+def judged(number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None) -> Mutant:
+    """Replay one damaged log in a process of its own and look at what comes of it."""
+    path, out = scratch / "mutant.xtf", scratch / "out"
+    path.write_bytes(data)
+    command = [sys.executable, "-c", _PROGRAM, "replay", str(path), "--out", str(out)]
+    with (scratch / "console.txt").open("wb") as console:
+        process = subprocess.Popen(command, stdout=console, stderr=console, stdin=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    said = (scratch / "console.txt").read_text("utf-8", "replace")
+    cpu_s, rss_mb = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0
+    failures = []
+    if process.returncode not in GOOD_CODES:
+        failures.append(f"exit code {process.returncode}")
+    if "Traceback" in said:
+        failures.append(said.strip().splitlines()[-1])
+    if cpu_s > MAX_CPU_S:
+        failures.append(f"{cpu_s:.1f} s of processor time")
+    if rss_mb > MAX_RSS_MB:
+        failures.append(f"{rss_mb:.0f} MB")
+    if process.returncode == 0:
+        failures += wrong_results(out, path)
+    if failures and keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+        path.replace(keep / f"mutant-{number}.xtf")
+        (scratch / "console.txt").replace(keep / f"mutant-{number}.txt")
+    return Mutant(number, log, kinds, process.returncode, cpu_s, rss_mb, tuple(failures))
+
+
+def wrong_results(out: Path, log: Path) -> list[str]:
+    """What of the results cannot be: numbers that are not finite, failed tiles, contacts far from every position of the log."""
+    read: dict[str, Any] = {}
+    for name in ("contacts.geojson", "coverage.geojson", "waypoints.geojson", "clearance.geojson", "summary.json"):
+        try:
+            read[name] = json.loads((out / name).read_text("utf-8"), parse_constant=_refuse)
+        except (OSError, ValueError) as error:
+            return [f"{name}: {error}"]
+    wrong = [f"{name} is {n}" for name, n in read["summary.json"]["counters"].items() if name.startswith("pipeline.")]
+    fixes_m = _fixes_m(log)
+    for feature in read["contacts.geojson"]["features"]:
+        if feature["geometry"] is None:
+            continue
+        longitude, latitude = feature["geometry"]["coordinates"][:2]
+        if not (-180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0):
+            wrong.append(f"{feature['properties']['id']} lies at {latitude}, {longitude}")
+            continue
+        away_m = float(np.sqrt(((fixes_m - geodetic_to_ecef(latitude, longitude, 0.0)) ** 2).sum(axis=1).min(initial=math.inf)))
+        if away_m > _NEAR_M + _SIGMAS * (feature["properties"]["sigma_m"] or 0.0):
+            wrong.append(f"{feature['properties']['id']} lies {away_m:.0f} m from every position of the log, with sigma_m "
+                         f"{feature['properties']['sigma_m']}")  # fmt: skip
+            break
+    return wrong
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not JSON")
+
+
+def _fixes_m(log: Path) -> NDArray[np.float64]:
+    """(n, 3) Earth-centred positions that a log gives."""
+    fixes = []
+    try:
+        for event in XtfLog(log, SonarConfig()):
+            if isinstance(event, NavSample) and math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+                fixes.append((event.latitude_deg, event.longitude_deg))
+    except AuvMcmError:
+        pass
+    latitude, longitude = np.array(fixes, dtype=np.float64).reshape(-1, 2).T
+    return geodetic_to_ecef(latitude, longitude, 0.0)
+
+
+def table(mutants: Sequence[Mutant]) -> list[str]:
+    """Lines of the table: one per kind of damage, a combined mutant under its first, and all together."""
+    by_kind: dict[str, list[Mutant]] = defaultdict(list)
+    for mutant in mutants:
+        by_kind[mutant.kinds[0]].append(mutant)
+    lines = [f"{'damage':36}{'mutants':>8}{'code 0':>8}{'code 3':>8}{'failed':>8}{'most CPU s':>12}{'most MB':>9}"]
+    for name, group in [*by_kind.items(), ("all", list(mutants))]:
+        n_codes = [sum(mutant.code == code for mutant in group) for code in GOOD_CODES]
+        failed = sum(bool(mutant.failures) for mutant in group)
+        most = max(mutant.cpu_s for mutant in group), max(mutant.rss_mb for mutant in group)
+        lines.append(f"{name:36}{len(group):8}{n_codes[0]:8}{n_codes[1]:8}{failed:8}{most[0]:12.1f}{most[1]:9.0f}")
+    return lines

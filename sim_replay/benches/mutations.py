@@ -1,0 +1,364 @@
+"""Damaged copies of XTF logs, reproducible from a seed: bytes, packets, header fields, navigation, clocks and samples."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyxtf
+
+FILE_HEADER_BYTES: Final = 1024
+_PING_HEADER_BYTES: Final = 256
+_CHANNEL_HEADER_BYTES: Final = 64
+_SONAR: Final = 0  # packet type
+_METRES_PER_DEGREE: Final = 111_320.0
+_SHORTEST_JUMP_M: Final = 10.0
+_LONGEST_JUMP_M: Final = 90.0 * _METRES_PER_DEGREE
+_NONSENSE: Final = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-30, 1e30, 1e9, -1e9, 360.0, 90.001)
+
+
+class Log(NamedTuple):
+    """An XTF file in pieces: its header, and its packets in order."""
+
+    header: bytearray
+    packets: list[bytearray]
+
+    def joined(self) -> bytes:
+        return bytes(self.header) + b"".join(self.packets)
+
+
+Random = np.random.Generator
+Change = Callable[[Log, Random], "Log | bytes"]
+
+
+def split(data: bytes, max_packets: int) -> Log:
+    """The pieces of an undamaged log: its header and at most so many of its first packets."""
+    packets: list[bytearray] = []
+    offset = FILE_HEADER_BYTES
+    while offset + 14 <= len(data) and len(packets) < max_packets:
+        n_bytes = int.from_bytes(data[offset + 10 : offset + 14], "little")
+        if n_bytes < 14:
+            break
+        packets.append(bytearray(data[offset : offset + n_bytes]))
+        offset += n_bytes
+    return Log(bytearray(data[:FILE_HEADER_BYTES]), packets)
+
+
+def mutated(log: Log, kinds: Sequence[str], random: Random) -> bytes:
+    """The log after changes of these kinds, one after the other; a kind that works on packets comes before one that works on bytes."""
+    log = Log(bytearray(log.header), [bytearray(packet) for packet in log.packets])
+    for kind in sorted(kinds, key=lambda kind: kind in BYTES):
+        changed = CHANGES[kind](log, random)
+        if isinstance(changed, bytes):
+            return changed
+        log = changed
+    return log.joined()
+
+
+# --- pings -----------------------------------------------------------------------------------------------------------
+
+
+def _pings(log: Log) -> list[Any]:
+    """The headers of the pings, which write through to the packets."""
+    return [pyxtf.XTFPingHeader.from_buffer(packet) for packet in log.packets if packet[2] == _SONAR and len(packet) >= _PING_HEADER_BYTES]
+
+
+def _some(random: Random, n: int) -> slice:
+    """A stretch of 1 to n pings."""
+    length = max(1, min(n, round(math.exp(random.uniform(0.0, math.log(max(n, 2)))))))
+    first = int(random.integers(0, n - length + 1)) if n else 0
+    return slice(first, first + length)
+
+
+def _move(header: Any, north_deg: float, east_deg: float) -> None:
+    for prefix in ("Ship", "Sensor"):
+        if getattr(header, f"{prefix}Ycoordinate") or getattr(header, f"{prefix}Xcoordinate"):
+            setattr(header, f"{prefix}Ycoordinate", getattr(header, f"{prefix}Ycoordinate") + north_deg)
+            setattr(header, f"{prefix}Xcoordinate", getattr(header, f"{prefix}Xcoordinate") + east_deg)
+
+
+def _jump(random: Random) -> tuple[float, float]:
+    """North and east of a jump of 10 m to 90 degrees, in degrees; all orders of magnitude are equally likely."""
+    length_deg = math.exp(random.uniform(math.log(_SHORTEST_JUMP_M), math.log(_LONGEST_JUMP_M))) / _METRES_PER_DEGREE
+    direction = random.uniform(0.0, 2.0 * math.pi)
+    return length_deg * math.cos(direction), length_deg * math.sin(direction)
+
+
+def _jump_and_back(log: Log, random: Random) -> Log:
+    pings, jump = _pings(log), _jump(random)
+    for header in pings[_some(random, len(pings))]:
+        _move(header, *jump)
+    return log
+
+
+def _jump_and_stay(log: Log, random: Random) -> Log:
+    pings, jump = _pings(log), _jump(random)
+    for header in pings[int(random.integers(0, max(len(pings), 1))) :]:
+        _move(header, *jump)
+    return log
+
+
+def _wrong_first_fix(log: Log, random: Random) -> Log:
+    pings, jump = _pings(log), _jump(random)
+    for header in pings[: int(random.integers(1, 12))]:
+        _move(header, *jump)
+    return log
+
+
+def _every_other_fix(log: Log, random: Random) -> Log:
+    jump, every = _jump(random), int(random.integers(2, 6))
+    for header in _pings(log)[::every]:
+        _move(header, *jump)
+    return log
+
+
+def _half_of_the_fixes(log: Log, random: Random) -> Log:
+    jump = _jump(random)
+    for header in _pings(log):
+        if random.random() < 0.5:
+            _move(header, *jump)
+    return log
+
+
+def _scattered_fixes(log: Log, random: Random) -> Log:
+    share = random.uniform(0.05, 0.9)
+    for header in _pings(log):
+        if random.random() < share:
+            _move(header, *_jump(random))
+    return log
+
+
+def _drifting_fixes(log: Log, random: Random) -> Log:
+    step_deg = math.exp(random.uniform(math.log(1.0), math.log(1e5))) / _METRES_PER_DEGREE
+    for number, header in enumerate(_pings(log)):
+        _move(header, number * step_deg, 0.0)
+    return log
+
+
+def _set_fields(*names: str) -> Change:
+    """A change that gives one of the fields one value, over a stretch of pings or in all."""
+
+    def change(log: Log, random: Random) -> Log:
+        name = names[int(random.integers(len(names)))]
+        value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.6 else float(random.normal(0.0, 100.0))
+        pings = _pings(log)
+        for header in pings if random.random() < 0.5 else pings[_some(random, len(pings))]:
+            _set(header, name, value)
+        return log
+
+    return change
+
+
+def _set(structure: Any, name: str, value: float) -> None:
+    """Store a number in a field of any type; integers wrap round."""
+    kind = {field[0]: field[1] for field in structure._fields_}[name]
+    if issubclass(kind, (ctypes.c_float, ctypes.c_double)):
+        setattr(structure, name, value)
+    elif not issubclass(kind, ctypes.Array):
+        setattr(structure, name, int(value) if math.isfinite(value) else -1)
+
+
+def _random_fields(log: Log, random: Random) -> Log:
+    pings = _pings(log)
+    if not pings:
+        return log
+    names = [field[0] for field in pyxtf.XTFPingHeader._fields_ if field[0] not in ("MagicNumber", "NumBytesThisRecord")]
+    for _ in range(int(random.integers(1, 30))):
+        name = names[int(random.integers(len(names)))]
+        value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e4))
+        _set(pings[int(random.integers(len(pings)))], name, value)
+    return log
+
+
+def _turned_heading(log: Log, random: Random) -> Log:
+    degrees = float(random.choice([90.0, 180.0, -90.0, random.uniform(0.0, 360.0)]))
+    for header in _pings(log):
+        header.SensorHeading = (header.SensorHeading + degrees) % 360.0
+        header.ShipGyro = (header.ShipGyro + degrees) % 360.0
+    return log
+
+
+def _mirrored_position(log: Log, random: Random) -> Log:
+    swaps = random.random() < 0.5
+    for header in _pings(log):
+        for prefix in ("Ship", "Sensor"):
+            latitude, longitude = getattr(header, f"{prefix}Ycoordinate"), getattr(header, f"{prefix}Xcoordinate")
+            setattr(header, f"{prefix}Ycoordinate", longitude if swaps else -latitude)
+            setattr(header, f"{prefix}Xcoordinate", latitude if swaps else -longitude)
+    return log
+
+
+def _near_pole_or_antimeridian(log: Log, random: Random) -> Log:
+    pings = _pings(log)
+    placed = next((header for header in pings if header.SensorYcoordinate or header.ShipYcoordinate), None)
+    if placed is None:
+        return log
+    latitude = placed.SensorYcoordinate or placed.ShipYcoordinate
+    longitude = placed.SensorXcoordinate or placed.ShipXcoordinate
+    at_pole = random.random() < 0.5
+    north, east = (math.copysign(89.9999, latitude) - latitude, 0.0) if at_pole else (0.0, 179.9999 - longitude)
+    for header in pings:
+        _move(header, north, east)
+    return log
+
+
+def _clock(log: Log, random: Random) -> Log:
+    """A clock that stops, runs backwards, leaps, or says anything."""
+    pings = _pings(log)
+    part = pings[_some(random, len(pings))]
+    how = int(random.integers(4))
+    if how == 1:
+        fields = ("Year", "Month", "Day", "Hour", "Minute", "Second", "HSeconds")
+        times = [[getattr(header, name) for name in fields] for header in reversed(part)]
+        for header, time in zip(part, times, strict=True):
+            for name, value in zip(fields, time, strict=True):
+                setattr(header, name, value)
+        return log
+    for header in part:
+        if how == 0:
+            header.Hour, header.Minute, header.Second, header.HSeconds = part[0].Hour, part[0].Minute, part[0].Second, part[0].HSeconds
+        elif how == 2:
+            header.Year = int(random.choice([1970, 1980, 2150, 9999]))
+        else:
+            for name, end in (("Hour", 26), ("Minute", 62), ("Second", 62), ("HSeconds", 110)):
+                setattr(header, name, int(random.integers(0, end)))
+    return log
+
+
+# --- packets, channels, samples --------------------------------------------------------------------------------------
+
+
+def _order(how: Callable[[list[bytearray], Random], list[bytearray]]) -> Change:
+    def change(log: Log, random: Random) -> Log:
+        part = _some(random, len(log.packets))
+        return Log(log.header, [*log.packets[: part.start], *how(log.packets[part], random), *log.packets[part.stop :]])
+
+    return change
+
+
+def _shuffled(packets: list[bytearray], random: Random) -> list[bytearray]:
+    return [packets[index] for index in random.permutation(len(packets))]
+
+
+def _thinned(packets: list[bytearray], random: Random) -> list[bytearray]:
+    share = random.random()
+    return [packet for packet in packets if random.random() > share]
+
+
+def _repeated(packets: list[bytearray], random: Random) -> list[bytearray]:
+    return [bytearray(packet) for packet in packets for _ in range(1 + int(random.random() < 0.5))]
+
+
+def _channel_fields(log: Log, random: Random) -> Log:
+    names = [field[0] for field in pyxtf.XTFPingChanHeader._fields_]
+    for _ in range(int(random.integers(1, 20)) if log.packets else 0):
+        packet = log.packets[int(random.integers(len(log.packets)))]
+        if packet[2] != _SONAR or len(packet) < _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES:
+            continue
+        value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e3))
+        _set(pyxtf.XTFPingChanHeader.from_buffer(packet, _PING_HEADER_BYTES), names[int(random.integers(len(names)))], value)
+    return log
+
+
+def _samples(log: Log, random: Random) -> Log:
+    """Samples that are zero, full scale, noise, stuck, or anything, over a stretch of pings."""
+    how = int(random.integers(4))
+    for packet in log.packets[_some(random, len(log.packets))]:
+        start = _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES
+        n_bytes = len(packet) - start
+        if n_bytes > 0 and packet[2] == _SONAR:
+            packet[start:] = (bytes(n_bytes), b"\xff" * n_bytes, random.bytes(n_bytes), b"\x07\x00" * (n_bytes // 2) + bytes(n_bytes % 2))[
+                how
+            ]
+    return log
+
+
+# --- bytes -----------------------------------------------------------------------------------------------------------
+
+
+def _flipped_bits(log: Log, random: Random) -> bytes:
+    data = bytearray(log.joined())
+    for _ in range(int(random.integers(1, 200))):
+        data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
+    return bytes(data)
+
+
+def _flipped_header_bits(log: Log, random: Random) -> bytes:
+    data = bytearray(log.joined())
+    for _ in range(int(random.integers(1, 20))):
+        data[int(random.integers(FILE_HEADER_BYTES))] ^= 1 << int(random.integers(8))
+    return bytes(data)
+
+
+def _truncated(log: Log, random: Random) -> bytes:
+    data = log.joined()
+    return data[: int(random.integers(len(data)))]
+
+
+def _inserted(log: Log, random: Random) -> bytes:
+    data = log.joined()
+    at = int(random.integers(FILE_HEADER_BYTES, len(data) + 1))
+    return data[:at] + random.bytes(int(random.integers(1, 5000))) + data[at:]
+
+
+def _removed(log: Log, random: Random) -> bytes:
+    data = log.joined()
+    at = int(random.integers(FILE_HEADER_BYTES, len(data) + 1))
+    return data[:at] + data[at + int(random.integers(1, 20_000)) :]
+
+
+def _zeroed(log: Log, random: Random) -> bytes:
+    data = bytearray(log.joined())
+    at, n_bytes = int(random.integers(len(data))), int(random.integers(1, 20_000))
+    data[at : at + n_bytes] = bytes(len(data[at : at + n_bytes]))
+    return bytes(data)
+
+
+def _joined_twice(log: Log, random: Random) -> bytes:
+    return log.joined() * 2
+
+
+JUMPS: Final[dict[str, Change]] = {
+    "jump and back": _jump_and_back,
+    "jump that stays": _jump_and_stay,
+    "wrong first fixes": _wrong_first_fix,
+    "every n-th fix elsewhere": _every_other_fix,
+    "half of the fixes elsewhere": _half_of_the_fixes,
+    "scattered fixes": _scattered_fixes,
+    "drifting fixes": _drifting_fixes,
+}
+"""Navigation jumps of 10 m to 90 degrees."""
+
+BYTES: Final[dict[str, Change]] = {
+    "flipped bits": _flipped_bits,
+    "flipped bits in the file header": _flipped_header_bits,
+    "cut off": _truncated,
+    "bytes inserted": _inserted,
+    "bytes removed": _removed,
+    "bytes zeroed": _zeroed,
+    "joined to itself": _joined_twice,
+}
+CHANGES: Final[dict[str, Change]] = {
+    **JUMPS,
+    "nonsense in positions": _set_fields("SensorYcoordinate", "SensorXcoordinate", "ShipYcoordinate", "ShipXcoordinate"),
+    "mirrored positions": _mirrored_position,
+    "pole or antimeridian": _near_pole_or_antimeridian,
+    "nonsense in heading": _set_fields("SensorHeading", "ShipGyro"),
+    "turned heading": _turned_heading,
+    "nonsense in altitude and depth": _set_fields("SensorPrimaryAltitude", "SensorDepth", "SensorAuxAltitude"),
+    "nonsense in attitude": _set_fields("SensorPitch", "SensorRoll", "Yaw"),
+    "nonsense in speeds": _set_fields("SensorSpeed", "ShipSpeed", "SoundVelocity"),
+    "nonsense in the clock": _clock,
+    "nonsense anywhere in ping headers": _random_fields,
+    "nonsense in channel headers": _channel_fields,
+    "samples": _samples,
+    "packets out of order": _order(_shuffled),
+    "packets backwards": _order(lambda packets, _: packets[::-1]),
+    "packets lost": _order(_thinned),
+    "packets twice": _order(_repeated),
+    **BYTES,
+}
+"""Kinds of damage by name."""

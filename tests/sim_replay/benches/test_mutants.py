@@ -1,0 +1,124 @@
+"""Damaged logs: what the bench does to them, and that it sees what is wrong with the results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from xtf_logs import navigated, ping, written
+
+from auv_mcm.cli import main
+from auv_mcm.config import Config
+from auv_mcm.errors import SelfCheckError
+from sim_replay.benches import mutants
+from sim_replay.benches.mutants import judged, kinds_of, table, wrong_results
+from sim_replay.benches.mutations import CHANGES, FILE_HEADER_BYTES, JUMPS, mutated, split
+from sim_replay.replay import replay
+
+SHORT = 70  # pings: a few more than the transfer is decided from
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("log") / "short.xtf", navigated(ping(number) for number in range(SHORT)))
+
+
+def damaged(log: Path, *kinds: str, seed: int = 0) -> bytes:
+    return mutated(split(log.read_bytes(), SHORT), kinds, np.random.default_rng(seed))
+
+
+def test_a_log_taken_apart_is_the_same_put_together(log: Path) -> None:
+    data = log.read_bytes()
+    assert split(data, SHORT).joined() == data
+    assert len(split(data, 5).packets) == 5
+
+
+@pytest.mark.parametrize("kind", list(CHANGES))
+def test_damage_is_the_same_for_the_same_seed_and_changes_something(kind: str, log: Path) -> None:
+    assert damaged(log, kind, seed=3) == damaged(log, kind, seed=3)
+    assert any(damaged(log, kind, seed=seed) != log.read_bytes() for seed in range(10))
+
+
+@pytest.mark.parametrize("kind", list(CHANGES))
+def test_a_log_without_pings_can_be_damaged_too(kind: str, log: Path) -> None:
+    data = log.read_bytes()[:FILE_HEADER_BYTES]
+    for seed in range(5):
+        mutated(split(data, SHORT), (kind,), np.random.default_rng(seed))
+
+
+def test_jumps_span_ten_metres_to_ninety_degrees(log: Path) -> None:
+    before = np.frombuffer(b"".join(packet[160:176] for packet in split(log.read_bytes(), SHORT).packets), dtype="<f8").reshape(-1, 2)
+    lengths = []
+    for seed in range(60):
+        data = damaged(log, "jump and back", seed=seed)
+        after = np.frombuffer(b"".join(packet[160:176] for packet in split(data, SHORT).packets), dtype="<f8").reshape(-1, 2)
+        moved = np.hypot(*(after - before).T)
+        assert 1 <= np.count_nonzero(moved) <= SHORT
+        lengths.append(moved.max())
+    assert 10.0 / 111_321.0 <= min(lengths) < 1e-3
+    assert 30.0 < max(lengths) <= 90.0
+
+
+def test_three_hundred_mutants_hold_every_kind_and_jumps_in_half_of_them() -> None:
+    chosen = [kinds_of(number) for number in range(300)]
+    assert {kind for kinds in chosen for kind in kinds} == set(CHANGES)
+    assert sum(bool(set(kinds) & set(JUMPS)) for kinds in chosen) >= 150
+
+
+@pytest.mark.parametrize("kinds", [("jump and back",), ("every n-th fix elsewhere",), ("scattered fixes", "flipped bits"), ("cut off",)])
+def test_a_damaged_log_passes(kinds: tuple[str, ...], log: Path, tmp_path: Path) -> None:
+    mutant = judged(0, log.name, kinds, damaged(log, *kinds, seed=1), tmp_path)
+    assert mutant.failures == ()
+    assert mutant.code == 0
+    assert mutant.cpu_s > 0.0
+    assert 30.0 < mutant.rss_mb < 400.0
+
+
+def test_a_log_of_which_nothing_is_left_passes_with_code_3(log: Path, tmp_path: Path) -> None:
+    assert judged(0, log.name, ("cut off",), log.read_bytes()[: FILE_HEADER_BYTES - 1], tmp_path).code == 3
+
+
+def test_results_that_cannot_be_are_seen(log: Path, tmp_path: Path) -> None:
+    replay([log], tmp_path, Config())
+    assert wrong_results(tmp_path, log) == []
+    summary, contacts = json.loads((tmp_path / "summary.json").read_text()), (tmp_path / "contacts.geojson").read_text()
+
+    def with_contact(longitude: float, latitude: float, sigma_m: float) -> list[str]:
+        feature = {"geometry": {"type": "Point", "coordinates": [longitude, latitude]}, "properties": {"id": "C1", "sigma_m": sigma_m}}
+        (tmp_path / "contacts.geojson").write_text(json.dumps({"features": [feature]}))
+        return wrong_results(tmp_path, log)
+
+    assert with_contact(5.5, 43.0, 1.0) == []
+    assert "from every position" in with_contact(5.5, 43.1, 1.0)[0]
+    assert with_contact(5.5, 43.1, 20_000.0) == [], "a sigma that says so"
+    assert "lies at" in with_contact(5.5, 143.1, 1.0)[0]
+    (tmp_path / "contacts.geojson").write_text(contacts.replace("[]", "[NaN]"))
+    assert "NaN is not JSON" in wrong_results(tmp_path, log)[0]
+    (tmp_path / "contacts.geojson").write_text(contacts)
+    summary["counters"]["pipeline.coverage_failed"] = 2
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    assert wrong_results(tmp_path, log) == ["pipeline.coverage_failed is 2"]
+
+
+def test_the_command_names_what_failed_keeps_it_and_ends_with_5(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(mutants, "MAX_RSS_MB", 1.0)
+    code = main(["bench", "mutants", str(log), "--mutants", "1", "--pings", "20", "--keep", str(tmp_path / "kept")])
+    assert code == SelfCheckError.exit_code
+    said = capsys.readouterr()
+    assert "FAILED 0 of short.xtf" in said.out
+    assert "1 of 1 damaged logs did not pass" in said.err
+    assert (tmp_path / "kept" / "mutant-0.xtf").exists()
+
+
+def test_the_table_has_a_line_per_kind_and_one_for_all() -> None:
+    rows = [mutants.Mutant(n, "a.xtf", (kind,), code, 1.5 * n, 100.0, ()) for n, (kind, code) in enumerate([("a", 0), ("b", 3), ("a", 0)])]
+    lines = table(rows)
+    assert [line.split() for line in lines[1:]] == [
+        ["a", "2", "2", "0", "0", "3.0", "100"],
+        ["b", "1", "0", "1", "0", "1.5", "100"],
+        ["all", "3", "2", "1", "0", "3.0", "100"],
+    ]
