@@ -21,12 +21,13 @@ from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.registry import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
-from drivers.port_stream import pack_can, unpack_can
+from drivers.port_stream import pack_can
 from drivers.ports import Port, read_ports
 from drivers.stamps import Stamp
 from drivers.vehicle.end import VehicleEnd
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.registry import dialect_of
+from drivers.vehicle.registry import talker_of
+from drivers.vehicle.seam import Said
 
 log = logging.getLogger(__name__)
 
@@ -113,7 +114,9 @@ class PortSource:
         counters = self._intake.counters + self._own
         for port in self._ports:
             counters += port.counters
-        return counters if self.vehicle is None else counters + self.vehicle.counters
+        if self._vehicle_port is None or self.vehicle is None:
+            return counters
+        return counters + self.vehicle.counters + self._intake.vehicle_counters(self._vehicle_port.name)
 
     async def events(self) -> AsyncGenerator[SourceEvent, None]:
         jobs = [job for port in self._ports if port is not self._vehicle_port for job in port.jobs()]
@@ -139,6 +142,12 @@ class PortSource:
             self._record(port, "in", stamp, data)
         if not self._ended:
             self._put(self._intake.feed(port, data, stamp))
+        elif self._vehicle_port is not None and port == self._vehicle_port.name:
+            self._intake.decode(port, data, stamp)
+
+    def heard(self, port: str) -> list[Said]:
+        """What the vehicle at this port said in the bytes that were taken last."""
+        return self._intake.heard(port)
 
     def sent(self, port: str, data: bytes) -> None:
         """Bytes went out to a port."""
@@ -194,8 +203,8 @@ class _ServedPort:
         self.vehicle: VehicleEnd | None = None
         if port.vehicle is not None:
             session = int(clock.utc_s()) & 0xFFFFFFFF
-            dialect = dialect_of(port.device, port.vehicle)
-            pilot = Pilot(dialect, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
+            talker = talker_of(port.device, port.vehicle)
+            pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
             self.vehicle = VehicleEnd(port.name, pilot, self._send_to_vehicle, clock)
 
     @property
@@ -249,9 +258,7 @@ class _ServedPort:
     def _on_bytes(self, data: bytes, stamp: Stamp) -> None:
         self._source.take(self.name, data, stamp)
         if self.vehicle is not None:
-            item = unpack_can(data) if self._port.is_bus else data
-            if item is not None:
-                self.vehicle.hear(item, stamp)
+            self.vehicle.hear(self._source.heard(self.name), stamp)
 
     def _on_state(self, state: LinkState, reason: str) -> None:
         if self.vehicle is not None and (state != "down") != self._is_open:  # a wire that was silent for a while was open all the time

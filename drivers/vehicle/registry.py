@@ -8,31 +8,37 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.port_config import PortConfig
 from auv_mcm.vehicle_config import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
-from drivers.vehicle.bluefin import BluefinDialect
-from drivers.vehicle.can_dialect import CanDialect
-from drivers.vehicle.imc import ImcDialect
-from drivers.vehicle.iver import IverDialect
-from drivers.vehicle.recon import ReconDialect
-from drivers.vehicle.seam import Dialect
+from drivers.vehicle.decoders.bluefin import BluefinDecoder
+from drivers.vehicle.decoders.can import CanDecoder
+from drivers.vehicle.decoders.imc import ImcDecoder
+from drivers.vehicle.decoders.iver import IverDecoder
+from drivers.vehicle.decoders.recon import ReconDecoder
+from drivers.vehicle.seam import Talker, VehicleDecoder
+from drivers.vehicle.talkers.bluefin import BluefinTalker
+from drivers.vehicle.talkers.can import CanTalker
+from drivers.vehicle.talkers.imc import ImcTalker
+from drivers.vehicle.talkers.iver import IverTalker
+from drivers.vehicle.talkers.recon import ReconTalker
 
 VehicleSettings: TypeAlias = ImcSettings | BluefinSettings | IverSettings | ReconSettings | CanSettings
 
 
 class VehicleKind(NamedTuple):
-    """make: a dialect from settings of its own type. is_bus: it speaks in frames instead of bytes."""
+    """make_decoder, make_talker: from settings of its own type. is_bus: it speaks in frames instead of bytes."""
 
-    make: Callable[[Any], Dialect[Any]]
+    make_decoder: Callable[[Any, str], VehicleDecoder[Any]]
+    make_talker: Callable[[Any], Talker[Any]]
     settings: type[VehicleSettings]
     is_bus: bool = False
 
 
 VEHICLES: Final[Mapping[str, VehicleKind]] = MappingProxyType(
     {
-        "imc": VehicleKind(ImcDialect, ImcSettings),
-        "bluefin": VehicleKind(BluefinDialect, BluefinSettings),
-        "iver": VehicleKind(IverDialect, IverSettings),
-        "recon": VehicleKind(ReconDialect, ReconSettings),
-        "vehicle_can": VehicleKind(CanDialect, CanSettings, is_bus=True),
+        "imc": VehicleKind(ImcDecoder, ImcTalker, ImcSettings),
+        "bluefin": VehicleKind(BluefinDecoder, BluefinTalker, BluefinSettings),
+        "iver": VehicleKind(IverDecoder, IverTalker, IverSettings),
+        "recon": VehicleKind(ReconDecoder, ReconTalker, ReconSettings),
+        "vehicle_can": VehicleKind(CanDecoder, CanTalker, CanSettings, is_bus=True),
     }
 )
 
@@ -43,6 +49,11 @@ def settings_of(port: PortConfig) -> VehicleSettings:
     return VEHICLES[port.device].settings() if given is None else given
 
 
-def dialect_of(device: str, settings: VehicleSettings) -> Dialect[Any]:
-    """A dialect with its settings; each call makes one anew."""
-    return VEHICLES[device].make(settings)
+def decoder_of(device: str, settings: VehicleSettings, port: str) -> VehicleDecoder[Any]:
+    """Make the decoder of a dialect. port: name that its fixes carry."""
+    return VEHICLES[device].make_decoder(settings, port)
+
+
+def talker_of(device: str, settings: VehicleSettings) -> Talker[Any]:
+    """Make the talker of a dialect."""
+    return VEHICLES[device].make_talker(settings)

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from conversation import Conversation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ from auv_mcm.vehicle_config import ImcSettings
 from drivers.framing import Framer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.imc import PLAN_ID, ImcDialect
 from drivers.vehicle.imc_contact import contact_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
@@ -45,6 +45,7 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.talkers.imc import PLAN_ID
 
 US, VEHICLE, OTHER = 0x6000, 0x1E, 0x2F
 UTC_S = 1_700_000_000
@@ -56,7 +57,7 @@ class Talk:
     """A dialect whose wire is open, and what was said."""
 
     def __init__(self, settings: ImcSettings = KNOWS, now_s: float = 100.0) -> None:
-        self.dialect = ImcDialect(settings)
+        self.dialect = Conversation(settings)
         self.now_s = now_s
         self.dialect.connected(now_s)
         self.said()
@@ -491,7 +492,7 @@ def test_messages_of_no_use_are_counted() -> None:
 
 
 def test_a_decoder_of_navigation_alone_needs_no_connection() -> None:
-    dialect = ImcDialect(LEARNS)
+    dialect = Conversation(LEARNS)
     (state,) = dialect.hear(packed(estimated(41.0, -8.5), VEHICLE), stamp_at(1.0))
     assert isinstance(state, VehicleState)
     assert dialect.take_outgoing(1.0) == []
