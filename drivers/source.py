@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
 import time
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Callable, Coroutine
@@ -245,7 +246,7 @@ class _ServedPort:
         self.vehicle: VehicleEnd | None = None
         if port.vehicle is not None:
             session = int(clock.utc_s()) & 0xFFFFFFFF
-            talker = talker_of(port.device, port.vehicle)
+            talker = talker_of(port.device, port.vehicle, secrets.randbelow)
             pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
             self.vehicle = VehicleEnd(port.name, pilot, self._send_to_vehicle, clock)
 

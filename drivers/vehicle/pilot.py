@@ -26,6 +26,7 @@ from drivers.vehicle.seam import (
     Arrived,
     Capability,
     Command,
+    Doubted,
     GoTo,
     Granted,
     PayloadHealth,
@@ -76,7 +77,7 @@ class Pilot(Generic[W]):
     session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the water.
 
     counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason), vehicle.requested,
-    .granted, .withheld, .returned, .commands, .plans, .plans_flown, and those of `Outbox`.
+    .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of `Outbox`.
 
     Raises UsageError for a fence that is no area.
     """
@@ -170,6 +171,8 @@ class Pilot(Generic[W]):
                     self._outbox.acknowledged(event.ticket)
                 case Rejected():
                     self._report_rejected(event)
+                case Doubted(reason):
+                    self._doubted(reason)
             self._notice_authority()
 
     def take_outgoing(self, now_s: float) -> list[W]:
@@ -361,6 +364,12 @@ class Pilot(Generic[W]):
         if report is not None and report.number not in self._rejected:
             self._rejected.add(report.number)
             self._tell("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
+
+    def _doubted(self, reason: str) -> None:
+        """Told once: an attacker has many."""
+        self._own["vehicle.doubted"] += 1
+        if self._own["vehicle.doubted"] == 1:
+            self._tell("vehicle_doubted", f"a message of the vehicle is not believed: {reason} More are counted.", logging.WARNING)
 
     def _tell(self, code: str, text: str, level: int) -> None:
         log.log(level, "%s", text)

@@ -23,22 +23,26 @@ from drivers.vehicle.talkers.recon import ReconTalker
 VehicleSettings: TypeAlias = ImcSettings | BluefinSettings | IverSettings | ReconSettings | CanSettings
 
 
+_N_DRAWN: Final = 0xFFFF  # request ids from 1 on
+
+
 class VehicleKind(NamedTuple):
-    """make_decoder, make_talker: from settings of its own type. is_bus: it speaks in frames instead of bytes."""
+    """make_decoder: from settings of its own type and the port's name. make_talker: from settings and a number drawn for each run, below
+    _N_DRAWN. is_bus: it speaks in frames instead of bytes."""
 
     make_decoder: Callable[[Any, str], VehicleDecoder[Any]]
-    make_talker: Callable[[Any], Talker[Any]]
+    make_talker: Callable[[Any, int], Talker[Any]]
     settings: type[VehicleSettings]
     is_bus: bool = False
 
 
 VEHICLES: Final[Mapping[str, VehicleKind]] = MappingProxyType(
     {
-        "imc": VehicleKind(ImcDecoder, ImcTalker, ImcSettings),
-        "bluefin": VehicleKind(BluefinDecoder, BluefinTalker, BluefinSettings),
-        "iver": VehicleKind(IverDecoder, IverTalker, IverSettings),
-        "recon": VehicleKind(ReconDecoder, ReconTalker, ReconSettings),
-        "vehicle_can": VehicleKind(CanDecoder, CanTalker, CanSettings, is_bus=True),
+        "imc": VehicleKind(ImcDecoder, lambda settings, drawn: ImcTalker(settings, drawn + 1), ImcSettings),
+        "bluefin": VehicleKind(BluefinDecoder, lambda settings, drawn: BluefinTalker(settings), BluefinSettings),
+        "iver": VehicleKind(IverDecoder, lambda settings, drawn: IverTalker(settings), IverSettings),
+        "recon": VehicleKind(ReconDecoder, lambda settings, drawn: ReconTalker(settings), ReconSettings),
+        "vehicle_can": VehicleKind(CanDecoder, lambda settings, drawn: CanTalker(settings), CanSettings, is_bus=True),
     }
 )
 
@@ -54,6 +58,6 @@ def decoder_of(device: str, settings: VehicleSettings, port: str) -> VehicleDeco
     return VEHICLES[device].make_decoder(settings, port)
 
 
-def talker_of(device: str, settings: VehicleSettings) -> Talker[Any]:
-    """Make the talker of a dialect."""
-    return VEHICLES[device].make_talker(settings)
+def talker_of(device: str, settings: VehicleSettings, draw: Callable[[int], int]) -> Talker[Any]:
+    """Make the talker of a dialect. draw: a random number below its argument, which nobody can foresee."""
+    return VEHICLES[device].make_talker(settings, draw(_N_DRAWN))

@@ -160,7 +160,13 @@ class Rejected(NamedTuple):
     reason: str
 
 
-VehicleEvent: TypeAlias = VehicleState | Granted | Withheld | Arrived | Acknowledged | Rejected
+class Doubted(NamedTuple):
+    """A message that would let the payload command was refused, as it may be somebody else's or an old one. reason: for people."""
+
+    reason: str
+
+
+VehicleEvent: TypeAlias = VehicleState | Granted | Withheld | Arrived | Acknowledged | Rejected | Doubted
 
 
 class Said(NamedTuple):

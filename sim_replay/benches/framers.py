@@ -40,7 +40,7 @@ from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
 from drivers.vehicle.iver_sentences import IverGrammar
 from drivers.vehicle.recon_sentences import ReconGrammar
 from sim_replay.benches.arguments import count
-from sim_replay.benches.worst_bytes import WORST_BYTES
+from sim_replay.worst_bytes import WORST_BYTES
 
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
 FAULT_KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 
-from test_source import GENEROUS_S, config_of
+from port_traffic import config_of
 
 from auv_mcm.clock import SystemClock
 from auv_mcm.records import Notice
@@ -13,6 +13,7 @@ from drivers.backlog import MAX_WAITING_BYTES, TURN_S, Backlog, Chunk
 from drivers.source import PortSource
 from drivers.stamps import Stamp
 
+GENEROUS_S = 60.0
 IMC = "ports: [{name: auv, link: 'tcp://127.0.0.1:9', device: imc}]"
 JUNK = (b"\x54\xfe\x0f" * 500)[:1400]
 

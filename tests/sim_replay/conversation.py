@@ -16,7 +16,7 @@ class Conversation:
     def __init__(self, settings: VehicleSettings) -> None:
         device = next(name for name, kind in VEHICLES.items() if kind.settings is type(settings))
         self.decoder = decoder_of(device, settings, "vehicle")
-        self.talker = talker_of(device, settings)
+        self.talker = talker_of(device, settings, lambda n: 0)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.talker, name)

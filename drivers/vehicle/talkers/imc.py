@@ -45,6 +45,7 @@ from drivers.vehicle.seam import (
     Capability,
     Command,
     ContactReport,
+    Doubted,
     GoTo,
     Granted,
     PayloadHealth,
@@ -54,6 +55,7 @@ from drivers.vehicle.seam import (
     VehicleState,
     Withheld,
 )
+from drivers.vehicle.sender_clock import SenderClock
 
 PLAN_ID: Final = "auv_mcm"
 _MANEUVER_ID: Final = "follow"
@@ -99,18 +101,24 @@ class _Pending(NamedTuple):
 class ImcTalker:
     """`Talker[bytes]` of an IMC vehicle; one packet per item that goes out, so that each fits a datagram.
 
-    counters: imc.other_messages (kinds without a use here), imc.other_source (not the vehicle's),
+    What would let us command is believed only if its packet's time is that of the vehicle's other packets and, with a plan of ours, after
+    the request: a grant that was recorded earlier gives nothing.
+
+    counters: imc.refused.stale (such packets), imc.other_messages (kinds without a use here), imc.other_source (not the vehicle's),
     imc.commands_unsaid (without a grant, or of a kind that IMC has not).
     """
 
-    def __init__(self, settings: ImcSettings) -> None:
+    def __init__(self, settings: ImcSettings, first_request_id: int = 1) -> None:
+        """first_request_id: 1 to 65535, another in every run, so that no answer of an earlier run fits."""
         self._settings = settings
         self.counters: Counter[str] = Counter()
         self._open = False
         self._vehicle = settings.vehicle_id or None
         self._utc_ahead_s: float | None = None  # of the monotonic clock
         self._stage: Literal["idle", "requested", "granted"] = "idle"
-        self._request_id = 0
+        self._request_id = first_request_id - 1  # of the last request
+        self._requested_s = -math.inf
+        self._vehicles_clock = SenderClock()
         self._n_starts = 0
         self._start_due_s = 0.0
         self._succeeded = False  # the vehicle said SUCCESS to the START
@@ -170,6 +178,7 @@ class ImcTalker:
         if self._stage != "idle":
             return
         self._stage = "requested"
+        self._requested_s = now_s
         self._request_id = self._request_id % 0xFFFF + 1
         self._n_starts = 0
         self._start_due_s = now_s
@@ -283,7 +292,36 @@ class ImcTalker:
         if said.source != self._vehicle:
             self.counters["imc.other_source"] += 1
             return []
+        if self._gives_leave(message):
+            doubt = self._doubt(said.time_s, now_s)
+            if doubt:
+                self.counters["imc.refused.stale"] += 1
+                return [Doubted(doubt)]
+        else:
+            self._vehicles_clock.hear(said.time_s, now_s)
         return self._heard(message, state, now_s, for_us=said.destination in (self._settings.source_id, ANYONE))
+
+    def _gives_leave(self, message: ImcMessage) -> bool:
+        """Whether this message would let us command, or go on. What ends control is believed from anyone."""
+        match message:
+            case imc.FollowRefState():
+                return message.control_src == self._settings.source_id and message.state != RefState.TIMEOUT
+            case imc.PlanControl():
+                return message.type in (PlanType.SUCCESS, PlanType.IN_PROGRESS)
+        return False
+
+    def _doubt(self, time_s: float, now_s: float) -> str:
+        """Why a packet that would let us command is not believed, "" if it is."""
+        if not self._vehicles_clock.hear(time_s, now_s):
+            why = "is not that of the vehicle's other messages"
+        elif self._stage == "requested" and self._settings.own_plan and not self._vehicles_clock.is_after(time_s, self._requested_s):
+            why = "is before that of the request"
+        else:
+            return ""
+        return (
+            f"it would let the payload command, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock is set "
+            "and runs, and that nobody sends recorded messages."
+        )
 
     def _heard(self, message: ImcMessage, state: VehicleState | None, now_s: float, *, for_us: bool) -> list[VehicleEvent]:
         match message:

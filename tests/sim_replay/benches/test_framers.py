@@ -27,7 +27,7 @@ from sim_replay.benches.framers import (
     n_missing,
     speed_lines,
 )
-from sim_replay.benches.worst_bytes import WORST_BYTES
+from sim_replay.worst_bytes import WORST_BYTES
 
 
 def numbered(random: np.random.Generator, n: int) -> list[bytes]:
