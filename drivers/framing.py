@@ -52,7 +52,8 @@ class Grammar(Protocol[M_co]):
         """Find the first candidate in buffer[start:] that `read` may take or wait for; -1 if there is none.
 
         Candidates passed over, which `read` would refuse, are added to `refused`, a number by reason; none may be passed over whose
-        message may be incomplete. What is found may still be refused by `read`.
+        message may be incomplete. What is found may still be refused by `read`; a candidate at `start` needs no look, as it is the next
+        message as a rule.
         """
         ...
 
@@ -154,8 +155,9 @@ class Framer(Generic[M]):
             return -1
         if self._after_message:
             self._after_message = False
-            if grammar.find(buffer, start, {}) != start:
-                start = max(start - grammar.head_bytes + 1, 0)
+            if grammar.find(buffer, start, {}) == start:
+                return start
+            start = max(start - grammar.head_bytes + 1, 0)
         at = grammar.find(buffer, start, refused)
         if at < 0:
             self._wait_for_head()

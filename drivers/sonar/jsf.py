@@ -81,7 +81,7 @@ class JsfGrammar(Grammar[JsfMessage]):
 
     def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
         for at in map(_START_OF, _SYNC.finditer(buffer, start)):
-            reason = _refusal(buffer, at)
+            reason = None if at == start else _refusal(buffer, at)
             if reason is None:
                 return at
             refused[reason] = refused.get(reason, 0) + 1

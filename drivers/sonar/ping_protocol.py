@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from struct import Struct
 from typing import Final
 
+import numpy as np
+
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
 from drivers.framing import Arrived, Grammar, Refused, StampedFramer
@@ -71,7 +73,7 @@ class PingGrammar(Grammar[PingMessage]):
         at, n_length, n_checksum = buffer.find(SYNC, start), 0, 0
         n_there = len(buffer)
         sums: Sequence[int] = ()
-        while at >= 0 and n_there - at >= HEADER_BYTES:
+        while at > start and n_there - at >= HEADER_BYTES:
             n_payload, message_id = _LENGTH_AND_ID.unpack_from(buffer, at + len(SYNC))
             least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
             stop = at + HEADER_BYTES + n_payload
@@ -110,8 +112,8 @@ class PingGrammar(Grammar[PingMessage]):
         if n_there < n_bytes:
             return n_bytes
         stop = start + n_payload
-        sums = self._sum.values(buffer)
-        if (sums[stop] - sums[at]) & 0xFFFF != buffer[stop] | buffer[stop + 1] << 8:
+        total = int(np.add.reduce(np.frombuffer(buffer, np.uint8, stop - at, at), dtype=np.uint32))
+        if total & 0xFFFF != buffer[stop] | buffer[stop + 1] << 8:
             return "checksum"
         return PingMessage(message_id, bytes(buffer[start:stop]), source, destination), n_bytes
 
