@@ -7,12 +7,15 @@ behind its first byte, because only a message that was proven may be skipped. So
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from drivers.stamps import Stamp
 
 M = TypeVar("M")
 M_co = TypeVar("M_co", covariant=True)
+
+Refused: TypeAlias = dict[str, int]
+"""Numbers of refused candidates, by reason."""
 
 _SLICE_BYTES: Final = 1 << 16  # of what is fed at once, so that a large chunk does not make a large buffer
 
@@ -26,9 +29,12 @@ class Framed(NamedTuple, Generic[M]):
 
 
 class Grammar(Protocol[M_co]):
-    """One wire format. It keeps no state and never raises, whatever the bytes.
+    """One wire format. It never raises, whatever the bytes. One instance serves one framer.
 
-    name: prefix of the counters. head_bytes: as many must be there before `find` can tell a candidate; 1 or more. max_message_bytes: more
+    What `find` and `read` say depends on the bytes alone. Neither may cost more than a bounded amount of work per byte fed, however many
+    candidates there are and however long the messages that they promise: junk can be nothing but candidates.
+
+    name: prefix of the counters. head_bytes: as many must be there before `find` can see a candidate; 1 or more. max_message_bytes: more
     are never waited for. proven: a message is told from damage by its own bytes (a checksum). If it is not, one whose end is missing may
     have swallowed the beginning of the next; unless another follows at once, the search then goes back over its last bytes.
     """
@@ -42,14 +48,23 @@ class Grammar(Protocol[M_co]):
     @property
     def proven(self) -> bool: ...
 
-    def find(self, buffer: bytearray, start: int) -> int:
-        """Index of the first candidate in buffer[start:], -1 if there is none."""
+    def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
+        """Find the first candidate in buffer[start:] that `read` may take or wait for; -1 if there is none.
+
+        Candidates passed over, which `read` would refuse, are added to `refused`, a number by reason; none may be passed over whose
+        message may be incomplete. What is found may still be refused by `read`; a candidate at `start` needs no look, as it is the next
+        message as a rule.
+        """
         ...
 
     def read(self, buffer: bytearray, at: int) -> tuple[M_co, int] | int | str:
         """The candidate at `at`: the message and its length in bytes; or how many bytes, counted from `at`, must be there to tell; or
         why it is refused, in one word for a counter."""
         ...
+
+    def forget(self, n_bytes: int) -> None:
+        """Follow the buffer, which has lost its first bytes. For grammars that keep sums over it."""
+        return
 
 
 class Framer(Generic[M]):
@@ -95,55 +110,63 @@ class Framer(Generic[M]):
 
     def _search(self, *, final: bool) -> list[Framed[M]]:
         grammar, buffer = self._grammar, self._buffer
-        origin = self.held_from
+        find, read_at, is_proven = grammar.find, grammar.read, grammar.proven
         last_start = len(buffer) - grammar.head_bytes
+        origin = self.held_from
         found: list[Framed[M]] = []
-        refused: dict[str, int] = {}
-        at = self._candidate(final=final)
+        refused: Refused = {}
+        at = self._first(refused, final=final)
         while at >= 0:
-            read = grammar.read(buffer, at)
+            read = read_at(buffer, at)
             if isinstance(read, int):
                 if not final and read <= grammar.max_message_bytes:
                     self._start, self._needed = at, at + read
                     break
                 read = "truncated" if final else "oversize"
             if isinstance(read, str):
-                # Garbage can be nothing but refused candidates, tens of thousands in a second: the next is looked for in few words.
                 refused[read] = refused.get(read, 0) + 1
-                self._start = at + 1
-                at = grammar.find(buffer, at + 1) if at < last_start else -1
-                if at < 0:
-                    at = self._candidate(final=final)
-                continue
-            message, n_bytes = read
-            found.append(Framed(message, origin + at, n_bytes))
-            self.counters[f"{grammar.name}.messages"] += 1
-            self._skip_to(at)
-            self._start = self._done = at + n_bytes
-            self._after_message = not grammar.proven
-            at = self._candidate(final=final)
+                at = find(buffer, at + 1, refused)
+            else:
+                message, n_bytes = read
+                found.append(Framed(message, origin + at, n_bytes))
+                if at > self._done:
+                    self._skip_to(at)
+                self._start = self._done = stop = at + n_bytes
+                if not is_proven or stop > last_start:
+                    self._after_message = not is_proven
+                    at = self._first(refused, final=final)
+                    continue
+                at = find(buffer, stop, refused)
+            if at < 0:
+                self._wait_for_head()
+        if found:
+            self.counters[f"{grammar.name}.messages"] += len(found)
         for reason, count in refused.items():
             self.counters[f"{grammar.name}.refused.{reason}"] += count
         keep = self._start - (grammar.head_bytes - 1 if self._after_message else 0)
         self._forget(max(keep, 0))
         return found
 
-    def _candidate(self, *, final: bool) -> int:
-        """Index of the next candidate, or -1 with `_start` and `_needed` set for when more bytes come."""
+    def _first(self, refused: Refused, *, final: bool) -> int:
+        """Index of the first candidate from `_start` on, or -1 with `_start` and `_needed` set for when more bytes come."""
         grammar, buffer, start = self._grammar, self._buffer, self._start
-        n_ahead = len(buffer) - start
-        if n_ahead < grammar.head_bytes and not final:
+        if len(buffer) - start < grammar.head_bytes and not final:
             self._needed = start + grammar.head_bytes
             return -1
-        at = grammar.find(buffer, start)
         if self._after_message:
             self._after_message = False
-            if at != start:
-                at = grammar.find(buffer, max(start - grammar.head_bytes + 1, 0))
+            if grammar.find(buffer, start, {}) == start:
+                return start
+            start = max(start - grammar.head_bytes + 1, 0)
+        at = grammar.find(buffer, start, refused)
         if at < 0:
-            self._start = max(len(buffer) - grammar.head_bytes + 1, 0)
-            self._needed = self._start + grammar.head_bytes
+            self._wait_for_head()
         return at
+
+    def _wait_for_head(self) -> None:
+        """No candidate is in the buffer; the next may begin in its last bytes."""
+        self._start = max(len(self._buffer) - self._grammar.head_bytes + 1, 0)
+        self._needed = self._start + self._grammar.head_bytes
 
     def _skip_to(self, index: int) -> None:
         if index > self._done:
@@ -154,6 +177,7 @@ class Framer(Generic[M]):
         """Drop the first bytes of the buffer; whatever counts them as skipped does so only once."""
         self._skip_to(n_bytes)
         del self._buffer[:n_bytes]
+        self._grammar.forget(n_bytes)
         self._start -= n_bytes
         self._done -= n_bytes
         self._needed -= n_bytes

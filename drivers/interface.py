@@ -17,10 +17,11 @@ from drivers.links.uri import EXAMPLES
 from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, nmea0183, sentences
 from drivers.ports import PULSE, Port, read_ports
 from drivers.sonar import imagenex, jsf_messages, ping_messages
-from drivers.vehicle import bluefin_sentences, can_messages, imc_messages, iver, recon
+from drivers.vehicle import bluefin_sentences, can_messages, imc_messages
 from drivers.vehicle.ascii_fields import Table
 from drivers.vehicle.iver_sentences import table_of as iver_table
 from drivers.vehicle.recon_sentences import table_of as recon_table
+from drivers.vehicle.talkers import iver, recon
 
 _EXAMPLE: Final = """\
 # Ports of a vehicle, for a configuration file. 'auv-mcm run --interface' prints what is spoken there.

@@ -16,6 +16,7 @@ from drivers.port_stream import PortStream, Told
 from drivers.ports import PULSE, merge_settings, read_ports
 from drivers.stamps import Stamp
 from drivers.utc import UtcReference
+from drivers.vehicle.seam import Said
 
 log = logging.getLogger(__name__)
 Ts = TypeVarTuple("Ts")
@@ -66,8 +67,20 @@ class PortIntake:
                 events += self._merged(stream.feed(data, stamp))
         return events + self._survived(self._merge.advance, stamp)
 
+    def heard(self, port: str) -> list[Said]:
+        """What the vehicle at this port said in the bytes that were fed to it last."""
+        return self._streams[port].heard
+
+    def vehicle_counters(self, port: str) -> Counter[str]:
+        """Those of the vehicle's decoder."""
+        return self._streams[port].vehicle_counters
+
+    def decode(self, port: str, data: bytes, stamp: Stamp) -> None:
+        """Bytes of a vehicle after `finish`, for `heard` alone."""
+        self._streams[port].feed(data, stamp)
+
     def finish(self) -> list[SourceEvent]:
-        """No bytes follow."""
+        """No bytes follow that count."""
         events: list[SourceEvent] = []
         for stream in self._streams.values():
             events += self._merged(stream.finish())

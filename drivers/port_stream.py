@@ -10,7 +10,6 @@ from msgspec import structs
 
 from auv_mcm.config import SonarConfig
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
-from auv_mcm.vehicle_config import CanSettings
 from drivers.clocks import DeviceClock, SourceClock, UtcAnchor, wire_delay_s
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
@@ -21,8 +20,8 @@ from drivers.reading_watch import ReadingWatch
 from drivers.sonar.registry import sonar_named
 from drivers.sonar.seam import SonarFrame, SonarReply
 from drivers.stamps import Stamp
-from drivers.vehicle.registry import VehicleSettings, dialect_of
-from drivers.vehicle.seam import VehicleState
+from drivers.vehicle.registry import VehicleSettings, decoder_of
+from drivers.vehicle.seam import Said
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +73,7 @@ class PortStream:
         """utc: shared by all ports; followed before the bytes are fed."""
         self._port, self._sonar, self._utc = port, sonar, utc
         self._before: Counter[str] = Counter()  # of decoders that failed
+        self._vehicle_before: Counter[str] = Counter()
         self._reader = self._new_reader()
         # What a bus gives are whole frames; that an adapter gives none is its link's affair.
         self._watch = None if port.is_bus else ReadingWatch(port.name, port.device, port.address.place, port.baud)
@@ -81,6 +81,16 @@ class PortStream:
     @property
     def counters(self) -> Counter[str]:
         return self._before + self._reader.counters
+
+    @property
+    def heard(self) -> list[Said]:
+        """What the vehicle said in what was fed last; nothing from other devices."""
+        return self._reader.heard if isinstance(self._reader, _VehicleReader) else []
+
+    @property
+    def vehicle_counters(self) -> Counter[str]:
+        """All of the vehicle's decoder."""
+        return self._vehicle_before + (self._reader.decoder.counters if isinstance(self._reader, _VehicleReader) else Counter())
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
         """What a chunk completes, in order. stamp: when its last byte was read."""
@@ -112,7 +122,7 @@ class PortStream:
         return _UnitReader(port)
 
     def _survive(self, error: Exception) -> list[Told]:
-        self._before = self.counters
+        self._before, self._vehicle_before = self.counters, self.vehicle_counters
         self._before["decoder.failed"] += 1
         self._reader = self._new_reader()
         if self._before["decoder.failed"] > 1:
@@ -169,37 +179,32 @@ class _BusReader:
 
 
 class _VehicleReader:
-    """Where the vehicle says it is, if that is wanted, and on a bus what units say there. What else it says is heard by the pilot."""
+    """Where the vehicle says it is, if that is wanted, and on a bus what units say there. A talker takes what else it says from `heard`."""
 
     def __init__(self, port: Port, settings: VehicleSettings) -> None:
         self._port = port
-        self._dialect = dialect_of(port.device, settings)
-        self._bus = _BusReader(port.name) if port.is_bus else None
-        # Where units on the bus tell where the vehicle is, the dialect only repeats them.
-        self._repeats_units = isinstance(settings, CanSettings) and bool(settings.nmea2000_addresses)
+        self.decoder = decoder_of(port.device, settings, port.name)
+        self.heard: list[Said] = []
 
     @property
     def counters(self) -> Counter[str]:
-        """Messages alone: what else there is to count is counted by the pilot's dialect, which speaks as well."""
-        told = Counter({key: count for key, count in self._dialect.counters.items() if key.endswith(".messages")})
-        return told if self._bus is None else told + self._bus.counters
+        """Messages and what a bus brings; what else there is to count is counted once, with what the pilot counts."""
+        told = Counter({key: count for key, count in self.decoder.counters.items() if key.endswith(".messages")})
+        return told + self.decoder.bus_counters
 
     def n_messages(self) -> int:
-        return _messages_in(self._dialect.counters) + (0 if self._bus is None else self._bus.n_messages())
+        return _messages_in(self.decoder.counters) + _messages_in(self.decoder.bus_counters)
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
-        item = data if self._bus is None else unpack_can(data)
+        self.heard = []
+        item = unpack_can(data) if self._port.is_bus else data
         if item is None:
             return []
-        events = self._dialect.hear(item, stamp)
-        self._dialect.take_outgoing(stamp.mono_ns * 1e-9)  # answers are the pilot's to give
-        if self._port.unit is None:
-            return []
-        states = [] if self._repeats_units else [event for event in events if isinstance(event, VehicleState)]
-        told: list[Told] = [_vehicle_fix(self._port.name, state) for state in states]
-        return told if self._bus is None else told + self._bus.feed(data, stamp)
+        self.heard = self.decoder.feed(item, stamp)
+        return [] if self._port.unit is None else [fix for said in self.heard for fix in said.fixes]
 
     def finish(self) -> list[Told]:
+        self.heard = []
         return []
 
 
@@ -300,19 +305,4 @@ def _fix(source: str, frame: SonarFrame, told: NavSample) -> NavFix:
         depth_m=told.depth_m,
         altitude_m=told.altitude_m if told.altitude_m > 0.0 else NAN,
         speed_mps=told.speed_mps,
-    )
-
-
-def _vehicle_fix(source: str, state: VehicleState) -> NavFix:
-    return NavFix(
-        source=source,
-        received=state.received,
-        latitude_deg=state.latitude_deg,
-        longitude_deg=state.longitude_deg,
-        heading_rad=state.heading_rad,
-        pitch_rad=state.pitch_rad,
-        roll_rad=state.roll_rad,
-        depth_m=state.depth_m,
-        altitude_m=state.altitude_m if state.altitude_m > 0.0 else NAN,
-        speed_mps=state.speed_mps,
     )

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
+import time
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from functools import partial
@@ -17,16 +19,18 @@ from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.service import Record, SourceUri
+from drivers.backlog import Backlog, Chunk
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.registry import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
-from drivers.port_stream import pack_can, unpack_can
+from drivers.port_stream import pack_can
 from drivers.ports import Port, open_to_all, read_ports
 from drivers.stamps import Stamp
 from drivers.vehicle.end import VehicleEnd
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.registry import dialect_of
+from drivers.vehicle.registry import talker_of
+from drivers.vehicle.seam import Said
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +43,7 @@ _ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its set
 _MAX_EVENTS: Final = 4096
 _MAX_STATE_NOTICES: Final = 20  # per port; a loose contact has no end of them
 _RESTART_S: Final = 1.0
+_LAST_TURNS: Final = 25  # 0.5 s of decoding at the end
 
 
 def open_link(port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes] | Link[CanFrame]:
@@ -60,19 +65,26 @@ def open_source(uri: SourceUri, config: Config, clock: Clock) -> PortSource:
 class PortSource:
     """The ports as a source of the service, which cannot make devices wait. Whatever a wire or device does, it goes on.
 
+    What comes is recorded at once and decoded in the order in which it came, a bounded part in each turn of the event loop (`Backlog`).
+
     counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent, port.NAME.commands_refused (by the wire),
-    port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), source.ping_dropped and source.event_dropped. Of the
-    vehicle's port, port.NAME.messages_sent and .messages_refused, and those of `VehicleEnd`.
+    port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), port.NAME.bytes_undecoded (that found no room in a
+    flood), source.ping_dropped and source.event_dropped. Of the vehicle's port, port.NAME.messages_sent and .messages_refused, and those
+    of `VehicleEnd` and of the vehicle's decoder.
     """
 
     lossless = False
 
-    def __init__(self, config: Config, clock: Clock, open_link: OpenLink = open_link) -> None:
-        """Raises UsageError for ports that cannot be."""
+    def __init__(
+        self, config: Config, clock: Clock, open_link: OpenLink = open_link, cpu_s: Callable[[], float] = time.thread_time
+    ) -> None:
+        """cpu_s: processor time of this thread, in seconds. Raises UsageError for ports that cannot be."""
         self._clock = clock
         self._intake = PortIntake(config)
         self._record: Record | None = None
         self._own: Counter[str] = Counter()
+        self._backlog = Backlog(cpu_s)
+        self._turn_ends = False  # the end of this turn of the event loop is awaited
         self._events: deque[SourceEvent] = deque()
         self._changed = asyncio.Event()
         self._stopping = False
@@ -113,9 +125,12 @@ class PortSource:
 
     def counters(self) -> Counter[str]:
         counters = self._intake.counters + self._own
+        counters += Counter({f"port.{port}.bytes_undecoded": count for port, count in self._backlog.n_refused.items()})
         for port in self._ports:
             counters += port.counters
-        return counters if self.vehicle is None else counters + self.vehicle.counters
+        if self._vehicle_port is None or self.vehicle is None:
+            return counters
+        return counters + self.vehicle.counters + self._intake.vehicle_counters(self._vehicle_port.name)
 
     async def events(self) -> AsyncGenerator[SourceEvent, None]:
         jobs = [job for port in self._ports if port is not self._vehicle_port for job in port.jobs()]
@@ -130,6 +145,7 @@ class PortSource:
             self._stopping = True
             serving.cancel()
             await asyncio.wait({serving})
+        self._decode_rest()
         self._ended = True
         self._put(self._intake.finish())
         while self._events:
@@ -139,8 +155,43 @@ class PortSource:
         """Bytes of a port, or none: a tick."""
         if self._record is not None:
             self._record(port, "in", stamp, data)
+        if not self._backlog.add(Chunk(port, data, stamp)) and self._backlog.n_refused[port] == len(data):
+            text = (
+                f"port '{port}' brings more than this computer can decode. What does not fit is recorded, counted as "
+                f"port.{port}.bytes_undecoded, and not decoded. Check what sends there, and that nobody else does."
+            )
+            self.tell(Notice(code="port_flooded", text=text, place=port))
+        self._work()
+
+    def _work(self) -> None:
+        """Decode what waits, within the allowance of this turn of the event loop."""
+        self._backlog.work(self._decode)
+        if not self._turn_ends:
+            self._turn_ends = True
+            asyncio.get_running_loop().call_soon(self._next_turn)
+
+    def _next_turn(self) -> None:
+        self._turn_ends = False
+        self._backlog.begin_turn()
+        if self._backlog:
+            self._work()
+
+    def _decode(self, chunk: Chunk) -> None:
+        served = self._vehicle_port if self._vehicle_port is not None and chunk.port == self._vehicle_port.name else None
         if not self._ended:
-            self._put(self._intake.feed(port, data, stamp))
+            self._put(self._intake.feed(*chunk))
+        elif served is not None:
+            self._intake.decode(*chunk)
+        if served is not None:
+            served.hear(self._intake.heard(chunk.port), chunk.stamp)
+
+    def _decode_rest(self) -> None:
+        """What waits at the end, as far as there is time for it; the rest is counted."""
+        for _ in range(_LAST_TURNS):
+            self._backlog.begin_turn()
+            if not self._backlog.work(self._decode):
+                return
+        self._backlog.give_up()
 
     def sent(self, port: str, data: bytes) -> None:
         """Bytes went out to a port."""
@@ -193,11 +244,12 @@ class _ServedPort:
         self._own: Counter[str] = Counter()
         self._links_before: Counter[str] = Counter()  # of links that failed
         self._is_open = False
+        self._changed_ns = 0  # when the wire was opened or lost last
         self.vehicle: VehicleEnd | None = None
         if port.vehicle is not None:
             session = int(clock.utc_s()) & 0xFFFFFFFF
-            dialect = dialect_of(port.device, port.vehicle)
-            pilot = Pilot(dialect, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
+            talker = talker_of(port.device, port.vehicle, secrets.randbelow)
+            pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
             self.vehicle = VehicleEnd(port.name, pilot, self._send_to_vehicle, clock)
 
     @property
@@ -216,6 +268,11 @@ class _ServedPort:
         if not self._port.commands:
             return [self._keep_link()]
         return [self._keep_link(), self._wake() if self._port.ask_every_s is None else self._ask()]
+
+    def hear(self, said: list[Said], stamp: Stamp) -> None:
+        """Hand on what the vehicle said, unless the wire on which it came has been lost since: a grant ends with its connection."""
+        if self.vehicle is not None and stamp.mono_ns >= self._changed_ns:
+            self.vehicle.hear(said, stamp)
 
     async def _keep_link(self) -> None:
         """A link ends only by a defect; then there is another."""
@@ -250,14 +307,11 @@ class _ServedPort:
 
     def _on_bytes(self, data: bytes, stamp: Stamp) -> None:
         self._source.take(self.name, data, stamp)
-        if self.vehicle is not None:
-            item = unpack_can(data) if self._port.is_bus else data
-            if item is not None:
-                self.vehicle.hear(item, stamp)
 
     def _on_state(self, state: LinkState, reason: str) -> None:
         if self.vehicle is not None and (state != "down") != self._is_open:  # a wire that was silent for a while was open all the time
             self._is_open = state != "down"
+            self._changed_ns = round(self._clock.monotonic_s() * 1e9)
             (self.vehicle.connected if self._is_open else self.vehicle.disconnected)()
         if self._source.is_stopping:
             return

@@ -7,6 +7,7 @@ checksum: of frames with one flipped bit about 4 in 10 still look sound, so what
 from __future__ import annotations
 
 import re
+from binascii import unhexlify
 from collections import Counter
 from typing import Final
 
@@ -18,10 +19,20 @@ from drivers.links.uri import CAN_BITRATES
 MAX_LINE_BYTES: Final = 26  # T, identifier, length, 8 bytes of data
 _MAX_EXTENDED_ID: Final = 0x1FFFFFFF
 _MAX_STANDARD_ID: Final = 0x7FF
-_FRAME: Final = re.compile(rb"(?:T([0-9A-Fa-f]{8})|t([0-9A-Fa-f]{3}))([0-8])((?:[0-9A-Fa-f]{2})*)")
-_REMOTE: Final = re.compile(rb"(?:R[0-9A-Fa-f]{8}|r[0-9A-Fa-f]{3})[0-8]")
-_ANSWER: Final = re.compile(rb"[zZ]?|V[0-9A-Fa-f]{4}|N[0-9A-Za-z]{4}|F[0-9A-Fa-f]{2}")
-_ENDS: Final = re.compile(rb"[\r\a]")
+_FRAME: Final = rb"(?:T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|t[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10})\r"  # MAX_LINE_BYTES
+_FRAME_PARTS: Final = (
+    rb"[Tt](?P<frame>(?:(?<=T)[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|(?<=t)[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10}))\r"
+)
+_REMOTE: Final = rb"(?:R[0-9A-Fa-f]{8}|r[0-9A-Fa-f]{3})[0-8]\r"
+_ANSWER: Final = rb"(?:[zZ]?|V[0-9A-Fa-f]{4}|N[0-9A-SU-Za-su-z]{4}|F[0-9A-Fa-f]{2})\r"
+_TEXT: Final = rb"[^\r\a]*"
+_LINE_BEGINS: Final = rb"(?<![^\r\a])"
+_ANSWERS: Final = re.compile(_LINE_BEGINS + _ANSWER)
+_REMOTES: Final = re.compile(_LINE_BEGINS + _REMOTE)
+_BARE_BELLS: Final = re.compile(_LINE_BEGINS + rb"\a")
+# One frame and what stands before it, or a run of other lines, as garbage can be nothing but ends of lines. A line's last T or t begins its
+# frame, as no digit is one.
+_LINES: Final = re.compile(rb"(%b)%b|(?P<others>(?:(?!%b%b)%b[\r\a])+)" % (_TEXT, _FRAME_PARTS, _TEXT, _FRAME, _TEXT))
 
 
 class SlcanParser:
@@ -39,56 +50,55 @@ class SlcanParser:
 
     def feed(self, data: bytes) -> list[CanFrame]:
         """The frames these bytes complete, in order."""
+        text = self._rest + data
+        stop = max(text.rfind(b"\r"), text.rfind(b"\a")) + 1
         frames: list[CanFrame] = []
-        at = 0
-        for end in _ENDS.finditer(data):
-            self._extend(data[at : end.start()])
-            at = end.end()
-            frame = self._line(is_bell=end.group() == b"\a")
-            if frame is not None:
-                frames.append(frame)
-            self._rest, self._is_long = b"", False
-        self._extend(data[at:])
+        if stop and self._is_long:  # more stood before it, so that the first line is a frame's or nobody's
+            text, stop = b"?" + text, stop + 1
+        for match in _LINES.finditer(text, 0, stop):
+            if match.lastgroup == "frame":
+                frame = self._frame(match)
+                if frame is not None:
+                    frames.append(frame)
+            else:
+                self._count(match.group())
+        if frames:
+            self.counters["slcan.frames"] += len(frames)
+        rest = text[stop:]
+        self._is_long = len(rest) > MAX_LINE_BYTES or (self._is_long and not stop)
+        self._rest = rest[-MAX_LINE_BYTES:]
         return frames
 
-    def _extend(self, data: bytes) -> None:
-        line = self._rest + data
-        self._is_long |= len(line) > MAX_LINE_BYTES
-        self._rest = line[-MAX_LINE_BYTES:]
+    def _count(self, lines: bytes) -> None:
+        """Count lines that are no frames."""
+        n_refusals = lines.count(b"\a")
+        n_answers, n_remote = len(_ANSWERS.findall(lines)), len(_REMOTES.findall(lines))
+        n_bare = len(_BARE_BELLS.findall(lines)) if n_refusals else 0
+        counts = {
+            "answers": n_answers,
+            "remote": n_remote,
+            "refusals": n_refusals,
+            "refused.line": lines.count(b"\r") - n_answers - n_remote + n_refusals - n_bare,
+        }
+        for name, count in counts.items():
+            if count:
+                self.counters[f"slcan.{name}"] += count
 
-    def _line(self, is_bell: bool) -> CanFrame | None:
-        line = self._rest
-        if is_bell:
-            self.counters["slcan.refusals"] += 1
-            if line:
-                self.counters["slcan.refused.line"] += 1
-            return None
-        # No digit is a T: a sound frame starts at the last one, whatever stands before.
-        start = max(line.rfind(b"T"), line.rfind(b"t"))
-        if start < 0:
-            if self._is_long:
-                self.counters["slcan.refused.line"] += 1
-            elif _ANSWER.fullmatch(line):
-                self.counters["slcan.answers"] += 1
-            else:
-                self.counters["slcan.remote" if _REMOTE.fullmatch(line) else "slcan.refused.line"] += 1
-            return None
-        match = _FRAME.fullmatch(line, start)
-        if match is None:
-            self.counters["slcan.refused.line"] += 1
-            return None
-        long_id, short_id, length, digits = match.groups()
-        if len(digits) != 2 * int(length):
+    def _frame(self, match: re.Match[bytes]) -> CanFrame | None:
+        before, text = match.group(1, 2)
+        is_long = match.string[match.start(2) - 1] == ord("T")
+        n_id = 8 if is_long else 3
+        digits = text[n_id + 1 :]
+        if len(digits) != 2 * (text[n_id] - ord("0")):
             self.counters["slcan.refused.length"] += 1
             return None
-        can_id = int(long_id or short_id, 16)
-        if can_id > (_MAX_EXTENDED_ID if long_id else _MAX_STANDARD_ID):
+        can_id = int(text[:n_id], 16)
+        if can_id > (_MAX_EXTENDED_ID if is_long else _MAX_STANDARD_ID):
             self.counters["slcan.refused.identifier"] += 1
             return None
-        if start or self._is_long:
+        if before:
             self.counters["slcan.refused.before_frame"] += 1
-        self.counters["slcan.frames"] += 1
-        return CanFrame(can_id, bytes.fromhex(digits.decode("ascii")), bool(long_id))
+        return CanFrame(can_id, unhexlify(digits), is_long)
 
 
 def encode(frame: CanFrame) -> bytes:

@@ -14,13 +14,21 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.records import NAN
-from drivers.framing import Arrived, StampedFramer
+from drivers.candidates import Candidates
+from drivers.framing import Arrived, Grammar, StampedFramer
 from drivers.navigation.seam import NavFix
 from drivers.stamps import Stamp
 
 _MAX_LINE_BYTES: Final = 128
-_LINE: Final = re.compile(rb":([A-Z]{2}),([\x20-\x39\x3b-\x7e]{0,%d})[\r\n]" % (_MAX_LINE_BYTES - 5))
-_RUN: Final = re.compile(rb":[\x20-\x39\x3b-\x7e]*")
+_BODY: Final = rb"[\x20-\x39\x3b-\x7e]"
+_LINE: Final = re.compile(rb":([A-Z]{2}),(%b{0,%d})[\r\n]" % (_BODY, _MAX_LINE_BYTES - 5))
+_RUN: Final = re.compile(rb":%b*" % _BODY)
+_CANDIDATES: Final = Candidates(
+    (b":",),
+    alive=rb":(?:[A-Z]{2},%b{0,%d}+[\r\n]|%b{0,%d}+\Z)" % (_BODY, _MAX_LINE_BYTES - 5, _BODY, _MAX_LINE_BYTES - 2),
+    dead=rb"((?::(?=:))++)|:(?:(%b{%d})|%b*+(?:(?=(:))|(?=([\x80-\xff]))|()))" % (_BODY, _MAX_LINE_BYTES - 1, _BODY),
+    reasons=("interrupted", "oversize", "interrupted", "non_ascii", "malformed"),
+)
 _NUMBER: Final = re.compile(r" *[+-]? *(?:\d+\.?\d*|\.\d+) *")
 _BAD_VELOCITY: Final = -32768.0
 _MAX_VELOCITY_MM_S: Final = 20_000.0
@@ -87,16 +95,14 @@ class Bottom(NamedTuple):
 Line: TypeAlias = Attitude | Water | InstrumentVelocity | ShipVelocity | EarthVelocity | Bottom
 
 
-class LineGrammar:
+class LineGrammar(Grammar[tuple[str, str]]):
     """A message is a line's kind and its comma-separated fields."""
 
     name = "pd6"
     head_bytes = 1
     max_message_bytes = _MAX_LINE_BYTES
     proven = True  # not its numbers, but where it begins and ends
-
-    def find(self, buffer: bytearray, start: int) -> int:
-        return buffer.find(b":", start)
+    find = staticmethod(_CANDIDATES.find)
 
     def read(self, buffer: bytearray, at: int) -> tuple[tuple[str, str], int] | int | str:
         match = _LINE.match(buffer, at)

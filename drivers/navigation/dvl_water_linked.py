@@ -11,7 +11,8 @@ from collections import Counter
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.records import NAN
-from drivers.framing import Arrived, StampedFramer
+from drivers.candidates import Candidates
+from drivers.framing import Arrived, Grammar, StampedFramer
 from drivers.navigation.seam import NavFix
 from drivers.stamps import Stamp
 
@@ -19,6 +20,13 @@ _MAX_MESSAGE_BYTES: Final = 384
 _BODY: Final = rb"[\x20-\x29\x2b-\x76\x78-\x7e]"
 _MESSAGE: Final = re.compile(rb"(w%b{3,%d})\*([0-9A-Fa-f]{2})" % (_BODY, _MAX_MESSAGE_BYTES - 4))
 _RUN: Final = re.compile(rb"w%b*" % _BODY)
+_MAX_RUN_BYTES: Final = _MAX_MESSAGE_BYTES - 3
+_CANDIDATES: Final = Candidates(
+    (b"w",),
+    alive=rb"w(?:%b{3,%d}+\*(?:[0-9A-Fa-f]{2}|.?\Z)|%b{0,%d}+\Z)" % (_BODY, _MAX_MESSAGE_BYTES - 4, _BODY, _MAX_RUN_BYTES - 1),
+    dead=rb"((?:w(?=w))++)|w(?:(%b{%d})|%b*+(?:(?=(w))|(?=(\*))|()))" % (_BODY, _MAX_RUN_BYTES, _BODY),
+    reasons=("interrupted", "oversize", "interrupted", "checksum_malformed", "malformed"),
+)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,2})?")
 _MAX_VELOCITY_MPS: Final = 20.0
 _CLOCK_SET_S: Final = 946_684_800.0  # year 2000: a time of validity before it counts from power-up
@@ -61,16 +69,14 @@ class Attitude(NamedTuple):
 Record: TypeAlias = Velocity | Attitude
 
 
-class TextGrammar:
+class TextGrammar(Grammar[str]):
     """A message is its text up to the `*`."""
 
     name = "water_linked"
     head_bytes = 1
     max_message_bytes = _MAX_MESSAGE_BYTES
     proven = True
-
-    def find(self, buffer: bytearray, start: int) -> int:
-        return buffer.find(b"w", start)
+    find = staticmethod(_CANDIDATES.find)
 
     def read(self, buffer: bytearray, at: int) -> tuple[str, int] | int | str:
         match = _MESSAGE.match(buffer, at)
@@ -80,7 +86,7 @@ class TextGrammar:
         run = _RUN.match(buffer, at)
         assert run is not None  # `find` saw its first character
         end = run.end()
-        if end - at > _MAX_MESSAGE_BYTES - 3:
+        if end - at > _MAX_RUN_BYTES:
             return "oversize"
         if end == len(buffer) or (buffer[end] == ord("*") and len(buffer) < end + 3 and end - at >= 4):
             return end - at + 3

@@ -9,24 +9,32 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from drivers.candidates import Candidates
+from drivers.framing import Grammar
+
 MAX_SENTENCE_BYTES: Final = 255
 _BODY: Final = rb"[\x20\x22\x23\x25-\x29\x2b-\x7e]"
-_START: Final = re.compile(rb"[$!]")
 _SENTENCE: Final = re.compile(rb"[$!](%b{4,%d})\*([0-9A-Fa-f]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 6))
 _RUN: Final = re.compile(rb"[$!]%b*" % _BODY)
+_MAX_RUN_BYTES: Final = MAX_SENTENCE_BYTES - 5  # of `$` and body, with room for the checksum and CR LF
+
+_CANDIDATES: Final = Candidates(
+    (b"$", b"!"),
+    alive=rb"[$!](?:%b{4,%d}+\*(?:[0-9A-Fa-f]{2}|[0-9A-Fa-f]?\Z)|%b{0,%d}+\Z)" % (_BODY, MAX_SENTENCE_BYTES - 6, _BODY, _MAX_RUN_BYTES - 1),
+    dead=rb"((?:[$!](?=[$!]))++)|[$!](?:(%b{%d})|%b*+(?:(?=([$!]))|(?=(\*))|(?=([\r\n]))|(?=([\x80-\xff]))|()))"
+    % (_BODY, _MAX_RUN_BYTES, _BODY),
+    reasons=("interrupted", "oversize", "interrupted", "checksum_malformed", "checksum_absent", "non_ascii", "control_character"),
+)
 
 
-class NmeaGrammar:
+class NmeaGrammar(Grammar[str]):
     """A message is a sentence's body, such as `GPHDT,123.4,T`. Its line end is not waited for; one that comes later counts as skipped."""
 
     name = "nmea"
     head_bytes = 1
     max_message_bytes = MAX_SENTENCE_BYTES
     proven = True
-
-    def find(self, buffer: bytearray, start: int) -> int:
-        match = _START.search(buffer, start)
-        return -1 if match is None else match.start()
+    find = staticmethod(_CANDIDATES.find)
 
     def read(self, buffer: bytearray, at: int) -> tuple[str, int] | int | str:
         match = _SENTENCE.match(buffer, at)
@@ -41,7 +49,7 @@ class NmeaGrammar:
         run = _RUN.match(buffer, at)
         assert run is not None  # `find` saw its first character
         end = run.end()
-        if end - at > MAX_SENTENCE_BYTES - 5:
+        if end - at > _MAX_RUN_BYTES:
             return "oversize"
         if end == len(buffer):
             return end - at + 3
@@ -64,9 +72,13 @@ def sentence(body: str) -> bytes:
 def xor_of(data: bytes) -> int:
     """XOR of at most 256 bytes, folded in halves, which is several times faster than byte by byte."""
     folded = int.from_bytes(data, "big")
-    for bits in (1024, 512, 256, 128, 64, 32, 16, 8):
+    for bits in _FOLDS if len(data) > 16 else _SHORT_FOLDS:
         folded ^= folded >> bits
     return folded & 0xFF
+
+
+_SHORT_FOLDS: Final = (64, 32, 16, 8)
+_FOLDS: Final = (1024, 512, 256, 128, *_SHORT_FOLDS)
 
 
 def _is_hex(digits: bytearray) -> bool:

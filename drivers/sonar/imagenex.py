@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
-from drivers.framing import Arrived, StampedFramer
+from drivers.candidates import Candidates
+from drivers.framing import Arrived, Grammar, StampedFramer
 from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.settings import check_settings
 from drivers.stamps import Stamp
@@ -33,6 +34,8 @@ _TERMINATOR: Final = 0xFC
 _COMMAND_START: Final = b"\xfe\x44"
 _COMMAND_END: Final = 0xFD
 _MAX_ECHO: Final = 127
+_HEADER: Final = rb"\x10.[\x00\x01][\x01-\x03][\x0f\x1e\x3c\x5a\x78].."  # head, status, kind, channel, range, two unused
+_COUNT: Final = rb"(?:\x10\x03|\x1c\x03)"  # 400 or 412, seven bits a byte
 _SOUND_SPEED_MPS: Final = 1500.0
 _OVERRUN: Final = 0x80  # of the serial status
 _ACCEPTED: Final = 0x40
@@ -102,16 +105,22 @@ def encode_return(ping: IgxReturn) -> bytes:
     return head + np.minimum(ping.echo, _MAX_ECHO).astype(np.uint8).tobytes() + bytes((_TERMINATOR,))
 
 
-class IgxGrammar:
+_CANDIDATES: Final = Candidates(
+    (_SYNC,),
+    alive=rb"IGX(?:.{0,8}\Z|%b%b)" % (_HEADER, _COUNT),
+    dead=rb"(?!)()|IGX(?:%b()|())" % _HEADER,
+    reasons=("", "length", "header"),
+)
+
+
+class IgxGrammar(Grammar[IgxReturn]):
     """Echo bytes have seven bits, so that the terminator stands in its place only if nothing was lost or inserted."""
 
     name = "sportscan"
     head_bytes = len(_SYNC)
     max_message_bytes = RETURN_BYTES
     proven = True
-
-    def find(self, buffer: bytearray, start: int) -> int:
-        return buffer.find(_SYNC, start)
+    find = staticmethod(_CANDIDATES.find)
 
     def read(self, buffer: bytearray, at: int) -> tuple[IgxReturn, int] | int | str:
         n_there = len(buffer) - at
@@ -128,9 +137,10 @@ class IgxGrammar:
         start = at + _HEADER_BYTES
         if buffer[start + _N_ECHO] != _TERMINATOR:
             return "terminator"
-        echo = np.frombuffer(bytes(buffer[start : start + _N_ECHO]), np.uint8)
-        if int(echo.max()) > _MAX_ECHO:
+        echo_bytes = bytes(buffer[start : start + _N_ECHO])
+        if not echo_bytes.isascii():  # some byte is above _MAX_ECHO
             return "echo"
+        echo = np.frombuffer(echo_bytes, np.uint8)
         return IgxReturn(range_m, channel, echo, kind == 1, status), RETURN_BYTES
 
 

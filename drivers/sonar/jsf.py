@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from struct import Struct
 from typing import Final
 
 from auv_mcm.records import NAN, EchoTrace, NavSample
-from drivers.framing import Arrived, StampedFramer
+from drivers.framing import Arrived, Grammar, Refused, StampedFramer
 from drivers.sonar.jsf_messages import (
     DATA_HEADER_BYTES,
     HEADER,
@@ -55,13 +56,18 @@ _KNOT_MPS: Final = 1852.0 / 3600.0
 _SAME_SPEED_MPS: Final = 0.5
 
 # Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below _MAX_BODY_BYTES.
-_HEADER: Final = re.compile(
-    rb"\x01\x16[\x00-\x20][\x00-\xff](?:[\x01-\xff]\x00|[\x00-\xff][\x01-\x26]|[\x00-\x0f]\x27)"
-    rb"[\x00-\x03][\x00-\xff][\x00-\x0f][\x00-\xff]{5}[\x00-\x03]\x00",
+_AFTER_SYNC: Final = (
+    rb"[\x00-\x20][\x00-\xff](?:[\x01-\xff]\x00|[\x00-\xff][\x01-\x26]|[\x00-\x0f]\x27)"
+    rb"[\x00-\x03][\x00-\xff][\x00-\x0f][\x00-\xff]{5}[\x00-\x03]\x00"
 )
+_HEADER: Final = re.compile(rb"\x01\x16" + _AFTER_SYNC)
+_SYNC: Final = re.compile(rb"\x01(?=\x16%b)" % _AFTER_SYNC)  # one byte wide, as headers may overlap
+_START_OF: Final = re.Match.start
+_KIND_OFFSET: Final = 4
+_KIND_AND_SIZE: Final = Struct("<H6xI").unpack_from
 
 
-class JsfGrammar:
+class JsfGrammar(Grammar[JsfMessage]):
     """Without a checksum, a message is believed for its plausible header and because no other begins inside it.
 
     If one seems to begin inside, either the outer lost its end and swallowed the beginning of the next, or samples look like a header by
@@ -73,36 +79,59 @@ class JsfGrammar:
     max_message_bytes = HEADER_BYTES + _MAX_BODY_BYTES + HEADER_BYTES  # with the header that follows
     proven = False
 
-    def find(self, buffer: bytearray, start: int) -> int:
-        match = _HEADER.search(buffer, start)
-        return -1 if match is None else match.start()
+    def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
+        for at in map(_START_OF, _SYNC.finditer(buffer, start)):
+            reason = None if at == start else _refusal(buffer, at)
+            if reason is None:
+                return at
+            refused[reason] = refused.get(reason, 0) + 1
+        return -1
 
     def read(self, buffer: bytearray, at: int) -> tuple[JsfMessage, int] | int | str:
+        reason = _refusal(buffer, at)
+        if reason is not None:
+            return reason
         n_there = len(buffer) - at
         _, version, session, kind, command, subsystem, channel, sequence, reserved, n_body = HEADER.unpack_from(buffer, at)
-        if kind == SIDE_SCAN:
-            if n_body < DATA_HEADER_BYTES:
-                return "length"
-            if n_there < _TOLD_BYTES:
-                return _TOLD_BYTES
-            if not 0 <= n_body - told_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
-                return "length"
-        elif n_body > _MAX_OTHER_BYTES:
-            return "length"
+        if kind == SIDE_SCAN and n_there < _TOLD_BYTES:
+            return _TOLD_BYTES
         n_bytes: int = HEADER_BYTES + n_body
         if n_there < n_bytes:
             return n_bytes
         end = at + n_bytes
-        inner = _HEADER.search(buffer, at + HEADER_BYTES, end)
-        if inner is not None:
-            if _is_followed(buffer, inner.start(), end):
-                return "swallowed_others"
-            if n_there < n_bytes + HEADER_BYTES:
-                return n_bytes + HEADER_BYTES
-            if not _HEADER.match(buffer, end):
-                return "swallowed_others"
+        if n_there < n_bytes + HEADER_BYTES and _HEADER.search(buffer, at + HEADER_BYTES, end) is not None:
+            return n_bytes + HEADER_BYTES
         body = bytes(buffer[at + HEADER_BYTES : end])
         return JsfMessage(kind, body, command, subsystem, channel, sequence, session, version, reserved), n_bytes
+
+
+def _refusal(buffer: bytearray, at: int) -> str | None:
+    """Why the candidate at `at` is refused, None if it is not, or if that is not known yet."""
+    kind, n_body = _KIND_AND_SIZE(buffer, at + _KIND_OFFSET)
+    end = at + HEADER_BYTES + n_body
+    n_there = len(buffer)
+    if kind == SIDE_SCAN:
+        if n_body < DATA_HEADER_BYTES:
+            return "length"
+        if n_there < at + _TOLD_BYTES:
+            return None
+        if not 0 <= n_body - told_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
+            return "length"
+    elif n_body > _MAX_OTHER_BYTES:
+        return "length"
+    if n_there < end:
+        return None
+    inner = _HEADER.search(buffer, at + HEADER_BYTES, end)
+    if inner is None:
+        return None
+    if n_there >= end + HEADER_BYTES and _HEADER.match(buffer, end) is None:
+        return "swallowed_others"
+    # The inner message ends at `end`, or before it where another begins.
+    inner_at = inner.start()
+    _, n_inner = _KIND_AND_SIZE(buffer, inner_at + _KIND_OFFSET)
+    inner_end = inner_at + HEADER_BYTES + n_inner
+    is_followed = inner_end == end or (inner_end < end and _HEADER.match(buffer, inner_end) is not None)
+    return "swallowed_others" if is_followed else None
 
 
 class JsfDecoder:
@@ -192,12 +221,6 @@ def commands(settings: SonarSettings, subsystem: int = HIGH_FREQUENCY) -> tuple[
     if settings.gain is not None:
         parts.append(set_value(PING_GAIN, settings.gain, subsystem))
     return *parts, set_value(PING_ENABLE, int(settings.enabled), subsystem)
-
-
-def _is_followed(buffer: bytearray, at: int, end: int) -> bool:
-    """Whether the message at `at` ends at `end`, or before it where another begins."""
-    stop = at + HEADER_BYTES + int.from_bytes(buffer[at + HEADER_BYTES - 4 : at + HEADER_BYTES], "little")
-    return stop == end or (stop < end and _HEADER.match(buffer, stop) is not None)
 
 
 def _unusable(data: SideScanData, spacing_m: float) -> str | None:

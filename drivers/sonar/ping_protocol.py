@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
+from struct import Struct
 from typing import Final
 
 import numpy as np
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
-from drivers.framing import Arrived, StampedFramer
+from drivers.framing import Arrived, Grammar, Refused, StampedFramer
+from drivers.running_sum import RunningSum
 from drivers.sonar.pairing import SidePairer
 from drivers.sonar.ping_messages import (
     ACK,
@@ -51,10 +54,11 @@ MAX_RANGE_M: Final = 200.0
 _RESULTS: Final = (200, 1200)  # that the device takes
 _MAX_TRACE_MM: Final = 2_000_000
 _MAX_DB: Final = 300.0
+_LENGTH_AND_ID: Final = Struct("<HH")
 _ANSWERS: Final = frozenset({ACK, NACK, DEVICE_INFORMATION, PROTOCOL_VERSION})
 
 
-class PingGrammar:
+class PingGrammar(Grammar[PingMessage]):
     """Length believed only if it is plausible for its message id, and for a profile if it agrees with the number of its results."""
 
     name = "ping_protocol"
@@ -62,8 +66,32 @@ class PingGrammar:
     max_message_bytes = MAX_MESSAGE_BYTES
     proven = True
 
-    def find(self, buffer: bytearray, start: int) -> int:
-        return buffer.find(SYNC, start)
+    def __init__(self) -> None:
+        self._sum = RunningSum()
+
+    def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
+        at, n_length, n_checksum = buffer.find(SYNC, start), 0, 0
+        n_there = len(buffer)
+        sums: Sequence[int] = ()
+        while at > start and n_there - at >= HEADER_BYTES:
+            n_payload, message_id = _LENGTH_AND_ID.unpack_from(buffer, at + len(SYNC))
+            least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
+            stop = at + HEADER_BYTES + n_payload
+            if not least <= n_payload <= most:
+                n_length += 1
+            elif message_id == OS_MONO_PROFILE or stop + CHECKSUM_BYTES > n_there:
+                break
+            else:
+                sums = sums or self._sum.values(buffer)
+                if (sums[stop] - sums[at]) & 0xFFFF == buffer[stop] | buffer[stop + 1] << 8:
+                    break
+                n_checksum += 1
+            at = buffer.find(SYNC, at + 1)
+        if n_length:
+            refused["length"] = refused.get("length", 0) + n_length
+        if n_checksum:
+            refused["checksum"] = refused.get("checksum", 0) + n_checksum
+        return at
 
     def read(self, buffer: bytearray, at: int) -> tuple[PingMessage, int] | int | str:
         n_there = len(buffer) - at
@@ -84,10 +112,13 @@ class PingGrammar:
         if n_there < n_bytes:
             return n_bytes
         stop = start + n_payload
-        told = int.from_bytes(buffer[stop : stop + CHECKSUM_BYTES], "little")
-        if told != int(np.add.reduce(np.frombuffer(buffer, np.uint8, stop - at, at), dtype=np.uint32)) & 0xFFFF:
+        total = int(np.add.reduce(np.frombuffer(buffer, np.uint8, stop - at, at), dtype=np.uint32))
+        if total & 0xFFFF != buffer[stop] | buffer[stop + 1] << 8:
             return "checksum"
         return PingMessage(message_id, bytes(buffer[start:stop]), source, destination), n_bytes
+
+    def forget(self, n_bytes: int) -> None:
+        self._sum.forget(n_bytes)
 
 
 class PingDecoder:

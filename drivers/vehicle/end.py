@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
 from auv_mcm.clock import Clock
 from auv_mcm.records import Contact, Notice, Waypoint
 from drivers.stamps import Stamp
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.seam import PayloadHealth
+from drivers.vehicle.seam import PayloadHealth, Said
 
 log = logging.getLogger(__name__)
 
@@ -54,9 +54,9 @@ class VehicleEnd:
         """The wire is gone."""
         self._have(self._pilot.disconnected)
 
-    def hear(self, item: Any, stamp: Stamp) -> None:
-        """Bytes, or a frame, of the vehicle."""
-        self._have(lambda now_s: self._pilot.hear(item, stamp))
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> None:
+        """Messages of the vehicle, if any; stamp: when the last of its bytes were read."""
+        self._have(lambda now_s: self._pilot.hear(said, stamp))
 
     def tell(self, contact: Contact) -> None:
         self._have(lambda now_s: self._pilot.tell(contact))

@@ -91,7 +91,7 @@ class IverGrammar(NmeaGrammar):
 
     def read(self, buffer: bytearray, at: int) -> tuple[str, int] | int | str:
         found = super().read(buffer, at)
-        if not isinstance(found, tuple):
+        if not isinstance(found, tuple) or not found[0].startswith("C"):
             return found
         match = _COMPASS.fullmatch(found[0])
         return found if match is None else (",".join(("C", *match.groups())), found[1])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from auv_mcm.records import Contact, Notice, Waypoint
@@ -25,12 +26,14 @@ from drivers.vehicle.seam import (
     Arrived,
     Capability,
     Command,
-    Dialect,
+    Doubted,
     GoTo,
     Granted,
     PayloadHealth,
     Rejected,
+    Said,
     Steer,
+    Talker,
     VehicleState,
     Vertical,
     Withheld,
@@ -73,24 +76,24 @@ class Pilot(Generic[W]):
 
     session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the water.
 
-    counters: those of the dialect; vehicle.refused.REASON (what was not to be sent, once per plan and reason), vehicle.requested,
-    .granted, .withheld, .returned, .commands, .plans, .plans_flown, and those of `Outbox`.
+    counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason), vehicle.requested,
+    .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of `Outbox`.
 
     Raises UsageError for a fence that is no area.
     """
 
-    def __init__(self, dialect: Dialect[W], config: VehicleConfig, *, session: int, turn_radius_m: float = 10.0) -> None:
-        self._dialect = dialect
+    def __init__(self, talker: Talker[W], config: VehicleConfig, *, session: int, turn_radius_m: float = 10.0) -> None:
+        self._talker = talker
         self._config = config
         self._turn_radius_m = turn_radius_m
-        self._may_steer = Capability.WAYPOINT not in dialect.capabilities
-        self._may_command = config.command and bool(dialect.capabilities & (Capability.WAYPOINT | Capability.STEERING))
+        self._may_steer = Capability.WAYPOINT not in talker.capabilities
+        self._may_command = config.command and bool(talker.capabilities & (Capability.WAYPOINT | Capability.STEERING))
         self._authority = Authority(
-            silent_after_s=dialect.silent_after_s, ask_again_s=config.ask_again_s, max_control_s=config.max_control_s
+            silent_after_s=talker.silent_after_s, ask_again_s=config.ask_again_s, max_control_s=config.max_control_s
         )
         self._guard = Guard(config)
         self._outbox = Outbox(
-            session=session, min_p_mine=config.report_min_p_mine, acknowledged=Capability.ACKNOWLEDGED in dialect.capabilities
+            session=session, min_p_mine=config.report_min_p_mine, acknowledged=Capability.ACKNOWLEDGED in talker.capabilities
         )
         self._line_of_sight = LineOfSight(turn_radius_m=turn_radius_m, speed_mps=config.speed_mps)
         self._whereabouts = Whereabouts(config.state_valid_s)
@@ -106,7 +109,6 @@ class Pilot(Generic[W]):
         self._wire_open = False
         self._told_state: AuthorityState = "down"
         self._rejected: set[int] = set()  # contacts
-        self._n_messages = 0
         self._notices: deque[Notice] = deque(maxlen=_MAX_NOTICES)
         self._own: Counter[str] = Counter()
 
@@ -116,7 +118,7 @@ class Pilot(Generic[W]):
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self._outbox.counters + self._dialect.counters
+        return self._own + self._outbox.counters + self._talker.counters
 
     def health(self) -> str:
         """One line for people and for the health line."""
@@ -136,9 +138,9 @@ class Pilot(Generic[W]):
         self._do(self._authority.connected(now_s), now_s)
         self._outbox.link_lost()
         self._wire_open = True
-        self._dialect.connected(now_s)
+        self._talker.connected(now_s)
         if self._health is not None:
-            self._dialect.tell_health(self._health, now_s)
+            self._talker.tell_health(self._health, now_s)
         self._notice_authority()
 
     def disconnected(self, now_s: float) -> None:
@@ -146,17 +148,15 @@ class Pilot(Generic[W]):
         self._do(self._authority.disconnected(now_s), now_s)
         self._outbox.link_lost()
         self._wire_open = False
-        self._dialect.disconnected()
+        self._talker.disconnected()
         self._notice_authority()
 
-    def hear(self, item: W, stamp: Stamp) -> None:
-        """What came over the wire: a chunk of bytes, or a frame."""
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> None:
+        """Messages that came over the wire in a chunk of bytes, or with a frame, if any did. stamp: when it was read."""
         now_s = stamp.mono_ns * 1e-9
-        events = self._dialect.hear(item, stamp)
-        n_messages = sum(n for name, n in self._dialect.counters.items() if name.endswith(".messages"))
-        if events or n_messages != self._n_messages:
+        events = self._talker.hear(said, stamp)
+        if events or any(message.of_vehicle for message in said):
             self._authority.heard(now_s)
-        self._n_messages = n_messages
         for event in events:
             match event:
                 case VehicleState():
@@ -171,6 +171,8 @@ class Pilot(Generic[W]):
                     self._outbox.acknowledged(event.ticket)
                 case Rejected():
                     self._report_rejected(event)
+                case Doubted(reason):
+                    self._doubted(reason)
             self._notice_authority()
 
     def take_outgoing(self, now_s: float) -> list[W]:
@@ -191,11 +193,11 @@ class Pilot(Generic[W]):
         up = self._authority.state != "down"
         if was_up and not up:
             self._outbox.link_lost()
-        if up and Capability.CONTACT in self._dialect.capabilities:
+        if up and Capability.CONTACT in self._talker.capabilities:
             for report, ticket in self._outbox.take_due(now_s):
-                self._dialect.report(report, ticket, now_s)
+                self._talker.report(report, ticket, now_s)
         self._notice_authority()
-        return self._dialect.take_outgoing(now_s) if self._wire_open else []
+        return self._talker.take_outgoing(now_s) if self._wire_open else []
 
     def tell(self, contact: Contact) -> None:
         """A contact that is new or has changed.
@@ -208,7 +210,7 @@ class Pilot(Generic[W]):
         """How the payload is."""
         if health != self._health:
             self._health = health
-            self._dialect.tell_health(health, now_s)
+            self._talker.tell_health(health, now_s)
 
     def propose(self, plan: tuple[Waypoint, ...], now_s: float) -> None:
         """Fly this instead of the plan before; () withdraws it. What of it is behind the vehicle is not flown.
@@ -287,7 +289,7 @@ class Pilot(Generic[W]):
         elif self._due(command, now_s):
             self._command, self._commanded_s = command, now_s
             self._own["vehicle.commands"] += 1
-            self._dialect.command(command, now_s)
+            self._talker.command(command, now_s)
 
     @property
     def _vertical(self) -> Vertical:
@@ -299,7 +301,7 @@ class Pilot(Generic[W]):
     def _due(self, command: Command, now_s: float) -> bool:
         """Whether it is new enough, or the one before given long enough ago."""
         since_s = now_s - self._commanded_s
-        if self._command is None or since_s >= self._dialect.command_period_s:
+        if self._command is None or since_s >= self._talker.command_period_s:
             return True
         if isinstance(command, Steer) and isinstance(self._command, Steer):
             turned_rad = math.remainder(command.heading_rad - self._command.heading_rad, 2.0 * math.pi)
@@ -334,11 +336,11 @@ class Pilot(Generic[W]):
         match action:
             case Ask():
                 self._own["vehicle.requested"] += 1
-                self._dialect.request(now_s)
+                self._talker.request(now_s)
             case GiveBack(reason):
                 self._command, self._joined = None, False
                 self._own["vehicle.returned"] += 1
-                self._dialect.release(reason, now_s)
+                self._talker.release(reason, now_s)
                 self._tell("vehicle_control_returned", f"control of the vehicle is given back: {reason}", logging.INFO)
 
     def _notice_authority(self) -> None:
@@ -362,6 +364,12 @@ class Pilot(Generic[W]):
         if report is not None and report.number not in self._rejected:
             self._rejected.add(report.number)
             self._tell("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
+
+    def _doubted(self, reason: str) -> None:
+        """Told once: an attacker has many."""
+        self._own["vehicle.doubted"] += 1
+        if self._own["vehicle.doubted"] == 1:
+            self._tell("vehicle_doubted", f"a message of the vehicle is not believed: {reason} More are counted.", logging.WARNING)
 
     def _tell(self, code: str, text: str, level: int) -> None:
         log.log(level, "%s", text)

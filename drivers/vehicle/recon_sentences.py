@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from auv_mcm.vehicle_config import ReconSettings
+from drivers.candidates import Candidates
+from drivers.framing import Grammar
 from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES
 from drivers.navigation.sentences import Codec, Sentence
 from drivers.vehicle.ascii_fields import (
@@ -39,6 +41,14 @@ from drivers.vehicle.seam import ContactReport
 _BODY: Final = rb"[\x20-\x22\x24-\x29\x2b-\x7e]"
 _FRAME: Final = re.compile(rb"#([A-Za-z](?:,%b{0,%d})?),\*([0-9A-F]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 9))
 _BEGUN: Final = re.compile(rb"#%b*(?:\*[0-9A-F]?)?" % _BODY)
+_CANDIDATES: Final = Candidates(
+    (b"#",),
+    alive=rb"#(?:[A-Za-z](?:,%b{0,%d})?,\*(?:[0-9A-F]{2}|[0-9A-F]?\Z)|%b{0,%d}+(?:\*[0-9A-F]?)?\Z)"
+    % (_BODY, MAX_SENTENCE_BYTES - 9, _BODY, MAX_SENTENCE_BYTES - 2),
+    dead=rb"((?:#(?=#))++)|#(?:((?:%b{%d}|%b{%d}\*|%b{%d}\*[0-9A-F]))|())"
+    % (_BODY, MAX_SENTENCE_BYTES - 1, _BODY, MAX_SENTENCE_BYTES - 2, _BODY, MAX_SENTENCE_BYTES - 3),
+    reasons=("malformed", "oversize", "malformed"),
+)
 _PLACE: Final = re.compile(r"(\d{1,3})([NSEW])(\d{1,2}(?:\.\d*)?)")
 
 
@@ -100,16 +110,14 @@ class ReconContact(NamedTuple):
     report: ContactReport
 
 
-class ReconGrammar:
+class ReconGrammar(Grammar[str]):
     """A message is what stands between `#` and `,*`. Neither `#` nor `*` occurs inside."""
 
     name = "recon"
     head_bytes = 1
     max_message_bytes = MAX_SENTENCE_BYTES
     proven = True
-
-    def find(self, buffer: bytearray, start: int) -> int:
-        return buffer.find(b"#", start)
+    find = staticmethod(_CANDIDATES.find)
 
     def read(self, buffer: bytearray, at: int) -> tuple[str, int] | int | str:
         match = _FRAME.match(buffer, at)

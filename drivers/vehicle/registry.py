@@ -8,31 +8,41 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.port_config import PortConfig
 from auv_mcm.vehicle_config import BluefinSettings, CanSettings, ImcSettings, IverSettings, ReconSettings
-from drivers.vehicle.bluefin import BluefinDialect
-from drivers.vehicle.can_dialect import CanDialect
-from drivers.vehicle.imc import ImcDialect
-from drivers.vehicle.iver import IverDialect
-from drivers.vehicle.recon import ReconDialect
-from drivers.vehicle.seam import Dialect
+from drivers.vehicle.decoders.bluefin import BluefinDecoder
+from drivers.vehicle.decoders.can import CanDecoder
+from drivers.vehicle.decoders.imc import ImcDecoder
+from drivers.vehicle.decoders.iver import IverDecoder
+from drivers.vehicle.decoders.recon import ReconDecoder
+from drivers.vehicle.seam import Talker, VehicleDecoder
+from drivers.vehicle.talkers.bluefin import BluefinTalker
+from drivers.vehicle.talkers.can import CanTalker
+from drivers.vehicle.talkers.imc import ImcTalker
+from drivers.vehicle.talkers.iver import IverTalker
+from drivers.vehicle.talkers.recon import ReconTalker
 
 VehicleSettings: TypeAlias = ImcSettings | BluefinSettings | IverSettings | ReconSettings | CanSettings
 
 
-class VehicleKind(NamedTuple):
-    """make: a dialect from settings of its own type. is_bus: it speaks in frames instead of bytes."""
+_N_DRAWN: Final = 0xFFFF  # request ids from 1 on
 
-    make: Callable[[Any], Dialect[Any]]
+
+class VehicleKind(NamedTuple):
+    """make_decoder: from settings of its own type and the port's name. make_talker: from settings and a number drawn for each run, below
+    _N_DRAWN. is_bus: it speaks in frames instead of bytes."""
+
+    make_decoder: Callable[[Any, str], VehicleDecoder[Any]]
+    make_talker: Callable[[Any, int], Talker[Any]]
     settings: type[VehicleSettings]
     is_bus: bool = False
 
 
 VEHICLES: Final[Mapping[str, VehicleKind]] = MappingProxyType(
     {
-        "imc": VehicleKind(ImcDialect, ImcSettings),
-        "bluefin": VehicleKind(BluefinDialect, BluefinSettings),
-        "iver": VehicleKind(IverDialect, IverSettings),
-        "recon": VehicleKind(ReconDialect, ReconSettings),
-        "vehicle_can": VehicleKind(CanDialect, CanSettings, is_bus=True),
+        "imc": VehicleKind(ImcDecoder, lambda settings, drawn: ImcTalker(settings, drawn + 1), ImcSettings),
+        "bluefin": VehicleKind(BluefinDecoder, lambda settings, drawn: BluefinTalker(settings), BluefinSettings),
+        "iver": VehicleKind(IverDecoder, lambda settings, drawn: IverTalker(settings), IverSettings),
+        "recon": VehicleKind(ReconDecoder, lambda settings, drawn: ReconTalker(settings), ReconSettings),
+        "vehicle_can": VehicleKind(CanDecoder, lambda settings, drawn: CanTalker(settings), CanSettings, is_bus=True),
     }
 )
 
@@ -43,6 +53,11 @@ def settings_of(port: PortConfig) -> VehicleSettings:
     return VEHICLES[port.device].settings() if given is None else given
 
 
-def dialect_of(device: str, settings: VehicleSettings) -> Dialect[Any]:
-    """A dialect with its settings; each call makes one anew."""
-    return VEHICLES[device].make(settings)
+def decoder_of(device: str, settings: VehicleSettings, port: str) -> VehicleDecoder[Any]:
+    """Make the decoder of a dialect. port: name that its fixes carry."""
+    return VEHICLES[device].make_decoder(settings, port)
+
+
+def talker_of(device: str, settings: VehicleSettings, draw: Callable[[int], int]) -> Talker[Any]:
+    """Make the talker of a dialect. draw: a random number below its argument, which nobody can foresee."""
+    return VEHICLES[device].make_talker(settings, draw(_N_DRAWN))

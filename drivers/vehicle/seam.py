@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import enum
 from collections import Counter
-from typing import Literal, NamedTuple, Protocol, TypeAlias, TypeVar
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
 from auv_mcm.records import NAN, ContactClass
+from drivers.navigation.seam import NavFix
 from drivers.stamps import Stamp
 
 W = TypeVar("W")
+Wntra = TypeVar("Wntra", contravariant=True)
 
 
 class Capability(enum.Flag):
@@ -112,6 +115,22 @@ class VehicleState(NamedTuple):
     speed_mps: float = NAN
 
 
+def fix_of(source: str, state: VehicleState) -> NavFix:
+    """The state for the navigation. source: the port that it came from."""
+    return NavFix(
+        source=source,
+        received=state.received,
+        latitude_deg=state.latitude_deg,
+        longitude_deg=state.longitude_deg,
+        heading_rad=state.heading_rad,
+        pitch_rad=state.pitch_rad,
+        roll_rad=state.roll_rad,
+        depth_m=state.depth_m,
+        altitude_m=state.altitude_m if state.altitude_m > 0.0 else NAN,
+        speed_mps=state.speed_mps,
+    )
+
+
 class Granted(NamedTuple):
     """We may command."""
 
@@ -141,17 +160,53 @@ class Rejected(NamedTuple):
     reason: str
 
 
-VehicleEvent: TypeAlias = VehicleState | Granted | Withheld | Arrived | Acknowledged | Rejected
+class Doubted(NamedTuple):
+    """A message that would let the payload command was refused, as it may be somebody else's or an old one. reason: for people."""
+
+    reason: str
 
 
-class Dialect(Protocol[W]):
-    """One vehicle's language; W: bytes, or CanFrame on a bus. It opens no port, reads no clock and never raises, whatever it hears.
+VehicleEvent: TypeAlias = VehicleState | Granted | Withheld | Arrived | Acknowledged | Rejected | Doubted
+
+
+class Said(NamedTuple):
+    """One message of the vehicle.
+
+    record: in the terms of its dialect, None for what is of no use to a talker. state: where the vehicle is, if it says so. fixes: the same
+    for the navigation, and what other units on its bus say. of_vehicle: False if only such a unit said it.
+    """
+
+    record: Any
+    received: Stamp
+    state: VehicleState | None = None
+    fixes: tuple[NavFix, ...] = ()
+    of_vehicle: bool = True
+
+
+class VehicleDecoder(Protocol[Wntra]):
+    """Bytes or frames of one vehicle to messages. They depend on what is fed alone, so a recording gives the same. It never raises.
+
+    counters: NAME.messages, NAME.refused.REASON and others, by dotted name. bus_counters: of other units on its bus.
+    """
+
+    @property
+    def counters(self) -> Counter[str]: ...
+    @property
+    def bus_counters(self) -> Counter[str]: ...
+
+    def feed(self, data: Wntra, stamp: Stamp) -> list[Said]:
+        """What a chunk of bytes, or a frame, completes, in order; one for each message, understood or not. stamp: when it was read."""
+        ...
+
+
+class Talker(Protocol[W]):
+    """The payload's part of one vehicle's language; W: bytes, or CanFrame on a bus. It opens no port, reads no clock and never raises.
 
     What it decides is how things are said, acknowledged, said again and kept alive; whether they may be said at all is decided before.
     What there is to say comes out of `take_outgoing`, asked after every call and at least ten times a second.
 
     silent_after_s: a vehicle not heard for so long is taken for gone. command_period_s: a command that holds is given again so often, well
-    within the time after which the vehicle itself forgets it. counters: NAME.messages, NAME.refused.REASON and others, by dotted name.
+    within the time after which the vehicle itself forgets it. counters: by dotted name, besides those of the decoder.
     """
 
     @property
@@ -171,8 +226,8 @@ class Dialect(Protocol[W]):
         """The wire is gone."""
         ...
 
-    def hear(self, data: W, stamp: Stamp) -> list[VehicleEvent]:
-        """What a chunk of bytes, or a frame, completes, in order."""
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
+        """What the messages of a chunk of bytes, or of a frame, mean, in order. stamp: when it was read; called without messages, too."""
         ...
 
     def request(self, now_s: float) -> None:

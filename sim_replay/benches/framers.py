@@ -1,6 +1,6 @@
 """How fast messages are found in a stream of bytes, what garbage costs, and whether damage ever costs more than what it hit.
 
-auv-mcm bench framers [--faults N] [--pings N] [--seed N]
+auv-mcm bench framers [--faults N] [--pings N] [--junk BYTES] [--seed N]
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
 from drivers.vehicle.iver_sentences import IverGrammar
 from drivers.vehicle.recon_sentences import ReconGrammar
 from sim_replay.benches.arguments import count
+from sim_replay.worst_bytes import WORST_BYTES
 
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
 FAULT_KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
@@ -49,7 +50,9 @@ _FAULTS_PER_STREAM: Final = 50
 _LONGEST_FAULT_BYTES: Final = 64
 _MAX_CHUNK_BYTES: Final = 400
 _CHUNK_BYTES: Final = 4096
-_GARBAGE_BYTES: Final = 1 << 20
+MAX_S_PER_MB: Final = 0.3
+"""Processor time that a framer may take for a megabyte, whatever it is: 9 % of a core at 921600 baud with nothing to spare."""
+
 _N_SAMPLES: Final = 1200
 _ARRIVED: Final = Stamp(0, 0)
 _VEHICLE_CAN_ADDRESS: Final = 96
@@ -174,11 +177,11 @@ def campaign(wire: Wire, n_faults: int, seed: int) -> CampaignRow:
     return CampaignRow(wire.name, n_done, n_messages, n_intact, n_lost, n_other, n_false)
 
 
-def read_with(grammar: Grammar[Any], key: Callable[[Any], Hashable]) -> Callable[[Iterable[bytes]], list[Hashable]]:
+def read_with(grammar: Callable[[], Grammar[Any]], key: Callable[[Any], Hashable]) -> Callable[[Iterable[bytes]], list[Hashable]]:
     """`Wire.read` of a grammar of drivers.framing. key: of a message, equal for equal messages."""
 
     def read(chunks: Iterable[bytes]) -> list[Hashable]:
-        framer = Framer(grammar)
+        framer = Framer(grammar())
         found = [framed for chunk in chunks for framed in framer.feed(chunk)]
         return [key(framed.message) for framed in found + framer.finish()]
 
@@ -390,17 +393,17 @@ def _vehicle_can_read(chunks: Iterable[bytes]) -> list[Hashable]:
 
 
 WIRES: Final = (
-    Wire("ping_protocol", _ping_messages, read_with(PingGrammar(), tuple)),
-    Wire("jsf", _jsf_messages, read_with(JsfGrammar(), tuple)),
-    Wire("sportscan", _igx_messages, read_with(IgxGrammar(), lambda ping: ping.echo.tobytes())),
-    Wire("nmea0183", _nmea_messages, read_with(NmeaGrammar(), str)),
-    Wire("pixse", _pixse_messages, read_with(NmeaGrammar(), str)),
-    Wire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar(), str)),
-    Wire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar(), tuple)),
-    Wire("imc", _imc_messages, read_with(ImcGrammar(), tuple)),
-    Wire("bluefin", _bluefin_messages, read_with(BluefinGrammar(), str)),
-    Wire("iver", _iver_messages, read_with(IverGrammar(), str)),
-    Wire("recon", _recon_messages, read_with(ReconGrammar(), str)),
+    Wire("ping_protocol", _ping_messages, read_with(PingGrammar, tuple)),
+    Wire("jsf", _jsf_messages, read_with(JsfGrammar, tuple)),
+    Wire("sportscan", _igx_messages, read_with(IgxGrammar, lambda ping: ping.echo.tobytes())),
+    Wire("nmea0183", _nmea_messages, read_with(NmeaGrammar, str)),
+    Wire("pixse", _pixse_messages, read_with(NmeaGrammar, str)),
+    Wire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar, str)),
+    Wire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar, tuple)),
+    Wire("imc", _imc_messages, read_with(ImcGrammar, tuple)),
+    Wire("bluefin", _bluefin_messages, read_with(BluefinGrammar, str)),
+    Wire("iver", _iver_messages, read_with(IverGrammar, str)),
+    Wire("recon", _recon_messages, read_with(ReconGrammar, str)),
     Wire("slcan", _slcan_messages, _slcan_read),
     Wire("fast_packet", _fast_packet_messages, _fast_packet_read),
     Wire("vehicle_can", _vehicle_can_messages, _vehicle_can_read),
@@ -505,42 +508,90 @@ def _brping(stream: bytes) -> Callable[[], object]:
     return run
 
 
-def garbage_lines() -> list[str]:
-    """MB/s through each framer of what is no message: noise, silence, nothing but beginnings, and the longest false promises."""
-    random = np.random.Generator(np.random.PCG64(2))
-    grammars: tuple[Grammar[Any], ...] = (PingGrammar(), JsfGrammar(), IgxGrammar(), ImcGrammar())
-    promise = {
-        "ping_protocol": ping_messages.HEADER.pack(b"BR", 1000, ping_messages.ASCII_TEXT, 0, 0),
-        "jsf": jsf_messages.to_wire(JsfMessage(2002, b""))[:-4] + (1 << 14).to_bytes(4, "little"),
-        "sportscan": imagenex.encode_return(IgxReturn(30, 3, np.zeros(400, np.uint8)))[:12],
-        "imc": to_wire(Packet(276, bytes(imc_messages.MAX_PAYLOAD_BYTES), 0x1E))[:20],
-    }
-    sync = {"ping_protocol": b"BR", "jsf": b"\x01\x16", "sportscan": b"IGX", "imc": b"\x54\xfe"}
-    lines = [f"{'garbage, MB/s':<16}{'noise':>10}{'zeros':>10}{'syncs':>10}{'promises':>10}"]
-    for grammar in grammars:
-        kinds = (
-            random.bytes(_GARBAGE_BYTES),
-            bytes(_GARBAGE_BYTES),
-            _repeated(sync[grammar.name], _GARBAGE_BYTES),
-            _repeated(promise[grammar.name], _GARBAGE_BYTES // 16),
-        )
-        cells = []
-        for stream in kinds:
-            took = _seconds(functools.partial(_fed, grammar, stream))
-            cells.append(f"{1e-6 * len(stream) / took:>10.1f}")
-        lines.append(f"{grammar.name:<16}" + "".join(cells))
-    return lines
+class JunkRow(NamedTuple):
+    """Of one wire: the junk that costs most, and its processor time per megabyte."""
+
+    name: str
+    junk: str
+    s_per_mb: float
 
 
-def _fed(grammar: Grammar[Any], stream: bytes) -> Framer[Any]:
-    framer = Framer(grammar)
+def _junk_of(wire: str) -> dict[str, bytes]:
+    """Pieces to be repeated, by name; those of `WORST_BYTES`, and nothing but noise and zeros."""
+    noise = np.random.Generator(np.random.PCG64(2)).bytes(1 << 16)
+    return {"noise": noise, "zeros": bytes(1 << 16), **WORST_BYTES[wire]}
+
+
+def junk_row(wire: str, n_bytes: int) -> JunkRow:
+    """Feed so many bytes of each kind of junk in chunks of 4 KiB; the fastest of three runs counts."""
+    rows = []
+    for junk, piece in _junk_of(wire).items():
+        stream = piece * (n_bytes // len(piece) + 1)
+        took = _seconds(functools.partial(_fed, FEEDS[wire], stream[:n_bytes]))
+        rows.append(JunkRow(wire, junk, 1e6 * took / n_bytes))
+    return max(rows, key=lambda row: row.s_per_mb)
+
+
+def junk_lines(rows: list[JunkRow]) -> list[str]:
+    """A row per wire, and whether all are within the allowance."""
+    lines = [f"{'junk, processor time':<16}{'s per MB':>10}  of the worst, which is"]
+    lines += [f"{row.name:<16}{row.s_per_mb:>10.3f}  {row.junk}" for row in rows]
+    above = [row.name for row in rows if row.s_per_mb > MAX_S_PER_MB]
+    return [*lines, f"allowed are {MAX_S_PER_MB:g} s per MB: " + (f"FAILED by {', '.join(above)}" if above else "held by all")]
+
+
+def _fed(make: Callable[[], Callable[[bytes], object]], stream: bytes) -> None:
+    feed = make()
     for start in range(0, len(stream), _CHUNK_BYTES):
-        framer.feed(stream[start : start + _CHUNK_BYTES])
-    return framer
+        feed(stream[start : start + _CHUNK_BYTES])
 
 
-def _repeated(piece: bytes, n_bytes: int) -> bytes:
-    return piece * (n_bytes // len(piece))
+def _feed_of(grammar: Callable[[], Grammar[Any]]) -> Callable[[], Callable[[bytes], object]]:
+    return lambda: Framer(grammar()).feed
+
+
+def _feed_slcan() -> Callable[[bytes], object]:
+    return SlcanParser(Counter()).feed
+
+
+def _feed_fast_packets() -> Callable[[bytes], object]:
+    parser, packets = SlcanParser(Counter()), FastPackets()
+
+    def feed(data: bytes) -> None:
+        for frame in parser.feed(data):
+            _, pgn, _, source = identifier_of(frame.can_id)
+            packets.add(pgn, source, frame.data)
+
+    return feed
+
+
+def _feed_vehicle_can() -> Callable[[bytes], object]:
+    parser, receiver = SlcanParser(Counter()), CanReceiver("vehicle_can", "payload", _VEHICLE_CAN_ADDRESS, Counter())
+
+    def feed(data: bytes) -> None:
+        for frame in parser.feed(data):
+            receiver.add(frame, 0.0)
+
+    return feed
+
+
+FEEDS: Final[dict[str, Callable[[], Callable[[bytes], object]]]] = {
+    "ping_protocol": _feed_of(PingGrammar),
+    "jsf": _feed_of(JsfGrammar),
+    "sportscan": _feed_of(IgxGrammar),
+    "nmea0183": _feed_of(NmeaGrammar),
+    "pixse": _feed_of(NmeaGrammar),
+    "water_linked": _feed_of(dvl_water_linked.TextGrammar),
+    "pd6": _feed_of(dvl_pd6.LineGrammar),
+    "imc": _feed_of(ImcGrammar),
+    "bluefin": _feed_of(BluefinGrammar),
+    "iver": _feed_of(IverGrammar),
+    "recon": _feed_of(ReconGrammar),
+    "slcan": _feed_slcan,
+    "fast_packet": _feed_fast_packets,
+    "vehicle_can": _feed_vehicle_can,
+}
+"""For each wire, makes a framer anew and gives what takes its bytes."""
 
 
 def campaign_lines(rows: list[CampaignRow]) -> list[str]:
@@ -556,12 +607,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `auv-mcm bench framers`."""
     parser.add_argument("--faults", type=count, default=10_000, help="faults per wire format")
     parser.add_argument("--pings", type=count, default=200, help="pings of the speed measurement")
+    parser.add_argument("--junk", type=count, default=1_000_000, help="bytes of each kind of junk")
     parser.add_argument("--seed", type=count, default=1, help="of the faults")
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Print the tables; returns the exit code, 1 if an intact message was lost."""
-    print("\n".join([*speed_lines(chosen.pings), "", *garbage_lines(), ""]))
+    """Print the tables; returns the exit code, 1 if an intact message was lost or junk takes more processor time than is allowed."""
+    print("\n".join([*speed_lines(chosen.pings), ""]))
+    junk = [junk_row(wire, chosen.junk) for wire in FEEDS]
+    print("\n".join([*junk_lines(junk), ""]), flush=True)
     rows = [campaign(wire, chosen.faults, chosen.seed) for wire in WIRES]
     print("\n".join(campaign_lines(rows)))
-    return int(any(row.n_lost for row in rows))
+    return int(any(row.n_lost for row in rows) or any(row.s_per_mb > MAX_S_PER_MB for row in junk))

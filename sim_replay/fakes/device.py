@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import time
 from collections import Counter
@@ -22,6 +23,7 @@ from sim_replay.fakes.job import (
     ClockStep,
     Damage,
     Fault,
+    Flood,
     Freeze,
     Garbage,
     Job,
@@ -36,6 +38,7 @@ from sim_replay.fakes.job import (
 from sim_replay.fakes.navigation import NAVIGATION_UNITS, FakeNavigation, Message
 from sim_replay.fakes.sonar import DeviceTime, FakeSonar, JsfSonar, PingProtocolSonar, SportScanSonar
 from sim_replay.fakes.wires import Weather, Wire, make_wire, opened
+from sim_replay.worst_bytes import WORST_BYTES
 
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
 
@@ -43,6 +46,8 @@ _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves
 _TICK_S: Final = 0.1  # of a controller
 _LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
 _GARBAGE_BYTES: Final = 256
+_WIRES: Final = {"nmea2000": "fast_packet"}  # devices whose wire is called otherwise in WORST_BYTES
+_FLOOD_BYTES: Final = 1400  # a datagram that fits an Ethernet frame
 
 
 class FakeDevice:
@@ -51,8 +56,8 @@ class FakeDevice:
 
     Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and `mended` (do),
     `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters: device.messages, .skipped (events
-    left out, since wire or computer were busy), .latest_ms (the latest that an event was through, after it was due), and those of the
-    wire, its damage and the controller.
+    left out, since wire or computer were busy), .flood_bytes, .latest_ms (the latest that an event was through, after it was due), and
+    those of the wire, its damage and the controller.
     """
 
     def __init__(
@@ -187,7 +192,11 @@ class FakeDevice:
             at_s += self._elapsed_s()
         await self._sleep_until(at_s)
         self._report("fault", {"do": do})
-        garbage = tasks.create_task(self._send_garbage()) if isinstance(fault, Garbage) else None
+        garbage = None
+        if isinstance(fault, Garbage):
+            garbage = tasks.create_task(self._send_garbage())
+        elif isinstance(fault, Flood):
+            garbage = tasks.create_task(self._send_worst(fault.bytes_per_s))
         await self._set(fault, on=True)
         if fault.for_s is None:
             return
@@ -236,6 +245,18 @@ class FakeDevice:
     async def _send_garbage(self) -> None:
         while True:
             await self.wire.send_garbage(self._random.bytes(_GARBAGE_BYTES))
+
+    async def _send_worst(self, bytes_per_s: float) -> None:
+        """Send what costs the decoder of this kind of device most, one kind after the other, at a rate."""
+        kind = self._job.device.device
+        worst = WORST_BYTES[_WIRES.get(kind, kind)].values()
+        pieces = [piece * (_FLOOD_BYTES // len(piece) + 1) for piece in worst]
+        began_s, n_sent = time.monotonic(), 0
+        for piece in itertools.cycle(pieces):
+            await self.wire.send_garbage(piece[:_FLOOD_BYTES])
+            self._own["device.flood_bytes"] += _FLOOD_BYTES
+            n_sent += _FLOOD_BYTES
+            await asyncio.sleep(max(began_s + n_sent / bytes_per_s - time.monotonic(), 0.0))
 
     def _time(self, mono_s: float) -> DeviceTime:
         """What the device's clocks show at an instant of the monotonic clock."""

@@ -88,7 +88,13 @@ class Nonsense(_Fault, frozen=True, kw_only=True, tag="nonsense"):
     """Vehicles only: whatever is said is said once more, cut short or with something in it changed."""
 
 
-Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense
+class Flood(_Fault, frozen=True, kw_only=True, tag="flood"):
+    """From the device's own address comes, besides what it says, what costs its decoder most."""
+
+    bytes_per_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 100_000.0
+
+
+Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense | Flood
 
 
 class Device(_Told, frozen=True, kw_only=True):

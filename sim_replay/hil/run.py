@@ -85,17 +85,20 @@ def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Eviden
         targets=targets,
         replayed=replayed,
         killed_s=live.killed_s,
+        stopped_s=live.stopped_s,
         fence_deg=config.vehicle.fence_deg,
     )
 
 
 class _Live(msgspec.Struct):
-    """What the processes said while they ran. exit_code: of the service, None if it had to be killed. killed_s: when that was wanted."""
+    """What the processes said while they ran. exit_code: of the service, None if it had to be killed. killed_s: when that was wanted.
+    stopped_s: when it was told to stop, None if it had ended before."""
 
     exit_code: int | None
     lines: Sequence[Line]
     reports: dict[str, list[Report]]
     killed_s: float | None
+    stopped_s: float | None
 
 
 class _Run:
@@ -103,6 +106,7 @@ class _Run:
         self._scenario = scenario
         self._folder = folder
         self._say = say
+        self._stopped_s: float | None = None
 
     async def live(self, jobs: Sequence[Job | VehicleJob]) -> _Live:
         processes: list[_Process] = []
@@ -133,7 +137,7 @@ class _Run:
         for job, process in zip(jobs, processes, strict=False):
             for name, report in _reports(process, start_s):
                 reports[name or _name_of(job)].append(report)
-        return _Live(exit_code=exit_code, lines=lines, reports=reports, killed_s=killed_s)
+        return _Live(exit_code=exit_code, lines=lines, reports=reports, killed_s=killed_s, stopped_s=self._stopped_s)
 
     async def _device(self, job: Job | VehicleJob) -> _Process:
         name = _name_of(job)
@@ -178,6 +182,7 @@ class _Run:
         ended.cancel()
         self._say("stopping")
         service.signal(signal.SIGTERM)
+        self._stopped_s = time.monotonic() - start_s
         try:
             return await service.ended(scenario.stop_within_s)
         except TimeoutError:

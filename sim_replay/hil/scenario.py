@@ -59,6 +59,12 @@ class ExitCode(_Rule, frozen=True, kw_only=True, tag="exit_code"):
     code: int = 0
 
 
+class AnswersStop(_Rule, frozen=True, kw_only=True, tag="answers_stop"):
+    """The service says that it stops this soon after it was told to."""
+
+    within_s: float
+
+
 class CounterRule(_Count, frozen=True, kw_only=True, tag="counter"):
     """A counter of summary.json, 0 where it is not there. name: whole, or with * for any characters: then their sum."""
 
@@ -186,7 +192,7 @@ Counted: TypeAlias = (
     CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound | ReportRule | Passed | Sharper
 )
 VehicleRule: TypeAlias = ReportRule | ToldInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
-Rule: TypeAlias = Counted | ExitCode | Reopened | AsReplayed | ToldInTime | InsideFence | OwnPlanAtEnd | Silence
+Rule: TypeAlias = Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ToldInTime | InsideFence | OwnPlanAtEnd | Silence
 
 
 class Expectation(_Told, frozen=True, kw_only=True):

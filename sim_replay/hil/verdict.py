@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from auv_mcm.geodesy import LocalFrame
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import (
+    AnswersStop,
     AsReplayed,
     Counted,
     CounterRule,
@@ -40,6 +41,8 @@ from sim_replay.hil.scenario import (
 )
 from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, told_in_time
 
+_STOPPING: Final = re.compile(r"\bstopping: ")
+
 
 class Placed(NamedTuple):
     """A contact, or a target of the truth (p_mine 1)."""
@@ -54,7 +57,7 @@ class Evidence(NamedTuple):
     """All that is known of a run. exit_code: None if the service had to be killed. summary: {} if it wrote none.
 
     targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the service was killed by
-    intent. fence_deg: of the service's configuration.
+    intent; stopped_s: when it was told to stop. fence_deg: of the service's configuration.
     """
 
     exit_code: int | None
@@ -65,6 +68,7 @@ class Evidence(NamedTuple):
     targets: Sequence[Placed]
     replayed: Sequence[Placed] | None
     killed_s: float | None = None
+    stopped_s: float | None = None
     fence_deg: Sequence[tuple[float, float]] = ()
 
 
@@ -104,11 +108,22 @@ def targets_of(truth: Mapping[str, Any]) -> list[Placed]:
     return [Placed(thing["lat"], thing["lon"], 1.0, thing["kind"]) for thing in truth["objects"] if thing["is_target"]]
 
 
+def _answered(rule: AnswersStop, evidence: Evidence) -> tuple[str, str, bool]:
+    expected = f"it says within {rule.within_s:g} s that it stops"
+    stopped_s = evidence.stopped_s
+    if stopped_s is None:
+        return expected, "it was not told to stop", False
+    after_s = [line.at_s - stopped_s for line in evidence.lines if line.at_s >= stopped_s and _STOPPING.search(line.text)]
+    return expected, f"after {after_s[0]:.2f} s" if after_s else "it said nothing", bool(after_s) and after_s[0] <= rule.within_s
+
+
 def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
     match rule:
         case ExitCode():
             code = evidence.exit_code
             return f"exit code {rule.code}", "had to be killed" if code is None else f"exit code {code}", code == rule.code
+        case AnswersStop():
+            return _answered(rule, evidence)
         case CounterRule():
             counters = evidence.summary.get("counters", {})
             value = float(sum(count for name, count in counters.items() if fnmatchcase(name, rule.name)))

@@ -50,16 +50,16 @@ def _key(message: Any) -> Hashable:
 
 
 Maker = Callable[[int, int], bytes]
-FORMATS: Final[dict[str, tuple[Grammar[Any], tuple[Maker, ...]]]] = {
-    "ping_protocol": (PingGrammar(), (_profile, _profile, _text)),
-    "jsf": (JsfGrammar(), (_side, _side, _nmea_in_jsf)),
-    "sportscan": (IgxGrammar(), (_igx,)),
+FORMATS: Final[dict[str, tuple[Callable[[], Grammar[Any]], tuple[Maker, ...]]]] = {
+    "ping_protocol": (PingGrammar, (_profile, _profile, _text)),
+    "jsf": (JsfGrammar, (_side, _side, _nmea_in_jsf)),
+    "sportscan": (IgxGrammar, (_igx,)),
 }
 every_format = pytest.mark.parametrize("name", FORMATS)
 
 
-def read(grammar: Grammar[Any], chunks: list[bytes]) -> tuple[Read, Counter[str]]:
-    framer: Framer[Any] = Framer(grammar)
+def read(grammar: Callable[[], Grammar[Any]], chunks: list[bytes]) -> tuple[Read, Counter[str]]:
+    framer: Framer[Any] = Framer(grammar())
     found: list[Framed[Any]] = []
     for chunk in chunks:
         found += framer.feed(chunk)
@@ -174,7 +174,7 @@ def test_every_byte_is_in_a_message_or_counted_as_skipped(name: str, data: st.Da
 @given(data=st.data())
 def test_ping_messages_are_those_that_trying_every_byte_finds(data: st.DataObject) -> None:
     stream = b"".join(piece for piece, _ in data.draw(pieces("ping_protocol")))
-    found, _ = read(PingGrammar(), data.draw(chunks_of(stream)))
+    found, _ = read(PingGrammar, data.draw(chunks_of(stream)))
     assert [(offset, n) for _, offset, n in found] == slow_ping_messages(stream)
 
 
@@ -184,9 +184,9 @@ def test_ping_messages_are_those_that_trying_every_byte_finds(data: st.DataObjec
 )
 def test_no_bytes_raise_or_stay(name: str, stream: bytes) -> None:
     grammar, makers = FORMATS[name]
-    framer: Framer[Any] = Framer(grammar)
+    framer: Framer[Any] = Framer(grammar())
     framer.feed(stream)
-    assert framer.n_fed - framer.held_from <= grammar.max_message_bytes
+    assert framer.n_fed - framer.held_from <= grammar().max_message_bytes
     framer.finish()
     assert framer.held_from == framer.n_fed == len(stream)
     assert len(framer.feed(makers[0](1, 20))) == 1, "a new stream begins behind the end of the old one"
@@ -197,10 +197,10 @@ def test_memory_stays_bounded_by_the_longest_message(name: str) -> None:
     grammar, makers = FORMATS[name]
     random = np.random.Generator(np.random.PCG64(3))
     promise = makers[0](1, 30)[:-5]
-    framer: Framer[Any] = Framer(grammar)
+    framer: Framer[Any] = Framer(grammar())
     for _ in range(200):
         framer.feed(promise + random.bytes(int(random.integers(3000))))
-        assert framer.n_fed - framer.held_from <= grammar.max_message_bytes
+        assert framer.n_fed - framer.held_from <= grammar().max_message_bytes
 
 
 @every_format
@@ -224,7 +224,7 @@ def test_a_message_without_checksum_is_given_at_once_and_gives_back_what_it_swal
 def test_samples_that_look_like_a_header_do_not_cost_the_message() -> None:
     values = np.frombuffer(_nmea_in_jsf(9, 100)[:16] + bytes(184), np.uint16)
     looks_nested = encode_data(SideScanData(SideScanHeader(interval_ns=20_000), values), 21, 0)
-    found, counters = read(JsfGrammar(), [looks_nested + _side(1, 20)])
+    found, counters = read(JsfGrammar, [looks_nested + _side(1, 20)])
     assert [n for _, _, n in found] == [len(looks_nested), len(_side(1, 20))]
     assert counters == {"jsf.messages": 2}
 
@@ -249,7 +249,7 @@ def test_every_message_is_stamped_by_its_last_byte(data: st.DataObject) -> None:
     framer: StampedFramer[Any] = StampedFramer(PingGrammar())
     arrived = [item for i, chunk in enumerate(chunks) for item in framer.feed(chunk, Stamp(i, i))] + framer.finish()
     ends = np.cumsum([len(chunk) for chunk in chunks])
-    for (_, offset, n_bytes), item in zip(read(PingGrammar(), [stream])[0], arrived, strict=True):
+    for (_, offset, n_bytes), item in zip(read(PingGrammar, [stream])[0], arrived, strict=True):
         chunk = int(np.searchsorted(ends, offset + n_bytes))
         assert item.received.mono_ns == chunk
         assert item.n_bytes == ends[chunk] - offset

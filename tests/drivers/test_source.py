@@ -263,9 +263,13 @@ def test_at_the_end_what_was_held_back_is_given() -> None:
 
 def test_what_nobody_takes_is_lost_oldest_first_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.source._MAX_EVENTS", 4)
-    source = PortSource(config_of(), SystemClock())
-    for chunk in traffic(20):
-        source.take(*chunk)
+    source = PortSource(config_of(), SystemClock(), cpu_s=lambda: 0.0)
+
+    async def main() -> None:
+        for chunk in traffic(20):
+            source.take(*chunk)
+
+    asyncio.run(main())
     counters = source.counters()
     assert counters["source.ping_dropped"] + counters["source.event_dropped"] > 20
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,11 +19,15 @@ from auv_mcm.port_config import PortConfig
 from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
 from auv_mcm.service import LiveSource
 from auv_mcm.vehicle_config import VEHICLE_NAMES
+from drivers.framing import StampedFramer
+from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link
 from drivers.port_stream import pack_can
 from drivers.ports import Port, read_ports
 from drivers.source import OnBytes, OnState, PortSource
 from drivers.stamps import Stamp
+from drivers.vehicle.can_receiver import CanReceiver
+from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.registry import VEHICLES
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
@@ -314,3 +319,70 @@ def test_ports_of_vehicles_that_cannot_be_are_refused_with_the_key(text: str, me
     with pytest.raises(UsageError) as caught:
         read_ports(config_of(text))
     assert message in str(caught.value)
+
+
+@each_dialect
+def test_each_byte_of_the_vehicle_is_decoded_once(
+    text: str, make: Callable[[], FakeController[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[Any] = []
+    bytes_of = StampedFramer.feed
+    frames_of = CanReceiver.add
+
+    def feed(framer: StampedFramer[Any], data: bytes, stamp: Stamp) -> Any:
+        decoded.append(data)
+        return bytes_of(framer, data, stamp)
+
+    def add(receiver: CanReceiver, frame: CanFrame, now_s: float) -> Any:
+        if receiver._sender == "vehicle":  # not the fake's
+            decoded.append(pack_can(frame))
+        return frames_of(receiver, frame, now_s)
+
+    monkeypatch.setattr(StampedFramer, "feed", feed)
+    monkeypatch.setattr(CanReceiver, "add", add)
+    bench = Bench(text.replace("}]", WITH_NAVIGATION), make())
+    bench.run(bench.is_heard, lambda: len(bench.recorded) > 20)
+    assert decoded == [data for port, way, _, data in bench.recorded if port == "v" and way == "in"]
+
+
+def test_what_waited_when_the_wire_was_lost_grants_nothing_on_the_next_connection() -> None:
+    readings = itertools.count(1)
+    heard: list[bytes] = []
+
+    class Ears:
+        """In the place of the vehicle's end: what is handed on to it."""
+
+        counters: ClassVar = Counter[str]()
+
+        def hear(self, said: Any, stamp: Stamp) -> None:
+            heard.extend(b"" for _ in said)
+
+        def connected(self) -> None:
+            heard.append(b"connected")
+
+        disconnected = connected
+
+    states: list[OnState] = []
+
+    def open_link(port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[Any]:
+        states.append(on_state)
+        return Link(port.name, lambda counters: asyncio.Future(), on_bytes, on_state, clock, 60.0)
+
+    # Each chunk takes more than a turn, so that the second waits.
+    source = PortSource(config_of(VEHICLE + IMC), SystemClock(), open_link, cpu_s=lambda: next(readings) // 2 * 1.0)
+    (served,) = source._ports
+    served.vehicle = Ears()  # type: ignore[assignment]
+    heartbeat = bytes.fromhex("54fe9600000000001040fc54d9411e00ffff00ff")
+    heartbeat += crc16_arc(heartbeat).to_bytes(2, "little")
+    stamp = Stamp(SystemClock().monotonic_s().__trunc__() * 10**9, 0)
+
+    async def main() -> None:
+        source.take("v", heartbeat, stamp)
+        source.take("v", heartbeat, stamp)
+        states[0]("up", "opened anew")
+        async with asyncio.timeout(GENEROUS_S):
+            while source.counters()["imc.messages"] < 2:
+                await asyncio.sleep(0)
+
+    asyncio.run(main())
+    assert heard == [b"", b"connected"], "the second message came over a wire that is gone"

@@ -8,6 +8,7 @@ import pytest
 
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import (
+    AnswersStop,
     AsReplayed,
     CounterRule,
     DeviceRule,
@@ -53,6 +54,20 @@ def evidence(**changes: Any) -> Evidence:
 
 def passes(rule: Rule, **changes: Any) -> bool:
     return judge(Expectation(test="what is looked at", expected=rule), evidence(**changes)).passed
+
+
+@pytest.mark.parametrize(
+    ("stopped_s", "texts", "holds"),
+    [
+        (10.0, {10.4: "INFO auv_mcm.service: stopping: 0 pings still queued"}, True),
+        (10.0, {13.0: "INFO auv_mcm.service: stopping: 0 pings still queued"}, False),
+        (10.0, {9.0: "INFO auv_mcm.service: stopping: 0 pings still queued", 10.1: "something else"}, False),
+        (None, {10.4: "INFO auv_mcm.service: stopping: 0 pings still queued"}, False),
+    ],
+)
+def test_a_service_answers_when_it_says_soon_that_it_stops(stopped_s: float | None, texts: dict[float, str], holds: bool) -> None:
+    lines = [Line(at_s, text) for at_s, text in texts.items()]
+    assert passes(AnswersStop(within_s=2.0), lines=lines, stopped_s=stopped_s) is holds
 
 
 def test_an_exit_code_is_what_it_is_and_a_killed_service_has_none() -> None:

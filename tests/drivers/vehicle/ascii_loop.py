@@ -6,15 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from conversation import Conversation
 from hypothesis import strategies as st
 
 from auv_mcm.records import NavSample
 from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
 from drivers.stamps import Stamp
-from drivers.vehicle.ascii_dialect import AsciiDialect
-from drivers.vehicle.bluefin import BluefinDialect
-from drivers.vehicle.iver import IverDialect
-from drivers.vehicle.recon import ReconDialect
 from drivers.vehicle.seam import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.iver import FakeIver
@@ -23,10 +20,10 @@ from sim_replay.fakes.vehicles.text_controller import TextController
 
 UTC_S = 1_700_000_000.0
 STEP_S = 0.1
-PAIRS: dict[str, tuple[Callable[[], AsciiDialect], Callable[[], TextController]]] = {
-    "bluefin": (lambda: BluefinDialect(BluefinSettings()), FakeBluefin),
-    "iver": (lambda: IverDialect(IverSettings()), FakeIver),
-    "recon": (lambda: ReconDialect(ReconSettings()), FakeRecon),
+PAIRS: dict[str, tuple[Callable[[], Conversation], Callable[[], TextController]]] = {
+    "bluefin": (lambda: Conversation(BluefinSettings()), FakeBluefin),
+    "iver": (lambda: Conversation(IverSettings()), FakeIver),
+    "recon": (lambda: Conversation(ReconSettings()), FakeRecon),
 }
 COMMANDS = (b"$BPRMB", b"$OMS,", b"#C,")
 CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "tell_health")
@@ -155,7 +152,7 @@ def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
     return steps
 
 
-def play(dialect: AsciiDialect, steps: list[tuple[str, Any]]) -> tuple[list[tuple[bool, bytes]], list[VehicleEvent]]:
+def play(dialect: Conversation, steps: list[tuple[str, Any]]) -> tuple[list[tuple[bool, bytes]], list[VehicleEvent]]:
     """What it sends, each with whether control was granted then, as told by its events and given back by us; and its events."""
     now_s, granted = 100.0, False
     sent: list[tuple[bool, bytes]] = []

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.ascii_dialect import FloorBelow
 from drivers.vehicle.recon_sentences import frame
 from drivers.vehicle.seam import GoTo, PayloadHealth, Steer, VehicleState, Vertical, Withheld
+from drivers.vehicle.talkers.ascii import FloorBelow
 
 BLUEFIN_LINES = [
     *(f"BFCTL,101010.00{i},1" for i in range(2)),

@@ -6,38 +6,39 @@ import re
 
 import pytest
 from ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
+from conversation import Conversation
 from msgspec import structs
 
 from auv_mcm.vehicle_config import BluefinSettings
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.bluefin import ATTEMPTS, RESEND_S, BluefinDialect
 from drivers.vehicle.seam import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
+from drivers.vehicle.talkers.bluefin import ATTEMPTS, RESEND_S
 
 
-def said(dialect: BluefinDialect, now_s: float) -> list[str]:
+def said(dialect: Conversation, now_s: float) -> list[str]:
     return [line.decode().split("*")[0] for line in dialect.take_outgoing(now_s)]
 
 
-def hear(dialect: BluefinDialect, body: str, now_s: float) -> list[VehicleEvent]:
+def hear(dialect: Conversation, body: str, now_s: float) -> list[VehicleEvent]:
     return dialect.hear(sentence(body), stamp_at(now_s))
 
 
-def answer(dialect: BluefinDialect, line: str, now_s: float, status: int = 2, text: str = "") -> list[VehicleEvent]:
+def answer(dialect: Conversation, line: str, now_s: float, status: int = 2, text: str = "") -> list[VehicleEvent]:
     name, of, *_ = line[1:].split(",")
     of = "" if name == "BPLOG" else of
     return hear(dialect, f"BFACK,101010.000,{name[2:]},{of},0,{status},,{text}", now_s)
 
 
-def greeted(settings: BluefinSettings | None = None) -> BluefinDialect:
+def greeted(settings: BluefinSettings | None = None) -> Conversation:
     """After the greeting and the first heartbeat."""
-    dialect = BluefinDialect(settings or BluefinSettings())
+    dialect = Conversation(settings or BluefinSettings())
     dialect.connected(0.0)
     while lines := said(dialect, 0.0):
         answer(dialect, lines[0], 0.0)
     return dialect
 
 
-def granted() -> BluefinDialect:
+def granted() -> Conversation:
     dialect = greeted()
     dialect.request(0.0)
     assert [type(event) for event in hear(dialect, "BFCTL,101010.000,1", 0.0)] == [Granted]
@@ -47,7 +48,7 @@ def granted() -> BluefinDialect:
 
 
 def test_answers_are_asked_for_first_and_one_sentence_goes_at_a_time() -> None:
-    dialect = BluefinDialect(BluefinSettings())
+    dialect = Conversation(BluefinSettings())
     dialect.connected(0.0)
     assert said(dialect, 0.0) == ["$BPLOG,ACK,ON"]
     assert said(dialect, 0.1) == []

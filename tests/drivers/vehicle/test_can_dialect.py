@@ -9,6 +9,7 @@ from itertools import count, pairwise
 import msgspec
 import pytest
 from can_traffic import at, records
+from conversation import Conversation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,6 @@ from auv_mcm.records import NAN
 from auv_mcm.vehicle_config import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation import n2k_messages as n2k
-from drivers.vehicle.can_dialect import CanDialect
 from drivers.vehicle.can_messages import (
     BY_NUMBER,
     COMMAND_VALID_S,
@@ -52,6 +52,7 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.talkers.can import CanTalker
 
 PAYLOAD, VEHICLE = 96, 32
 PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)
@@ -76,7 +77,7 @@ class Bench:
     """A dialect and what the vehicle's end of the bus hears of it."""
 
     def __init__(self, can_settings: CanSettings | None = None) -> None:
-        self.dialect = CanDialect(can_settings or CanSettings())
+        self.dialect = Conversation(can_settings or CanSettings())
         self._receiver = CanReceiver("vehicle", "payload", PAYLOAD, Counter())
         self._counters = count(250)
         self._sequences = count()
@@ -282,7 +283,7 @@ def test_a_report_is_sent_at_once_and_again_until_it_is_answered() -> None:
     assert not any(isinstance(record, ReportMessage) for tick in range(200) for record in bench.take(40.0 + 0.1 * tick))
 
 
-def answer_crc(dialect: CanDialect, now_s: float) -> int:
+def answer_crc(dialect: Conversation, now_s: float) -> int:
     """Lower half of the CRC of the next report that is sent."""
     for tick in range(200):
         frames = [frame for frame in dialect.take_outgoing(now_s + 0.1 * tick) if number_and_address(frame.can_id) == (0x04, PAYLOAD)]
@@ -475,5 +476,5 @@ def test_two_ends_of_a_bus_need_two_addresses() -> None:
 
 def test_statuses_come_often_enough_for_the_time_outs() -> None:
     assert STATUS_PERIOD_S * 3 < 2.0
-    assert CanDialect.command_period_s * 4 < COMMAND_VALID_S
+    assert CanTalker.command_period_s * 4 < COMMAND_VALID_S
     assert BY_NUMBER[0x81].period_s * 4 < VEHICLE_SILENT_S

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from conversation import Conversation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ from auv_mcm.vehicle_config import ImcSettings
 from drivers.framing import Framer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.imc import PLAN_ID, ImcDialect
 from drivers.vehicle.imc_contact import contact_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
@@ -30,11 +30,13 @@ from drivers.vehicle.imc_messages import (
     decode,
 )
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, Packet, packed
+from drivers.vehicle.registry import talker_of
 from drivers.vehicle.seam import (
     Acknowledged,
     Arrived,
     Capability,
     ContactReport,
+    Doubted,
     GoTo,
     Granted,
     PayloadHealth,
@@ -45,6 +47,7 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.talkers.imc import PLAN_ID
 
 US, VEHICLE, OTHER = 0x6000, 0x1E, 0x2F
 UTC_S = 1_700_000_000
@@ -56,7 +59,7 @@ class Talk:
     """A dialect whose wire is open, and what was said."""
 
     def __init__(self, settings: ImcSettings = KNOWS, now_s: float = 100.0) -> None:
-        self.dialect = ImcDialect(settings)
+        self.dialect = Conversation(settings)
         self.now_s = now_s
         self.dialect.connected(now_s)
         self.said()
@@ -77,8 +80,10 @@ class Talk:
             found += [message for message in self.said() if type(message) is kind]
         return found
 
-    def hear(self, *messages: ImcMessage, source: int = VEHICLE, to: int = ANYONE) -> list[VehicleEvent]:
-        data = b"".join(packed(message, source, to=to) for message in messages)
+    def hear(self, *messages: ImcMessage, source: int = VEHICLE, to: int = ANYONE, age_s: float = 0.0) -> list[VehicleEvent]:
+        """age_s: of their times, by the sender's clock, which is an hour off."""
+        time_s = UTC_S + 3600.0 + self.now_s - age_s
+        data = b"".join(packed(message, source, to=to, time_s=time_s) for message in messages)
         return self.dialect.hear(data, stamp_at(self.now_s))
 
     def take_over(self) -> int:
@@ -491,7 +496,7 @@ def test_messages_of_no_use_are_counted() -> None:
 
 
 def test_a_decoder_of_navigation_alone_needs_no_connection() -> None:
-    dialect = ImcDialect(LEARNS)
+    dialect = Conversation(LEARNS)
     (state,) = dialect.hear(packed(estimated(41.0, -8.5), VEHICLE), stamp_at(1.0))
     assert isinstance(state, VehicleState)
     assert dialect.take_outgoing(1.0) == []
@@ -587,3 +592,65 @@ def test_any_bytes_are_refused_without_a_word(chunks: list[bytes]) -> None:
     talk = Talk()
     for chunk in chunks:
         assert talk.dialect.hear(chunk, stamp_at(talk.now_s)) == []
+
+
+def test_a_grant_recorded_earlier_is_not_accepted() -> None:
+    talk = Talk()
+    talk.hear(estimated(41.18, -8.7))
+    talk.dialect.request(talk.now_s)
+    (start,) = talk.said_of(imc.PlanControl)
+    events = talk.hear(succeeded(start.request_id), follow_state(), age_s=86_400.0)  # of a run in which the number was the same
+    assert [type(event) for event in events] == [Doubted, Doubted]
+    assert "the vehicle's other messages" in events[0].reason  # type: ignore[union-attr]  # which is what it is
+    assert talk.dialect.counters["imc.refused.stale"] == 2
+    talk.dialect.command(GOAL, talk.now_s)
+    assert talk.dialect.counters["imc.commands_unsaid"] == 1
+    assert [type(event) for event in talk.hear(succeeded(start.request_id), follow_state())] == [Granted], "the vehicle's own is"
+
+
+def test_an_answer_from_before_the_request_is_not_accepted() -> None:
+    talk = Talk()
+    talk.hear(estimated(41.18, -8.7))
+    talk.dialect.request(talk.now_s)
+    (start,) = talk.said_of(imc.PlanControl)
+    (event,) = talk.hear(succeeded(start.request_id), age_s=0.8)
+    assert isinstance(event, Doubted)
+    assert "before that of the request" in event.reason
+
+
+def test_recorded_answers_do_not_keep_a_command_alive() -> None:
+    talk = Talk()
+    talk.take_over()
+    talk.dialect.command(GOAL, talk.now_s)
+    talk.said()
+    ended: list[VehicleEvent] = []
+    for _ in range(200):
+        talk.now_s += 0.1
+        events = [*talk.hear(estimated(41.18, -8.7)), *talk.hear(follow_state(GOAL), age_s=500.0)]
+        ended += [event for event in events if isinstance(event, Withheld)]
+        talk.dialect.command(GOAL, talk.now_s)
+        talk.said()
+        if ended:
+            break
+    assert ended == [Withheld("the vehicle does not answer our references")]
+
+
+def test_what_ends_control_is_believed_however_old_it_is() -> None:
+    talk = Talk()
+    talk.take_over()
+    assert talk.hear(imc.Abort(), age_s=500.0) == [Withheld(f"Abort from 0x{VEHICLE:04X}")]
+
+
+@pytest.mark.parametrize("drawn", [0, 41, 0xFFFE])
+def test_the_first_request_of_a_run_has_a_number_that_nobody_can_foresee(drawn: int) -> None:
+    talker = talker_of("imc", KNOWS, lambda n: drawn if n == 0xFFFF else n)
+    talker.connected(0.0)
+    numbers = []
+    for now_s in (0.0, 10.0):
+        talker.request(now_s)
+        framer = Framer(ImcGrammar())
+        packets = [framed.message for item in talker.take_outgoing(now_s) for framed in framer.feed(item)]
+        starts = [decode(packet.number, packet.payload) for packet in packets]
+        numbers += [start.request_id for start in starts if isinstance(start, imc.PlanControl)]
+        talker.release("done", now_s)
+    assert numbers == [drawn + 1, (drawn + 1) % 0xFFFF + 1]

@@ -12,10 +12,10 @@ import time
 from importlib.util import find_spec
 
 import pytest
+from conversation import Conversation
 
 from auv_mcm.vehicle_config import ImcSettings
 from drivers.stamps import Stamp
-from drivers.vehicle.imc import PLAN_ID, ImcDialect
 from drivers.vehicle.seam import (
     Arrived,
     ContactReport,
@@ -26,6 +26,7 @@ from drivers.vehicle.seam import (
     VehicleState,
     Vertical,
 )
+from drivers.vehicle.talkers.imc import PLAN_ID
 
 pytestmark = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the peer, is not installed: pip install imcpy")
 
@@ -130,7 +131,7 @@ def test_an_imcpy_vehicle_is_taken_over_told_and_left() -> None:
 
 def talk_to(wire: socket.socket) -> list[VehicleEvent]:
     """Over the wire: ask for control, tell, go to the goal, and give control back once there."""
-    dialect = ImcDialect(ImcSettings())
+    dialect = Conversation(ImcSettings())
     dialect.connected(time.monotonic())
     dialect.request(time.monotonic())
     dialect.report(a_report(), 1, time.monotonic())

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.imc_messages import MAX_PAYLOAD_BYTES, encode
-from drivers.vehicle.imc_wire import ImcGrammar, Packet, crc16_arc, packed, to_wire
+from drivers.vehicle.imc_wire import ImcGrammar, Packet, packed, to_wire
 
 HEARTBEAT = bytes.fromhex("54fe9600000000001040fc54d9410060051e00ff4a31")
 SONAR_DATA = bytes.fromhex("54fe1401160000001040fc54d9410060051e00ff00d0dd060000003200100000803f0000040001000200553d")

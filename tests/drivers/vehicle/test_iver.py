@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from ascii_loop import REPORT, STEER, in_control, stamp_at
+from conversation import Conversation
 
 from auv_mcm.vehicle_config import IverSettings
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.iver import IverDialect
 from drivers.vehicle.seam import Capability, Granted, VehicleState, Withheld
 
 
@@ -17,7 +17,7 @@ def state(mode: str) -> bytes:
 
 @pytest.mark.parametrize("mode", ["S", "P", "M", "mP", "m", "?", "X"])
 def test_no_control_in_modes_that_are_a_persons_or_not_known(mode: str) -> None:
-    dialect = IverDialect(IverSettings())
+    dialect = Conversation(IverSettings())
     dialect.connected(0.0)
     dialect.request(0.0)
     told, where = dialect.hear(state(mode), stamp_at(0.1))
@@ -29,7 +29,7 @@ def test_no_control_in_modes_that_are_a_persons_or_not_known(mode: str) -> None:
 
 @pytest.mark.parametrize("mode", ["N", "A", "W"])
 def test_control_in_modes_that_obey_and_only_when_asked_for(mode: str) -> None:
-    dialect = IverDialect(IverSettings())
+    dialect = Conversation(IverSettings())
     dialect.connected(0.0)
     assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.1))] == [VehicleState]
     dialect.request(0.2)
@@ -38,7 +38,7 @@ def test_control_in_modes_that_obey_and_only_when_asked_for(mode: str) -> None:
 
 
 def test_it_is_polled_and_steered_for_as_long_as_its_settings_say() -> None:
-    dialect = IverDialect(IverSettings(poll_s=0.2, command_timeout_s=2, max_pitch_deg=15.0, remote_helm_version=4, contact_sentence=""))
+    dialect = Conversation(IverSettings(poll_s=0.2, command_timeout_s=2, max_pitch_deg=15.0, remote_helm_version=4, contact_sentence=""))
     assert dialect.command_period_s == 0.5
     assert Capability.CONTACT not in dialect.capabilities
     dialect.connected(0.0)

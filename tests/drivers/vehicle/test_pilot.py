@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperDialect, stamp
+from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
 
 from auv_mcm.records import NAN, Contact, Waypoint
 from auv_mcm.vehicle_config import VehicleConfig
@@ -79,7 +79,7 @@ class Sea:
     """A pilot, a vehicle and the time. The vehicle tells its state ten times a second, grants what is asked, and does what it is told."""
 
     def __init__(self, capabilities: Capability = GOES_BY_ITSELF, **changes: Any) -> None:
-        self.dialect = PaperDialect(capabilities)
+        self.dialect = PaperTalker(capabilities)
         self.pilot = Pilot(self.dialect, settings(**changes), session=7)
         self.now_s = 100.0
         self.place_m: Metres = (0.0, 0.0)
@@ -89,7 +89,7 @@ class Sea:
         self.pilot.connected(self.now_s)
 
     def hear(self, *events: VehicleEvent) -> None:
-        self.pilot.hear(events, stamp(self.now_s))
+        self.pilot.hear([said(self.now_s, *events)], stamp(self.now_s))
 
     def state(self) -> VehicleState:
         return VehicleState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
@@ -261,7 +261,7 @@ def test_noise_is_no_sign_of_life() -> None:
     sea.tick(1.0)
     sea.talks = False
     for _ in range(40):
-        sea.pilot.hear(None, stamp(sea.now_s))
+        sea.pilot.hear([], stamp(sea.now_s))
         sea.tick()
     assert sea.pilot.authority == "down"
 

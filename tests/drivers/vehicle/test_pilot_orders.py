@@ -11,7 +11,7 @@ from typing import Final
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperDialect, stamp
+from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
 
 from auv_mcm.records import NAN, Waypoint
 from auv_mcm.vehicle_config import VehicleConfig
@@ -54,7 +54,7 @@ def way_inside(start_m: tuple[float, float], end_m: tuple[float, float]) -> bool
 class AnyOrder(RuleBasedStateMachine):
     @initialize(capabilities=st.sampled_from([GOES_BY_ITSELF, IS_STEERED]))
     def begin(self, capabilities: Capability) -> None:
-        self.dialect = PaperDialect(capabilities)
+        self.dialect = PaperTalker(capabilities)
         self.pilot = Pilot(self.dialect, CONFIG, session=1)
         self.now_s = 50.0
         self.state: VehicleState | None = None  # told last, whole
@@ -77,7 +77,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.run(3.0, False)
 
     def hear(self, *events: VehicleEvent) -> None:
-        self.pilot.hear(events, stamp(self.now_s))
+        self.pilot.hear([said(self.now_s, *events)], stamp(self.now_s))
         for event in events:
             if isinstance(event, Granted) and self.asked and self.wire_open:
                 self.may_command, self.asked = True, False
@@ -189,7 +189,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def make_noise(self) -> None:
-        self.pilot.hear(None, stamp(self.now_s))
+        self.pilot.hear([], stamp(self.now_s))
 
     @rule(places_m=st.lists(PLACES_M, min_size=0, max_size=4))
     def propose(self, places_m: list[tuple[float, float]]) -> None:

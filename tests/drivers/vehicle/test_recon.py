@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
+from conversation import Conversation
 from msgspec import structs
 
 from auv_mcm.vehicle_config import ReconSettings
-from drivers.vehicle.recon import ReconDialect
 from drivers.vehicle.recon_sentences import frame
 from drivers.vehicle.seam import Capability, Granted, VehicleState, Withheld
 
@@ -16,8 +16,8 @@ def state(mode: int) -> bytes:
     return frame(f"S,T10:10:10.000,LAT48N7.5,LON5W39.2,D12.0,DG0,A5.0,P0,R0,TR0,TRG0,V1.5,H123.0,HR0,HG0,M{mode:X},l1")
 
 
-def asked() -> ReconDialect:
-    dialect = ReconDialect(ReconSettings())
+def asked() -> Conversation:
+    dialect = Conversation(ReconSettings())
     dialect.connected(0.0)
     dialect.request(0.0)
     return dialect
@@ -64,7 +64,7 @@ def test_commands_are_three_goals_and_keep_the_connection_alive() -> None:
 
 
 def test_an_override_that_nobody_asked_for_is_ended_once_a_second() -> None:
-    dialect = ReconDialect(ReconSettings())
+    dialect = Conversation(ReconSettings())
     dialect.connected(0.0)
     lines = []
     for i in range(30):
@@ -92,7 +92,7 @@ def test_a_payload_that_is_to_shut_down_has_no_control() -> None:
 
 
 def test_a_decoder_that_is_not_connected_says_nothing() -> None:
-    dialect = ReconDialect(ReconSettings(contact_type=""))
+    dialect = Conversation(ReconSettings(contact_type=""))
     assert Capability.CONTACT not in dialect.capabilities
     assert [type(event) for event in dialect.hear(state(0x0D), stamp_at(0.1))] == [VehicleState]
     dialect.report(REPORT, 1, 0.1)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TypeAlias
+from collections.abc import Sequence
 
 from drivers.stamps import Stamp
-from drivers.vehicle.seam import Capability, Command, ContactReport, PayloadHealth, VehicleEvent
-
-Heard: TypeAlias = tuple[VehicleEvent, ...] | None
-"""What the vehicle says at once; None: noise."""
+from drivers.vehicle.seam import Capability, Command, ContactReport, PayloadHealth, Said, VehicleEvent
 
 GOES_BY_ITSELF = Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.ACKNOWLEDGED | Capability.HEALTH
 IS_STEERED = Capability.NAVIGATION | Capability.STEERING | Capability.CONTACT | Capability.HEALTH
@@ -19,8 +16,13 @@ def stamp(now_s: float) -> Stamp:
     return Stamp(round(now_s * 1e9), 0)
 
 
-class PaperDialect:
-    """W is `Heard` one way and a line of text the other; lines that wait when the wire opens anew are forgotten."""
+def said(now_s: float, *events: VehicleEvent) -> Said:
+    """One message of the vehicle that means all this."""
+    return Said(events, stamp(now_s))
+
+
+class PaperTalker:
+    """W is a line of text; what the vehicle says are the events themselves. Lines that wait when the wire opens anew are forgotten."""
 
     silent_after_s = 3.0
     command_period_s = 1.0
@@ -40,12 +42,8 @@ class PaperDialect:
     def disconnected(self) -> None:
         self._say("disconnected")
 
-    def hear(self, data: Heard, stamp: Stamp) -> list[VehicleEvent]:
-        if data is None:
-            self.counters["paper.refused.noise"] += 1
-            return []
-        self.counters["paper.messages"] += 1
-        return list(data)
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
+        return [event for message in said for event in message.record]
 
     def request(self, now_s: float) -> None:
         self._say("request")
@@ -65,7 +63,7 @@ class PaperDialect:
         self._lines = [line for line in self._lines if line != "command"]
         self._say(f"release {reason}")
 
-    def take_outgoing(self, now_s: float) -> list[Heard]:
+    def take_outgoing(self, now_s: float) -> list[str]:
         self._lines.clear()
         return []
 

@@ -13,15 +13,21 @@ from drivers.navigation.registry import TEXT_PROTOCOLS
 from drivers.sonar.registry import SONARS
 from sim_replay.benches.framers import (
     FAULT_KINDS,
+    FEEDS,
+    MAX_S_PER_MB,
     WIRES,
+    JunkRow,
     Wire,
     campaign,
     campaign_lines,
     cut,
     damaged,
+    junk_lines,
+    junk_row,
     n_missing,
     speed_lines,
 )
+from sim_replay.worst_bytes import WORST_BYTES
 
 
 def numbered(random: np.random.Generator, n: int) -> list[bytes]:
@@ -124,3 +130,12 @@ def test_tables_have_a_row_for_each() -> None:
         assert sum(line.startswith(wire.name) for line in campaign_lines(rows)) == 1
     for sonar in SONARS:
         assert sum(line.startswith(sonar) for line in speed_lines(2)) >= 2
+
+
+def test_every_wire_has_its_worst_bytes_and_a_verdict() -> None:
+    assert set(FEEDS) == set(WORST_BYTES) == {wire.name for wire in WIRES}
+    rows = [junk_row(wire, 2000) for wire in FEEDS]
+    assert [row.name for row in rows] == list(FEEDS)
+    slow = JunkRow("imc", "syncs", 2.0 * MAX_S_PER_MB)
+    assert junk_lines([slow._replace(s_per_mb=MAX_S_PER_MB)])[-1].endswith("held by all")
+    assert "FAILED by imc" in junk_lines([slow])[-1]

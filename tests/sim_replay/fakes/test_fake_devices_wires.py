@@ -31,7 +31,7 @@ from drivers.stamps import Stamp
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.faults import FaultRates
 from sim_replay.fakes.feed import Fed, read_ahead
-from sim_replay.fakes.job import ClockStep, Damage, Device, Fault, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
+from sim_replay.fakes.job import ClockStep, Damage, Device, Fault, Flood, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
 
 N_PINGS = 20
 PERIOD_S = 0.04
@@ -252,3 +252,11 @@ def test_a_device_that_cannot_be_says_why_in_one_line(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-m", "sim_replay.fakes", str(job)], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.startswith("fake device: nowhere.xtf does not exist")
+
+
+@pytest.mark.parametrize("link", ["udp", "tcp"])
+def test_a_flood_of_what_costs_most_costs_no_message(tmp_path: Path, link: Any) -> None:
+    bench = played(tmp_path, sonar(Flood(at_s=0.1, for_s=0.5, bytes_per_s=50_000.0), link=link))
+    assert len(bench.frames) == N_PINGS
+    assert bench.device.counters["device.flood_bytes"] >= 10_000
+    assert bench.counters["ping_protocol.bytes_skipped"] > 5_000

@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 import numpy as np
 import pytest
+from conversation import Conversation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +16,6 @@ from auv_mcm.records import NavSample
 from auv_mcm.vehicle_config import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.stamps import Stamp
-from drivers.vehicle.can_dialect import CanDialect
 from drivers.vehicle.can_messages import COMMAND_VALID_S, DEMANDS, FIRST_COMMAND_S, PAYLOAD_SILENT_S, PayloadStatus, encode
 from drivers.vehicle.can_translation import command_message
 from drivers.vehicle.seam import (
@@ -67,7 +67,7 @@ class Loop:
     """A dialect and a fake vehicle on one bus, which loses, repeats and swaps frames with the given probability."""
 
     def __init__(self, p_fault: float = 0.0, seed: int = 0) -> None:
-        self.dialect = CanDialect(CanSettings())
+        self.dialect = Conversation(CanSettings())
         self.vehicle = FakeCan()
         self.events: list[VehicleEvent] = []
         self.now_s = 0.0
@@ -203,7 +203,7 @@ def test_a_payload_that_starts_again_ends_the_control_of_its_earlier_life() -> N
     loop = Loop()
     loop.take_control()
     loop.run(2.0, PLACE)
-    loop.dialect = CanDialect(CanSettings())
+    loop.dialect = Conversation(CanSettings())
     loop.dialect.connected(loop.now_s)
     assert loop.run(0.2) == []
     assert not loop.vehicle.in_control

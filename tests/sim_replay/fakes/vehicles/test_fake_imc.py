@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from conversation import Conversation
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,7 +16,6 @@ from auv_mcm.vehicle_config import ImcSettings
 from drivers.framing import Framer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.imc import ImcDialect
 from drivers.vehicle.imc_contact import contact_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
 from drivers.vehicle.imc_wire import ImcGrammar, packed
@@ -81,7 +81,7 @@ class Sea:
 
     def __init__(self, settings: ImcSettings | None = None) -> None:
         self.fake = FakeImc()
-        self.dialect = ImcDialect(settings or ImcSettings(acknowledges=True))
+        self.dialect = Conversation(settings or ImcSettings(acknowledges=True))
         self.east_m = self.north_m = 0.0
         self.now_s = 50.0
         self.events: list[VehicleEvent] = []
@@ -208,7 +208,7 @@ def test_a_plan_left_from_an_earlier_run_is_stopped() -> None:
     sea = Sea()
     sea.dialect.request(sea.now_s)
     sea.run(1.0)
-    sea.dialect = ImcDialect(ImcSettings())
+    sea.dialect = Conversation(ImcSettings())
     sea.dialect.connected(sea.now_s)
     sea.run(2.0)
     assert not sea.fake.in_control

@@ -1,15 +1,14 @@
-"""What the dialects of sentences have in common: reading without ever raising, the word of the vehicle on control, and its floor."""
+"""What the talkers of sentences have in common: the word of the vehicle on control, paced reports, and its floor."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from auv_mcm.records import NAN
-from drivers.framing import Grammar, StampedFramer
 from drivers.stamps import Stamp
 from drivers.vehicle.ascii_fields import Table, plain_text
 from drivers.vehicle.seam import (
@@ -18,8 +17,10 @@ from drivers.vehicle.seam import (
     ContactReport,
     Granted,
     PayloadHealth,
+    Said,
     Steer,
     VehicleEvent,
+    VehicleState,
     Vertical,
     Withheld,
 )
@@ -29,21 +30,19 @@ _REPORT_EVERY_S: Final = 0.2  # 250 bytes take 0.13 s at 19200 baud, and command
 _HEALTH_TEXT: Final = 60  # characters
 
 
-class AsciiDialect(ABC):
-    """One vehicle's sentences; a subclass knows what they mean. `Dialect[bytes]` once it has the missing methods.
+class AsciiTalker(ABC):
+    """One vehicle's sentences; a subclass knows what they mean. `Talker[bytes]` once it has the missing methods.
 
-    Control is told of only as it changes, and granted only when it was asked for. counters: NAME.messages, .bytes_skipped and
-    .refused.REASON of the framer, .malformed (checksum right, fields impossible), .ignored (kinds not known here),
-    .command_without_grant and .command_unfit (not sent).
+    Control is told of only as it changes, and granted only when it was asked for. counters: NAME.command_without_grant and .command_unfit
+    (not sent).
     """
 
     silent_after_s: float = 5.0
     command_period_s: float = 1.0
 
-    def __init__(self, grammar: Grammar[str], table: Table, capabilities: Capability) -> None:
+    def __init__(self, name: str, table: Table, capabilities: Capability) -> None:
         self.capabilities = capabilities
-        self._name = grammar.name
-        self._framer = StampedFramer(grammar)
+        self._name = name
         self._table = table
         self._own: Counter[str] = Counter()
         self._open = False
@@ -54,7 +53,7 @@ class AsciiDialect(ABC):
 
     @property
     def counters(self) -> Counter[str]:
-        return self._framer.counters + self._own
+        return self._own
 
     def connected(self, now_s: float) -> None:
         self.disconnected()
@@ -62,23 +61,17 @@ class AsciiDialect(ABC):
         self._greet(now_s)
 
     def disconnected(self) -> None:
-        self._framer.finish()
         self._open = self._wanted = self._granted = False
         self._later.clear()
         self._forget()
 
-    def hear(self, data: bytes, stamp: Stamp) -> list[VehicleEvent]:
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
         events, self._later = self._later, []
-        for body, received, _ in self._framer.feed(data, stamp):
-            try:
-                record = self._table.parse(body)
-            except (ValueError, OverflowError):
-                self._own[f"{self._name}.malformed"] += 1
-                continue
-            if record is None:
-                self._own[f"{self._name}.ignored"] += 1
-                continue
-            events += self._heard(record, received)
+        for record, received, state, *_ in said:
+            if record is not None:
+                # By this computer's clock, as commands are, and not by that of a unit which gives UTC.
+                utc_ns = received.mono_ns + stamp.utc_ns - stamp.mono_ns
+                events += self._heard(record, state, Stamp(received.mono_ns, utc_ns))
         return events
 
     def request(self, now_s: float) -> None:
@@ -135,8 +128,8 @@ class AsciiDialect(ABC):
         """The wire is gone, with everything that waited for it."""
 
     @abstractmethod
-    def _heard(self, record: Any, received: Stamp) -> Iterable[VehicleEvent]:
-        """What a record of the table means."""
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        """What a record of the table means. state: where the vehicle is, if the record says so."""
 
     @abstractmethod
     def _ask(self, now_s: float) -> None:
@@ -210,8 +203,3 @@ class FloorBelow:
     def _drop_old(self, now_s: float) -> None:
         while self._heard and now_s - self._heard[0][0] > _FLOOR_S:
             self._heard.popleft()
-
-
-def above_zero(value: float) -> float:
-    """Units tell zero where they measured nothing."""
-    return value if value > 0.0 else NAN

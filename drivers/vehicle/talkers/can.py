@@ -1,18 +1,16 @@
-"""A vehicle's controller on a CAN bus, with the messages of `can_messages`."""
+"""Talks to a vehicle's controller on a CAN bus, with the messages of `can_messages`."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Final, Literal
+from collections.abc import Sequence
+from typing import Final
 
 import msgspec
 
 from auv_mcm.vehicle_config import CanSettings
 from drivers.links.can_frame import CanFrame
-from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.n2k_messages import identifier_of
-from drivers.navigation.seam import NavFix
 from drivers.stamps import Stamp
 from drivers.vehicle.can_messages import (
     ANSWERS,
@@ -29,13 +27,10 @@ from drivers.vehicle.can_messages import (
     VEHICLE_SILENT_S,
     PayloadStatus,
     ReportAnswer,
-    StateMessage,
     VehicleStatus,
     encode,
     goes_on,
-    number_and_address,
 )
-from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import command_message, report_message, text_message
 from drivers.vehicle.seam import (
     Acknowledged,
@@ -46,8 +41,8 @@ from drivers.vehicle.seam import (
     Granted,
     PayloadHealth,
     Rejected,
+    Said,
     VehicleEvent,
-    VehicleState,
     Withheld,
 )
 
@@ -57,13 +52,8 @@ _N_RELEASES: Final = 3  # a release is said so often, so that two lost frames do
 _TEXT_PERIOD_S: Final = 10.0
 _REPEATS_S: Final = (1.0, 2.0, 4.0, 8.0)  # after the first time a report was sent, the second, ...
 _BETWEEN_REPORTS_S: Final = 0.05  # 13 % of a bus of 250 kbit/s, however many wait
-_FIX_VALID_S: Final = 1.0
 _CRC_PART: Final = 0xFFFF
-_TURN: Final = 2.0 * math.pi
 _S_PER_NS: Final = 1e-9
-
-_Quantity = Literal["heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"]
-_QUANTITIES: Final[tuple[_Quantity, ...]] = ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
 
 
 class _Report(msgspec.Struct):
@@ -78,8 +68,7 @@ class _Report(msgspec.Struct):
 class _Link(msgspec.Struct):
     """What one connection knows, and what is to be said on it.
 
-    n_at_once: so many statuses go out next, whenever the next is due. waiting: events for the next call of `hear`. fixes: the last of
-    every quantity from NMEA 2000, and when it came.
+    n_at_once: so many statuses go out next, whenever the next is due. waiting: events for the next call of `hear`.
     """
 
     wants: bool = False
@@ -97,19 +86,16 @@ class _Link(msgspec.Struct):
     vehicle_number: int = 0
     vehicle_counter: int = 0
     status_heard_s: float = -math.inf
-    fixes: dict[_Quantity, tuple[float, int]] = {}
 
 
-class CanDialect:
-    """The payload's end, as a Dialect[CanFrame].
+class CanTalker:
+    """`Talker[CanFrame]` of a controller on a CAN bus.
 
     A grant counts only while the vehicle's status comes, with a counter that goes on, and names the request that is made. A command that
-    the vehicle refuses is taken for the end of the grant. Where NMEA 2000 units tell where the vehicle is, a state comes with every
-    position, its other quantities up to 1 s old; the depth stays the controller's.
+    the vehicle refuses is taken for the end of the grant.
 
-    counters: those of CanReceiver and, in that case, of N2kBus, and vehicle_can.refused.stale (a status that is not newer than the last),
-    .commands, .commands_without_grant and .commands_unsayable (dropped), .reports, .reports_repeated, .reports_unsayable,
-    .answers_unknown (to no report that waits).
+    counters: vehicle_can.refused.stale (a status that is not newer than the last), .commands, .commands_without_grant and
+    .commands_unsayable (dropped), .reports, .reports_repeated, .reports_unsayable, .answers_unknown (to no report that waits).
     """
 
     capabilities: Final = (
@@ -120,10 +106,7 @@ class CanDialect:
 
     def __init__(self, settings: CanSettings) -> None:
         self._address = settings.payload_address
-        self._units = frozenset(settings.nmea2000_addresses)
         self._own: Counter[str] = Counter()
-        self._receiver = CanReceiver(_NAME, "vehicle", settings.vehicle_address, self._own)
-        self._bus = N2kBus(_NAME)
         self._health = PayloadHealth("starting", "")
         self._request_number = 0
         self._counter = 0
@@ -135,7 +118,7 @@ class CanDialect:
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self._bus.counters if self._units else self._own
+        return self._own
 
     def connected(self, now_s: float) -> None:
         self._link = _Link()
@@ -145,24 +128,17 @@ class CanDialect:
         self._link = _Link()
         self._is_connected = False
 
-    def hear(self, data: CanFrame, stamp: Stamp) -> list[VehicleEvent]:
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
         now_s = stamp.mono_ns * _S_PER_NS
         self._notice_silence(now_s)
         events, self._link.waiting = self._link.waiting, []
-        if self._units and data.extended and number_and_address(data.can_id) is None:
-            if identifier_of(data.can_id).source in self._units:
-                events += self._states(self._bus.feed(data.can_id, data.data, stamp))
-            return events
-        received = self._receiver.add(data, now_s)
-        match received.record if received is not None else None:
-            case VehicleStatus() as status:
-                events += self._status(status, now_s)
-            case StateMessage() as state:
-                told = _state(state, stamp)
-                # Where units tell the rest, the depth is still the controller's: no unit tells one.
-                events.append(VehicleState(stamp, depth_m=told.depth_m) if self._units else told)
-            case ReportAnswer() as answer:
-                events += self._answer(answer)
+        for record, _, state, *_ in said:
+            if isinstance(record, VehicleStatus):
+                events += self._status(record, now_s)
+            elif isinstance(record, ReportAnswer):
+                events += self._answer(record)
+            elif state is not None:
+                events.append(state)
         return events
 
     def request(self, now_s: float) -> None:
@@ -291,19 +267,6 @@ class CanDialect:
         known = answer.answer < len(ANSWERS)
         return [Rejected(answer.ticket, ANSWERS[answer.answer] if known else f"answer {answer.answer}")]
 
-    def _states(self, fixes: list[NavFix]) -> list[VehicleEvent]:
-        states: list[VehicleEvent] = []
-        for fix in fixes:
-            mono_ns = fix.received.mono_ns
-            for name in _QUANTITIES:
-                value = getattr(fix, name)
-                if not math.isnan(value):
-                    self._link.fixes[name] = value, mono_ns
-            if not math.isnan(fix.latitude_deg):
-                fresh = {name: value for name, (value, at_ns) in self._link.fixes.items() if (mono_ns - at_ns) * _S_PER_NS <= _FIX_VALID_S}
-                states.append(VehicleState(fix.received, fix.latitude_deg, fix.longitude_deg, **fresh))
-        return states
-
     def _status_frames(self, now_s: float) -> list[CanFrame]:
         link = self._link
         if not link.n_at_once and now_s < link.status_due_s:
@@ -345,20 +308,6 @@ class CanDialect:
     def _next_report_sequence(self) -> int:
         self._report_sequence = (self._report_sequence + 1) % N_NUMBERS
         return self._report_sequence
-
-
-def _state(message: StateMessage, stamp: Stamp) -> VehicleState:
-    return VehicleState(
-        received=stamp,
-        latitude_deg=message.latitude_deg,
-        longitude_deg=message.longitude_deg,
-        heading_rad=message.heading_rad % _TURN,
-        pitch_rad=message.pitch_rad,
-        roll_rad=message.roll_rad,
-        depth_m=message.depth_m,
-        altitude_m=message.altitude_m,
-        speed_mps=message.speed_mps,
-    )
 
 
 def _reason(code: int) -> str:

@@ -16,17 +16,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
-from auv_mcm.geodesy import LocalFrame
 from auv_mcm.records import NAN
 from auv_mcm.vehicle_config import ImcSettings
-from drivers.framing import StampedFramer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.decoders.imc import ImcSaid, is_vehicle
 from drivers.vehicle.imc_contact import contact_of, target_of
 from drivers.vehicle.imc_messages import (
-    LAYOUTS,
     EntityStatus,
     ImcMessage,
     OpMode,
@@ -37,31 +36,32 @@ from drivers.vehicle.imc_messages import (
     RefFlag,
     RefState,
     ZUnits,
-    decode,
     number_of,
 )
-from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, Packet, packed
+from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, packed
 from drivers.vehicle.seam import (
     Acknowledged,
     Arrived,
     Capability,
     Command,
     ContactReport,
+    Doubted,
     GoTo,
     Granted,
     PayloadHealth,
     Rejected,
+    Said,
     VehicleEvent,
     VehicleState,
     Withheld,
 )
+from drivers.vehicle.sender_clock import SenderClock
 
 PLAN_ID: Final = "auv_mcm"
 _MANEUVER_ID: Final = "follow"
 _ENTITY: Final = 1  # ours that sends all this
 _FOLLOW_REFERENCE: Final = number_of(imc.FollowReference)
 
-VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
 _STATUS: Final = {
     "starting": EntityStatus.BOOT,
     "normal": EntityStatus.NORMAL,
@@ -86,7 +86,6 @@ _REPORT_AGAIN_S: Final = 2.0
 _REPORT_SELDOM_S: Final = 30.0
 _SAME_PLACE_RAD: Final = 1e-9  # 6 mm
 _PASSED_M: Final = 1.0  # farther than it was already: it will not come nearer
-_MAX_OFFSET_M: Final = 1e5
 _EARTH_RADIUS_M: Final = 6_371_000.0
 
 
@@ -99,21 +98,27 @@ class _Pending(NamedTuple):
     wait_s: float
 
 
-class ImcDialect:
-    """`Dialect[bytes]` of an IMC vehicle; one packet per item that goes out, so that each fits a datagram.
+class ImcTalker:
+    """`Talker[bytes]` of an IMC vehicle; one packet per item that goes out, so that each fits a datagram.
 
-    counters, besides the framer's: imc.other_messages (kinds without a use here), imc.other_source (not the vehicle's),
+    What would let us command is believed only if its packet's time is that of the vehicle's other packets and, with a plan of ours, after
+    the request: a grant that was recorded earlier gives nothing.
+
+    counters: imc.refused.stale (such packets), imc.other_messages (kinds without a use here), imc.other_source (not the vehicle's),
     imc.commands_unsaid (without a grant, or of a kind that IMC has not).
     """
 
-    def __init__(self, settings: ImcSettings) -> None:
+    def __init__(self, settings: ImcSettings, first_request_id: int = 1) -> None:
+        """first_request_id: 1 to 65535, another in every run, so that no answer of an earlier run fits."""
         self._settings = settings
-        self._framer = StampedFramer(ImcGrammar())
+        self.counters: Counter[str] = Counter()
         self._open = False
         self._vehicle = settings.vehicle_id or None
         self._utc_ahead_s: float | None = None  # of the monotonic clock
         self._stage: Literal["idle", "requested", "granted"] = "idle"
-        self._request_id = 0
+        self._request_id = first_request_id - 1  # of the last request
+        self._requested_s = -math.inf
+        self._vehicles_clock = SenderClock()
         self._n_starts = 0
         self._start_due_s = 0.0
         self._succeeded = False  # the vehicle said SUCCESS to the START
@@ -145,10 +150,6 @@ class ImcDialect:
     def command_period_s(self) -> float:
         return 0.5
 
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters
-
     def connected(self, now_s: float) -> None:
         self.disconnected()
         self._open = True
@@ -156,7 +157,6 @@ class ImcDialect:
         self._heartbeat_due_s = self._health_due_s = self._stop_due_s = now_s
 
     def disconnected(self) -> None:
-        self._framer.finish()
         self._open = False
         self._idle()
         self._followed_s = None
@@ -164,19 +164,21 @@ class ImcDialect:
         self._outbox.clear()
         self._position_deg = (NAN, NAN)
 
-    def hear(self, data: bytes, stamp: Stamp) -> list[VehicleEvent]:
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
         now_s = 1e-9 * stamp.mono_ns
         self._utc_ahead_s = 1e-9 * (stamp.utc_ns - stamp.mono_ns)
         events: list[VehicleEvent] = []
-        for arrived in self._framer.feed(data, stamp):
-            events += self._taken(arrived.message, arrived.received)
-            events += self._granted(1e-9 * arrived.received.mono_ns)
+        for record, received, state, *_ in said:
+            if record is not None:
+                events += self._taken(record, state, 1e-9 * received.mono_ns)
+            events += self._granted(1e-9 * received.mono_ns)
         return events + self._granted(now_s) + self._overdue(now_s)
 
     def request(self, now_s: float) -> None:
         if self._stage != "idle":
             return
         self._stage = "requested"
+        self._requested_s = now_s
         self._request_id = self._request_id % 0xFFFF + 1
         self._n_starts = 0
         self._start_due_s = now_s
@@ -280,33 +282,53 @@ class ImcDialect:
         self._idle()
         return [Withheld(reason)]
 
-    def _taken(self, packet: Packet, received: Stamp) -> list[VehicleEvent]:
-        if packet.source == self._settings.source_id:
-            self.counters["imc.other_source"] += 1  # what we sent ourselves, on a wire that many hear
-            return []
-        if packet.number not in LAYOUTS:
-            self.counters["imc.other_messages"] += 1
-            return []
-        try:
-            message = decode(packet.number, packet.payload, packet.order)
-        except ValueError:
-            self.counters["imc.refused.payload"] += 1
-            return []
+    def _taken(self, said: ImcSaid, state: VehicleState | None, now_s: float) -> list[VehicleEvent]:
+        message = said.message
         if isinstance(message, imc.Abort):
             self._idle()
-            return [Withheld(f"Abort from 0x{packet.source:04X}")]  # whoever says it, and whether or not we command
-        if self._vehicle is None and _is_vehicle(message):
-            self._vehicle = packet.source
-        if packet.source != self._vehicle:
+            return [Withheld(f"Abort from 0x{said.source:04X}")]  # whoever says it, and whether or not we command
+        if self._vehicle is None and is_vehicle(message):
+            self._vehicle = said.source
+        if said.source != self._vehicle:
             self.counters["imc.other_source"] += 1
             return []
-        return self._heard(message, received, for_us=packet.destination in (self._settings.source_id, ANYONE))
+        if self._gives_leave(message):
+            doubt = self._doubt(said.time_s, now_s)
+            if doubt:
+                self.counters["imc.refused.stale"] += 1
+                return [Doubted(doubt)]
+        else:
+            self._vehicles_clock.hear(said.time_s, now_s)
+        return self._heard(message, state, now_s, for_us=said.destination in (self._settings.source_id, ANYONE))
 
-    def _heard(self, message: ImcMessage, received: Stamp, *, for_us: bool) -> list[VehicleEvent]:
-        now_s = 1e-9 * received.mono_ns
+    def _gives_leave(self, message: ImcMessage) -> bool:
+        """Whether this message would let us command, or go on. What ends control is believed from anyone."""
+        match message:
+            case imc.FollowRefState():
+                return message.control_src == self._settings.source_id and message.state != RefState.TIMEOUT
+            case imc.PlanControl():
+                return message.type in (PlanType.SUCCESS, PlanType.IN_PROGRESS)
+        return False
+
+    def _doubt(self, time_s: float, now_s: float) -> str:
+        """Why a packet that would let us command is not believed, "" if it is."""
+        if not self._vehicles_clock.hear(time_s, now_s):
+            why = "is not that of the vehicle's other messages"
+        elif self._stage == "requested" and self._settings.own_plan and not self._vehicles_clock.is_after(time_s, self._requested_s):
+            why = "is before that of the request"
+        else:
+            return ""
+        return (
+            f"it would let the payload command, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock is set "
+            "and runs, and that nobody sends recorded messages."
+        )
+
+    def _heard(self, message: ImcMessage, state: VehicleState | None, now_s: float, *, for_us: bool) -> list[VehicleEvent]:
         match message:
             case imc.EstimatedState():
-                return self._estimated(message, received)
+                assert state is not None  # the decoder makes one of each
+                self._position_deg = state.latitude_deg, state.longitude_deg
+                return [state]
             case imc.FollowRefState():
                 return self._followed(message, now_s)
             case imc.PlanControl() if for_us:
@@ -322,11 +344,6 @@ class ImcDialect:
             case _:
                 self.counters["imc.other_messages"] += 1
                 return []
-
-    def _estimated(self, message: imc.EstimatedState, received: Stamp) -> list[VehicleEvent]:
-        state = _state_of(message, received)
-        self._position_deg = state.latitude_deg, state.longitude_deg
-        return [state]
 
     def _answered(self, message: imc.PlanControl) -> list[VehicleEvent]:
         mine = message.op == PlanOp.START and message.request_id == self._request_id and message.plan_id in ("", PLAN_ID)
@@ -422,33 +439,3 @@ class ImcDialect:
         if self._unanswered_s is not None and now_s - self._unanswered_s > self._settings.control_timeout_s:
             return self._withheld("the vehicle does not answer our references")
         return []
-
-
-def _is_vehicle(message: ImcMessage) -> bool:
-    return isinstance(message, imc.EstimatedState) or (isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES)
-
-
-def _state_of(message: imc.EstimatedState, received: Stamp) -> VehicleState:
-    """Position is lat, lon, height displaced by x, y, z; what cannot be is NaN."""
-    latitude_deg, longitude_deg = NAN, NAN
-    offsets_m = (message.y, message.x, -message.z)
-    place = (message.lat, message.lon, message.height)
-    believed = abs(message.lat) <= 0.5 * math.pi and abs(message.lon) <= math.pi and abs(message.height) < _MAX_OFFSET_M
-    if believed and all(abs(offset) < _MAX_OFFSET_M for offset in offsets_m):
-        frame = LocalFrame(latitude_deg=math.degrees(place[0]), longitude_deg=math.degrees(place[1]), height_m=place[2])
-        latitude_deg, longitude_deg = (float(angle) for angle in frame.to_geodetic(offsets_m)[:2])
-    return VehicleState(
-        received,
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        heading_rad=_finite(message.psi) % math.tau,
-        pitch_rad=_finite(message.theta),
-        roll_rad=_finite(message.phi),
-        depth_m=message.depth if 0.0 <= message.depth < math.inf else NAN,
-        altitude_m=message.alt if 0.0 <= message.alt < math.inf else NAN,
-        speed_mps=_finite(math.hypot(message.vx, message.vy)),
-    )
-
-
-def _finite(value: float) -> float:
-    return value if math.isfinite(value) else NAN

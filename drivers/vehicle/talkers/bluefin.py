@@ -18,7 +18,6 @@ from auv_mcm.vehicle_config import BluefinSettings
 from drivers.navigation.device_date import DAY_S
 from drivers.navigation.nmea0183 import sentence
 from drivers.stamps import Stamp
-from drivers.vehicle.ascii_dialect import AsciiDialect, above_zero
 from drivers.vehicle.bluefin_sentences import (
     BluefinAnswer,
     BluefinCancel,
@@ -26,14 +25,11 @@ from drivers.vehicle.bluefin_sentences import (
     BluefinContact,
     BluefinControl,
     BluefinEnd,
-    BluefinGrammar,
     BluefinLog,
     BluefinMission,
-    BluefinPosition,
     BluefinShutdown,
     BluefinStatus,
     BluefinSteer,
-    BluefinVelocity,
     table_of,
 )
 from drivers.vehicle.seam import (
@@ -45,12 +41,12 @@ from drivers.vehicle.seam import (
     VehicleEvent,
     VehicleState,
 )
+from drivers.vehicle.talkers.ascii import AsciiTalker
 
 RESEND_S: Final = 5.0
 ATTEMPTS: Final = 3
 _HEARTBEAT_S: Final = 1.0
 _COMMAND_VALID_S: Final = 2.0  # one that could not be said by then is old
-_VELOCITY_VALID_S: Final = 2.0
 _PENDING_FOR_S: Final = 60.0
 _TIME_STEP_S: Final = 0.01  # between the times of two sentences, so that an answer in hundredths still tells which it is for
 _ASKED_FOR: Final = ("ACK", "NVG", "NVR", "CTL", "MIS", "MSC", "SHT", "MBS", "MBE")  # ACK first, for the others to be answered
@@ -73,8 +69,8 @@ class _Item:
     pending: bool = False
 
 
-class BluefinDialect(AsciiDialect):
-    """A Bluefin by its standard payload interface, `Dialect[bytes]`.
+class BluefinTalker(AsciiTalker):
+    """Talks to a Bluefin by its standard payload interface.
 
     Counts also bluefin.resent, .unanswered (given up after three times), .unexpected_answer, .refused_NAME (what the vehicle did not take).
     """
@@ -82,13 +78,12 @@ class BluefinDialect(AsciiDialect):
     def __init__(self, settings: BluefinSettings) -> None:
         told = Capability.CONTACT if settings.contact_sentence else Capability(0)
         always = Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | Capability.ACKNOWLEDGED
-        super().__init__(BluefinGrammar(), table_of(settings), always | told)
+        super().__init__("bluefin", table_of(settings), always | told)
         self._settings = settings
         self._waiting: dict[Hashable, _Item] = {}
         self._said: list[_Item] = []
         self._clock: tuple[float, float] | None = None  # monotonic time, and time of day then
         self._last_time_s = -DAY_S
-        self._velocity: tuple[BluefinVelocity, int] | None = None
         self._permitted = False
         self._commanded = False  # it took a command, or may have, since control was given back last
         self._takes_contacts: bool | None = None  # None: not known yet
@@ -112,24 +107,21 @@ class BluefinDialect(AsciiDialect):
     def _forget(self) -> None:
         self._waiting.clear()
         self._said.clear()
-        self._velocity = None
         self._permitted = self._commanded = False
         self._takes_contacts = None
 
-    def _heard(self, record: Any, received: Stamp) -> Iterable[VehicleEvent]:
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
         now_s = self._heard_s = 1e-9 * received.mono_ns
         time_of_day_s = getattr(record, "time_of_day_s", NAN)
         if math.isfinite(time_of_day_s):
             self._clock = now_s, time_of_day_s
         elif self._clock is None:
             self._clock = now_s, 1e-9 * received.utc_ns % DAY_S
+        if state is not None:
+            yield state
         match record:
             case BluefinAnswer():
                 yield from self._answered(record, now_s)
-            case BluefinPosition():
-                yield self._state(record, received)
-            case BluefinVelocity():
-                self._velocity = record, received.mono_ns
             case BluefinShutdown():
                 yield from self._permit(False, "the vehicle shuts its payloads down")
             case BluefinControl(control="0"):
@@ -152,22 +144,6 @@ class BluefinDialect(AsciiDialect):
         self._waiting.pop("RCE", None)  # what it does now is its own, and not to be ended
         self._said = [item for item in self._said if item.key != "RCE"]
         return self._withhold(reason) if self._granted else []  # what was not granted yet may still be
-
-    def _state(self, told: BluefinPosition, received: Stamp) -> VehicleState:
-        speed_mps = NAN
-        if self._velocity is not None and received.mono_ns - self._velocity[1] < _VELOCITY_VALID_S * 1e9:
-            speed_mps = math.hypot(self._velocity[0].east_mps, self._velocity[0].north_mps)
-        return VehicleState(
-            received=received,
-            latitude_deg=told.latitude_deg,
-            longitude_deg=told.longitude_deg,
-            heading_rad=told.heading_rad,
-            pitch_rad=told.pitch_rad,
-            roll_rad=told.roll_rad,
-            depth_m=told.depth_m,
-            altitude_m=above_zero(told.altitude_m),
-            speed_mps=speed_mps,
-        )
 
     def _ask(self, now_s: float) -> None:
         if self._permitted:

@@ -10,14 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Final
 
-from auv_mcm.records import NAN
 from auv_mcm.vehicle_config import IverSettings
 from drivers.stamps import Stamp
-from drivers.vehicle.ascii_dialect import AsciiDialect, FloorBelow, PacedReports, above_zero
 from drivers.vehicle.iver_sentences import (
-    IverCompass,
     IverContact,
-    IverGrammar,
     IverHealth,
     IverPoll,
     IverState,
@@ -26,9 +22,9 @@ from drivers.vehicle.iver_sentences import (
     table_of,
 )
 from drivers.vehicle.seam import Capability, ContactReport, Steer, VehicleEvent, VehicleState
+from drivers.vehicle.talkers.ascii import AsciiTalker, FloorBelow, PacedReports
 
 _HEALTH_EVERY_S: Final = 1.0
-_COMPASS_VALID_S: Final = 2.0
 _MODES: Final = {
     "N": "normal",
     "S": "stopped",
@@ -41,17 +37,16 @@ _MODES: Final = {
 _OBEYING: Final = frozenset("NAW")
 
 
-class IverDialect(AsciiDialect):
-    """An Iver under Remote Helm, `Dialect[bytes]`. Counts also iver.command_without_floor: altitudes that no depth could be made of."""
+class IverTalker(AsciiTalker):
+    """Talks to an Iver under Remote Helm. Counts also iver.command_without_floor: altitudes that no depth could be made of."""
 
     def __init__(self, settings: IverSettings) -> None:
         told = Capability.CONTACT | Capability.HEALTH if settings.contact_sentence else Capability(0)
-        super().__init__(IverGrammar(), table_of(settings), Capability.NAVIGATION | Capability.STEERING | told)
+        super().__init__("iver", table_of(settings), Capability.NAVIGATION | Capability.STEERING | told)
         self.command_period_s = min(1.0, settings.command_timeout_s / 4)
         self._settings = settings
         self._reports = PacedReports()
         self._floor = FloorBelow()
-        self._compass: tuple[IverCompass, int] | None = None  # and the monotonic time
         self._mode = ""
         self._order: IverSteer | None = None
         self._poll_s = self._health_s = 0.0
@@ -66,38 +61,20 @@ class IverDialect(AsciiDialect):
     def _forget(self) -> None:
         self._reports.clear()
         self._floor.clear()
-        self._compass = self._order = None
+        self._order = None
         self._mode = ""
 
-    def _heard(self, record: Any, received: Stamp) -> Iterable[VehicleEvent]:
-        if isinstance(record, IverCompass):
-            self._compass = record, received.mono_ns
-        elif isinstance(record, IverState):
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        if isinstance(record, IverState):
             yield from self._judge(record.mode[0])
-            yield self._state(record, received)
+        if state is not None:
+            self._floor.heard(state.depth_m, state.altitude_m, 1e-9 * received.mono_ns)
+            yield state
 
     def _judge(self, mode: str) -> list[VehicleEvent]:
         self._mode = mode
         reason = f"the vehicle is in mode {mode} ({_MODES.get(mode, 'not known')})"
         return self._grant(reason) if mode in _OBEYING else self._withhold(reason)
-
-    def _state(self, told: IverState, received: Stamp) -> VehicleState:
-        altitude_m = above_zero(told.altitude_m)
-        self._floor.heard(told.depth_m, altitude_m, 1e-9 * received.mono_ns)
-        pitch_rad = roll_rad = NAN
-        if self._compass is not None and received.mono_ns - self._compass[1] < _COMPASS_VALID_S * 1e9:
-            pitch_rad, roll_rad = self._compass[0].pitch_rad, self._compass[0].roll_rad
-        return VehicleState(
-            received=received,
-            latitude_deg=told.latitude_deg,
-            longitude_deg=told.longitude_deg,
-            heading_rad=told.heading_rad,
-            pitch_rad=pitch_rad,
-            roll_rad=roll_rad,
-            depth_m=told.depth_m,
-            altitude_m=altitude_m,
-            speed_mps=told.speed_mps,
-        )
 
     def _ask(self, now_s: float) -> None:
         self._poll_s = now_s

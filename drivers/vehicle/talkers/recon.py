@@ -12,13 +12,11 @@ from typing import Any, Final
 
 from auv_mcm.vehicle_config import ReconSettings
 from drivers.stamps import Stamp
-from drivers.vehicle.ascii_dialect import AsciiDialect, FloorBelow, PacedReports, above_zero
 from drivers.vehicle.recon_sentences import (
     ReconAlive,
     ReconContact,
     ReconDepth,
     ReconEngage,
-    ReconGrammar,
     ReconHeading,
     ReconQuery,
     ReconShutdown,
@@ -28,6 +26,7 @@ from drivers.vehicle.recon_sentences import (
     table_of,
 )
 from drivers.vehicle.seam import Capability, ContactReport, Steer, VehicleEvent, VehicleState
+from drivers.vehicle.talkers.ascii import AsciiTalker, FloorBelow, PacedReports
 
 _IN_MISSION: Final = 0x01
 _SUSPENDED: Final = 0x02
@@ -42,15 +41,15 @@ _ENGAGE_EVERY_S: Final = 1.0
 _ENGAGE_FOR_S: Final = 10.0
 
 
-class ReconDialect(AsciiDialect):
-    """A REMUS by RECON, `Dialect[bytes]`. Counts also recon.command_without_floor: altitudes that no depth could be made of.
+class ReconTalker(AsciiTalker):
+    """Talks to a REMUS by RECON. Counts also recon.command_without_floor: altitudes that no depth could be made of.
 
     An override that is active while it was not asked for, as one left by a payload that died or whose end was lost, is ended.
     """
 
     def __init__(self, settings: ReconSettings) -> None:
         told = Capability.CONTACT if settings.contact_type else Capability(0)
-        super().__init__(ReconGrammar(), table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | told)
+        super().__init__("recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | told)
         self._reports_wanted = bool(settings.contact_type)
         self._reports = PacedReports()
         self._floor = FloorBelow()
@@ -69,12 +68,15 @@ class ReconDialect(AsciiDialect):
         self._floor.clear()
         self._orders.clear()
 
-    def _heard(self, record: Any, received: Stamp) -> Iterable[VehicleEvent]:
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        now_s = 1e-9 * received.mono_ns
         if isinstance(record, ReconShutdown):
-            yield from self._end_of_control("the vehicle shuts its payloads down", 1e-9 * received.mono_ns)
+            yield from self._end_of_control("the vehicle shuts its payloads down", now_s)
         elif isinstance(record, ReconState):
-            yield from self._judge(record.mode, 1e-9 * received.mono_ns)
-            yield self._state(record, received)
+            yield from self._judge(record.mode, now_s)
+        if state is not None:
+            self._floor.heard(state.depth_m, state.altitude_m, now_s)
+            yield state
 
     def _judge(self, mode: int, now_s: float) -> list[VehicleEvent]:
         why_not = _why_not(mode)
@@ -98,21 +100,6 @@ class ReconDialect(AsciiDialect):
     def _disengage(self, now_s: float) -> None:
         self._disengage_s = now_s + _ENGAGE_EVERY_S
         self._orders = [ReconEngage("0")]
-
-    def _state(self, told: ReconState, received: Stamp) -> VehicleState:
-        altitude_m = above_zero(told.altitude_m)
-        self._floor.heard(told.depth_m, altitude_m, 1e-9 * received.mono_ns)
-        return VehicleState(
-            received=received,
-            latitude_deg=told.latitude_deg,
-            longitude_deg=told.longitude_deg,
-            heading_rad=told.heading_rad,
-            pitch_rad=told.pitch_rad,
-            roll_rad=told.roll_rad,
-            depth_m=told.depth_m,
-            altitude_m=altitude_m,
-            speed_mps=told.speed_mps,
-        )
 
     def _ask(self, now_s: float) -> None:
         if not self._granted:
