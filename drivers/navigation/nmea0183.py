@@ -41,7 +41,7 @@ class NmeaGrammar(Grammar[str]):
         if match is None:
             return self._incomplete(buffer, at)
         body, checksum = match.groups()
-        if xor_of(body) != int(checksum, 16):
+        if xor_of(body) != _BYTE_OF_HEX[checksum]:
             return "checksum"
         return body.decode("ascii"), match.end() - at
 
@@ -77,9 +77,11 @@ def xor_of(data: bytes) -> int:
     return folded & 0xFF
 
 
+_HEX_DIGITS: Final = b"0123456789abcdefABCDEF"
+_BYTE_OF_HEX: Final = {bytes((high, low)): int(bytes((high, low)), 16) for high in _HEX_DIGITS for low in _HEX_DIGITS}
 _SHORT_FOLDS: Final = (64, 32, 16, 8)
 _FOLDS: Final = (1024, 512, 256, 128, *_SHORT_FOLDS)
 
 
 def _is_hex(digits: bytearray) -> bool:
-    return all(digit in b"0123456789abcdefABCDEF" for digit in digits)
+    return all(digit in _HEX_DIGITS for digit in digits)
