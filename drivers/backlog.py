@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from drivers.stamps import Stamp
 
-TURN_S: Final = 0.02
+TURN_S: Final = 0.01
 """Processor time for decoding in one turn of the event loop: signals, timers and other wires wait for no longer than this and one chunk."""
 MAX_WAITING_BYTES: Final = 1 << 20
 """Per port. At 0.3 s per MB, the allowance of `auv-mcm bench framers`, junk delays other ports by no more than 0.3 s."""

@@ -23,13 +23,13 @@ class Candidates:
         candidate refused for the first reason, so that a run of beginnings is one match.
         """
         self._syncs: Final = syncs
-        self._alive: Final = re.compile(alive, re.DOTALL)
+        self._search_alive: Final = re.compile(alive, re.DOTALL).search
         self._dead: Final = re.compile(dead, re.DOTALL)
         self._reasons: Final = reasons
 
     def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
         """See `Grammar.find`."""
-        match = self._alive.search(buffer, start)
+        match = self._search_alive(buffer, start)
         if match is None:
             self._count(buffer, start, len(buffer), refused)
             return -1

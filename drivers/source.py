@@ -43,7 +43,7 @@ _ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its set
 _MAX_EVENTS: Final = 4096
 _MAX_STATE_NOTICES: Final = 20  # per port; a loose contact has no end of them
 _RESTART_S: Final = 1.0
-_LAST_TURNS: Final = 25  # 0.5 s of decoding at the end
+_LAST_TURNS: Final = 50  # 0.5 s of decoding at the end
 
 
 def open_link(port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes] | Link[CanFrame]:

@@ -62,6 +62,8 @@ _AFTER_SYNC: Final = (
 )
 _HEADER: Final = re.compile(rb"\x01\x16" + _AFTER_SYNC)
 _SYNC: Final = re.compile(rb"\x01(?=\x16%b)" % _AFTER_SYNC)  # one byte wide, as headers may overlap
+_FIRST_BYTE: Final = 0x01
+_SYNC_BYTES: Final = b"\x01\x16"
 _START_OF: Final = re.Match.start
 _KIND_OFFSET: Final = 4
 _KIND_AND_SIZE: Final = Struct("<H6xI").unpack_from
@@ -121,13 +123,15 @@ def _refusal(buffer: bytearray, at: int) -> str | None:
         return "length"
     if n_there < end:
         return None
-    inner = _HEADER.search(buffer, at + HEADER_BYTES, end)
-    if inner is None:
+    inner_at = buffer.find(_SYNC_BYTES, at + HEADER_BYTES, end)
+    if inner_at >= 0 and _HEADER.match(buffer, inner_at, end) is None:
+        inner = _HEADER.search(buffer, inner_at + 1, end)
+        inner_at = -1 if inner is None else inner.start()
+    if inner_at < 0:
         return None
-    if n_there >= end + HEADER_BYTES and _HEADER.match(buffer, end) is None:
+    if n_there >= end + HEADER_BYTES and (buffer[end] != _FIRST_BYTE or _HEADER.match(buffer, end) is None):
         return "swallowed_others"
     # The inner message ends at `end`, or before it where another begins.
-    inner_at = inner.start()
     _, n_inner = _KIND_AND_SIZE(buffer, inner_at + _KIND_OFFSET)
     inner_end = inner_at + HEADER_BYTES + n_inner
     is_followed = inner_end == end or (inner_end < end and _HEADER.match(buffer, inner_end) is not None)

@@ -55,6 +55,9 @@ _RESULTS: Final = (200, 1200)  # that the device takes
 _MAX_TRACE_MM: Final = 2_000_000
 _MAX_DB: Final = 300.0
 _LENGTH_AND_ID: Final = Struct("<HH")
+_N_RESULTS: Final = Struct("<H").unpack_from
+_N_RESULTS_AT: Final = HEADER_BYTES + N_RESULTS_OFFSET
+_PROFILE_TOLD_BYTES: Final = HEADER_BYTES + PROFILE_HEADER.size  # that must be there before its results are counted
 _ANSWERS: Final = frozenset({ACK, NACK, DEVICE_INFORMATION, PROTOCOL_VERSION})
 
 
@@ -79,7 +82,11 @@ class PingGrammar(Grammar[PingMessage]):
             stop = at + HEADER_BYTES + n_payload
             if not least <= n_payload <= most:
                 n_length += 1
-            elif message_id == OS_MONO_PROFILE or stop + CHECKSUM_BYTES > n_there:
+            elif message_id == OS_MONO_PROFILE and n_there - at < _PROFILE_TOLD_BYTES:
+                break
+            elif message_id == OS_MONO_PROFILE and n_payload != PROFILE_HEADER.size + 2 * _N_RESULTS(buffer, at + _N_RESULTS_AT)[0]:
+                n_length += 1
+            elif stop + CHECKSUM_BYTES > n_there:
                 break
             else:
                 sums = sums or self._sum.values(buffer)
@@ -103,10 +110,9 @@ class PingGrammar(Grammar[PingMessage]):
             return "length"
         start = at + HEADER_BYTES
         if message_id == OS_MONO_PROFILE:
-            if n_there < HEADER_BYTES + PROFILE_HEADER.size:
-                return HEADER_BYTES + PROFILE_HEADER.size
-            n_results = int.from_bytes(buffer[start + N_RESULTS_OFFSET : start + N_RESULTS_OFFSET + 2], "little")
-            if n_payload != PROFILE_HEADER.size + 2 * n_results:
+            if n_there < _PROFILE_TOLD_BYTES:
+                return _PROFILE_TOLD_BYTES
+            if n_payload != PROFILE_HEADER.size + 2 * _N_RESULTS(buffer, at + _N_RESULTS_AT)[0]:
                 return "length"
         n_bytes: int = HEADER_BYTES + n_payload + CHECKSUM_BYTES
         if n_there < n_bytes:

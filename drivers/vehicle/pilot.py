@@ -366,7 +366,7 @@ class Pilot(Generic[W]):
             self._tell("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
 
     def _doubted(self, reason: str) -> None:
-        """Told once: an attacker has many."""
+        """Report the first message that is not believed, and count the others: an attacker may send many."""
         self._own["vehicle.doubted"] += 1
         if self._own["vehicle.doubted"] == 1:
             self._tell("vehicle_doubted", f"a message of the vehicle is not believed: {reason} More are counted.", logging.WARNING)
