@@ -12,8 +12,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
 import os
-import subprocess
+import resource
 import sys
 import tempfile
 from collections import defaultdict
@@ -41,22 +42,19 @@ _SIGMAS: Final = 3.0
 _PROGRESS: Final = 50  # mutants per line of progress
 _COMBINED: Final = 4  # every so many mutants combine two kinds
 _ADDRESS_SPACE_BYTES: Final = 6 << 30  # spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
-_PROGRAM: Final = (
-    "import resource, sys\n"
-    f"resource.setrlimit(resource.RLIMIT_CPU, ({round(MAX_CPU_S) + 1}, {round(MAX_CPU_S) + 2}))\n"
-    f"resource.setrlimit(resource.RLIMIT_AS, ({_ADDRESS_SPACE_BYTES},) * 2)\n"
-    "from auv_mcm.cli import main\n"
-    "sys.exit(main(sys.argv[1:]))\n"
-)
+_PRELOADED: Final = ("auv_mcm.pipeline", "sim_replay.replay", "sim_replay.recorded")  # once, not by every process
 
 
 class Mutant(NamedTuple):
-    """What became of one damaged log. failures: why it does not pass, empty if it does."""
+    """What became of one damaged log.
+
+    code: negative if a signal ended the process; cpu_s and rss_mb are NaN then. failures: why it does not pass, empty if it does.
+    """
 
     number: int
     log: str
     kinds: tuple[str, ...]
-    code: int
+    code: int | None
     cpu_s: float
     rss_mb: float
     failures: tuple[str, ...]
@@ -105,31 +103,50 @@ def kinds_of(number: int) -> tuple[str, ...]:
 
 def judged(number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None) -> Mutant:
     """Replay one damaged log in a process of its own and look at what comes of it."""
-    path, out = scratch / "mutant.xtf", scratch / "out"
+    path, out, console, usage = (scratch / name for name in ("mutant.xtf", "out", "console.txt", "usage.json"))
     path.write_bytes(data)
-    command = [sys.executable, "-c", _PROGRAM, "replay", str(path), "--out", str(out)]
-    with (scratch / "console.txt").open("wb") as console:
-        process = subprocess.Popen(command, stdout=console, stderr=console, stdin=subprocess.DEVNULL)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    said = (scratch / "console.txt").read_text("utf-8", "replace")
-    cpu_s, rss_mb = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0
+    usage.unlink(missing_ok=True)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(_PRELOADED))
+    process = context.Process(target=_replay, args=(path, out, console, usage))
+    process.start()
+    process.join()
+    code = process.exitcode
+    said = console.read_text("utf-8", "replace")
+    cpu_s, rss_mb = json.loads(usage.read_text()) if usage.exists() else (math.nan, math.nan)
     failures = []
-    if process.returncode not in GOOD_CODES:
-        failures.append(f"exit code {process.returncode}")
+    if code not in GOOD_CODES:
+        failures.append(f"exit code {code}")
     if "Traceback" in said:
         failures.append(said.strip().splitlines()[-1])
     if cpu_s > MAX_CPU_S:
         failures.append(f"{cpu_s:.1f} s of processor time")
     if rss_mb > MAX_RSS_MB:
         failures.append(f"{rss_mb:.0f} MB")
-    if process.returncode == 0:
+    if code == 0:
         failures += wrong_results(out, path)
     if failures and keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
         path.replace(keep / f"mutant-{number}.xtf")
-        (scratch / "console.txt").replace(keep / f"mutant-{number}.txt")
-    return Mutant(number, log, kinds, process.returncode, cpu_s, rss_mb, tuple(failures))
+        console.replace(keep / f"mutant-{number}.txt")
+    return Mutant(number, log, kinds, code, cpu_s, rss_mb, tuple(failures))
+
+
+def _replay(path: Path, out: Path, console: Path, usage: Path) -> None:
+    """The command in this process, within the limits; what it prints goes to `console`, what it cost to `usage`."""
+    from auv_mcm.cli import main
+
+    resource.setrlimit(resource.RLIMIT_CPU, (round(MAX_CPU_S) + 1, round(MAX_CPU_S) + 2))
+    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE_BYTES, _ADDRESS_SPACE_BYTES))
+    with console.open("wb") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    try:
+        code = main(["replay", str(path), "--out", str(out)])
+    finally:
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        usage.write_text(json.dumps((used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0)))
+    sys.exit(code)
 
 
 def wrong_results(out: Path, log: Path) -> list[str]:
@@ -183,6 +200,7 @@ def table(mutants: Sequence[Mutant]) -> list[str]:
     for name, group in [*by_kind.items(), ("all", list(mutants))]:
         n_codes = [sum(mutant.code == code for mutant in group) for code in GOOD_CODES]
         failed = sum(bool(mutant.failures) for mutant in group)
-        most = max(mutant.cpu_s for mutant in group), max(mutant.rss_mb for mutant in group)
+        ended = [mutant for mutant in group if mutant.cpu_s == mutant.cpu_s]
+        most = max((mutant.cpu_s for mutant in ended), default=math.nan), max((mutant.rss_mb for mutant in ended), default=math.nan)
         lines.append(f"{name:36}{len(group):8}{n_codes[0]:8}{n_codes[1]:8}{failed:8}{most[0]:12.1f}{most[1]:9.0f}")
     return lines
