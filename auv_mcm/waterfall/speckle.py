@@ -43,6 +43,7 @@ _ROUNDING_VARIANCE: Final = 1.0 / 12.0  # of integers (Sheppard's correction)
 _LEVEL_BINS: Final = 8
 _LEVEL_SIGMA: Final = 0.15  # nats that the spread of even regions of one level differs by, measured on simulated floors
 _MAX_SAMPLE: Final = 1e19
+_TINY: Final = 1e-80  # of floating-point samples: cubes below that underflow
 
 
 class RegionTable(NamedTuple):
@@ -181,10 +182,10 @@ def summarise(blocks: Sequence[Regions]) -> Speckle:
     cumulants = joined.cumulants
     if integer:
         cumulants = cumulants - np.array([_ROUNDING_VARIANCE, 0.0])
-    varied = (cumulants[..., 0] > (1.0 if integer else 0.0)).all(axis=(0, 2))
+    varied = (cumulants[..., 0] > (1.0 if integer else _TINY**2)).all(axis=(0, 2))
     # A constant region leaves rounding errors only.
     varied &= cumulants[0, :, :, 0].min(axis=1) > 1e-18 * joined.highest**2
-    linear = varied & ~clipped & (joined.at_zero <= _ZERO_SHARE) & (joined.mean > (_MIN_COUNT if integer else 0.0))
+    linear = varied & ~clipped & (joined.at_zero <= _ZERO_SHARE) & (joined.mean > (_MIN_COUNT if integer else _TINY))
     logarithmic = varied & ~clipped
     if integer:
         above_zero = joined.mean / np.sqrt(np.maximum(cumulants[0, :, :, 0].mean(axis=1), 1.0))

@@ -121,6 +121,13 @@ def test_without_speckle_only_the_prior_speaks(samples: NDArray[Any]) -> None:
     assert math.isnan(odds.db_per_count)
 
 
+@pytest.mark.parametrize("gain", [1e-300, 1e-120, 1e-30, 1e15])
+def test_absurd_gains_of_floating_point_samples_do_no_harm(gain: float) -> None:
+    odds = odds_of(gain * np.sqrt(intensity_pings(1, "level", n_pings=32)))
+    assert odds.likeliest == "amplitude"
+    assert np.isfinite(odds.looks_interval).all()
+
+
 def test_single_bad_samples_do_not_spoil_the_evidence() -> None:
     samples = np.sqrt(intensity_pings(1, "level"))
     samples[:, ::333] = np.nan
