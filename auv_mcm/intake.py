@@ -15,6 +15,7 @@ from auv_mcm.config import Config
 from auv_mcm.navigation import NavBuffer
 from auv_mcm.navigation_checks import AltitudeCheck
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
+from auv_mcm.waterfall.transfer import Transfer
 
 BLOCK_PINGS: Final = 32
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
@@ -47,7 +48,9 @@ class PingBlock(NamedTuple):
 
 
 class SegmentEnd(NamedTuple):
-    """The next block does not continue the one before."""
+    """The next block does not continue the one before. transfer: what its samples are from there on, None for what they were."""
+
+    transfer: Transfer | None = None
 
 
 class Intake:
@@ -137,6 +140,10 @@ class Intake:
         self._check_altitude(at_end=True)
         return released
 
+    def end_segment(self, transfer: Transfer) -> None:
+        """End the segment with the pings so far; the samples of those that follow are what `transfer` says."""
+        self._pending.append(SegmentEnd(transfer))
+
     def start_segment(self, along_m: float) -> None:
         """The next block's first ping lies just after this along-track distance."""
         self._along_m = along_m + self._config.waterfall.max_ping_gap_m
@@ -145,9 +152,10 @@ class Intake:
     def _release(self, *, everything: bool) -> list[PingBlock | SegmentEnd]:
         released: list[PingBlock | SegmentEnd] = []
         while self._pending:
-            if isinstance(self._pending[0], SegmentEnd):
+            first = self._pending[0]
+            if isinstance(first, SegmentEnd):
                 self._pending.popleft()
-                released.append(SegmentEnd())
+                released.append(first)
                 continue
             run = self._next_run(everything=everything)
             if not run:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from typing import Final
 
 import msgspec
 import numpy as np
@@ -47,11 +46,8 @@ from auv_mcm.records import (
 from auv_mcm.sample_checks import SampleCheck
 from auv_mcm.seabed.model import configured_seabed_model
 from auv_mcm.seabed.stage import seabed_cells
+from auv_mcm.waterfall.law_watch import LawWatch, Verdict
 from auv_mcm.waterfall.stage import Waterfall
-from auv_mcm.waterfall.transfer import Transfer, recheck_transfer, resolve_transfer
-
-_PROBE_PINGS: Final = 64
-_GAP_S: Final = 2.0
 
 
 class Pipeline:
@@ -83,10 +79,8 @@ class Pipeline:
         self.costs_s: dict[str, float] = {}
         self._intake = Intake(config, self._counts)
         self._samples = {side: SampleCheck(side, config.sonar.full_scale, self._counts) for side in SIDES}
-        self._probe: list[Ping] = []
-        self._transfer: Transfer | None = None
-        self._after_gap: list[Ping] | None = None  # the first pings after a hole in time, to check the transfer again
-        self._last_ping_s = math.nan
+        self._law = LawWatch(config.sonar)
+        self._undecided: list[Ping] = []  # pings whose samples cannot be read yet
         self._waterfall: Waterfall | None = None
         self._suppressors = {side: Suppressor(config.detect, self._counts) for side in SIDES}
         model, self._detector = fitting(configured_model(config), config)
@@ -124,18 +118,28 @@ class Pipeline:
         prepared = self._prepare(event)
         if prepared is None:
             return []
-        notices: list[PipelineEvent] = [*self._check_samples(prepared)]
+        events: list[PipelineEvent] = [*self._check_samples(prepared)]
+        with self._timed("law"):
+            verdict = self._law.add(prepared)
         if self._waterfall is None:
-            self._probe.append(prepared)
-            return notices + (self._start() if len(self._probe) == _PROBE_PINGS else [])
-        return notices + self._take(prepared)
+            self._undecided.append(prepared)
+            return events if verdict is None else events + self._begin(verdict)
+        if verdict is not None:
+            events += verdict.notices
+            if verdict.transfer is not None:
+                self._counts["transfer.turned"] += 1
+                self._intake.end_segment(verdict.transfer)
+        return events + self._take(prepared)
 
     def finish(self) -> list[PipelineEvent]:
         """Everything still in the chain, at the end of the stream. Calling it again returns nothing."""
         if self._finished:
             return []
         self._finished = True
-        events: list[PipelineEvent] = self._start() if self._waterfall is None and self._probe else []
+        verdict = self._law.finish()
+        events: list[PipelineEvent] = []
+        if verdict is not None:
+            events += self._begin(verdict) if self._waterfall is None else verdict.notices
         if self._waterfall is not None:
             with self._timed("intake"):
                 released = self._intake.flush()
@@ -167,37 +171,20 @@ class Pipeline:
             return None
         return self._samples[side].scaled(trace)
 
-    def _start(self) -> list[PipelineEvent]:
-        """Decide the sample transfer from the first pings, then run them."""
-        told = {ping.transfer for ping in self._probe}
-        transfer, notices = resolve_transfer(self._config.sonar, _traces(self._probe), told.pop() if len(told) == 1 else None)
-        self._transfer = transfer
-        self._waterfall = Waterfall(self._config, transfer, OVERLAP_M, self._counts)
-        events: list[PipelineEvent] = [*notices, self._detector]
-        for ping in self._probe:
+    def _begin(self, verdict: Verdict) -> list[PipelineEvent]:
+        """Run the pings that waited for the first verdict, which names their transfer."""
+        assert verdict.transfer is not None
+        self._waterfall = Waterfall(self._config, verdict.transfer, OVERLAP_M, self._counts)
+        events: list[PipelineEvent] = [*verdict.notices, self._detector]
+        waiting, self._undecided = self._undecided, []
+        for ping in waiting:
             events += self._take(ping)
-        self._probe = []
         return events
 
     def _take(self, ping: Ping) -> list[PipelineEvent]:
-        events = self._check_after_gap(ping)
         with self._timed("intake"):
             released = self._intake.add_ping(ping)
-        return events + self._run(released)
-
-    def _check_after_gap(self, ping: Ping) -> list[PipelineEvent]:
-        """After a hole in time another recorder may be speaking, as in several logs replayed as one mission."""
-        if abs(ping.time_s - self._last_ping_s) > _GAP_S:
-            self._after_gap = []
-        self._last_ping_s = ping.time_s
-        if self._after_gap is None or self._transfer is None:
-            return []
-        self._after_gap.append(ping)
-        if len(self._after_gap) < _PROBE_PINGS:
-            return []
-        notice = recheck_transfer(self._transfer, _traces(self._after_gap), ping.place)
-        self._after_gap = None
-        return [] if notice is None else [notice]
+        return self._run(released)
 
     def _run(self, released: list[PingBlock | SegmentEnd]) -> list[PipelineEvent]:
         assert self._waterfall is not None
@@ -209,6 +196,8 @@ class Pipeline:
                 events += self._look(tiles)
                 events += self._conclude([self._suppressors[side].flush() for side in SIDES])
                 self._intake.start_segment(self._waterfall.next_segment_m())
+                if item.transfer is not None:
+                    self._waterfall.read_as(item.transfer)
             else:
                 with self._timed("waterfall"):
                     tiles = self._waterfall.add(self._intake.place_along_track(item))
@@ -335,10 +324,6 @@ class Pipeline:
         start = self._timer()
         yield
         self.costs_s[stage] = self.costs_s.get(stage, 0.0) + self._timer() - start
-
-
-def _traces(pings: list[Ping]) -> list[EchoTrace]:
-    return [trace for ping in pings for trace in (ping.port, ping.starboard) if trace is not None]
 
 
 def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:

@@ -37,13 +37,17 @@ class Waterfall:
     def __init__(self, config: Config, transfer: Transfer, overlap_m: float, counters: Counter[str]) -> None:
         self._config = config
         self._counters = counters
-        self._checkers = {side: TraceChecker(side, transfer, config.sonar.full_scale, counters) for side in SIDES}
-        self._curves = {side: AngleCurve() for side in SIDES}
-        self._gains = {side: GainStepFilter() for side in SIDES}
-        self._tracker = BottomTracker(config.sonar.blank_m)
+        self.read_as(transfer)
         self._grid = AlongTrackGrid(config.waterfall.row_spacing_m, config.waterfall.max_ping_gap_m)
         self._cutter = TileCutter(config.waterfall, overlap_m)
         self._held: _HeldBlock | None = None
+
+    def read_as(self, transfer: Transfer) -> None:
+        """Read samples as `transfer` says from the next segment on, and forget what was learnt from how they were read before."""
+        self._checkers = {side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES}
+        self._curves = {side: AngleCurve() for side in SIDES}
+        self._gains = {side: GainStepFilter() for side in SIDES}
+        self._tracker = BottomTracker(self._config.sonar.blank_m)
 
     def add(self, block: PingBlock) -> list[Tile]:
         """Take the next block of a segment; return the tiles that are complete."""

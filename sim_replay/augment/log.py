@@ -24,15 +24,15 @@ from auv_mcm.safe_files import open_regular
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
+from auv_mcm.waterfall.law_watch import settled_transfer, weigh_pings
 from auv_mcm.waterfall.quality import TraceChecker
-from auv_mcm.waterfall.transfer import Transfer, resolve_transfer, to_intensity
+from auv_mcm.waterfall.transfer import Transfer, to_intensity
 from sim_replay.simulator.echo import absorption_db_per_km
 from sim_replay.simulator.scene import Sonar
 from sim_replay.xtf import XtfLog
 from sim_replay.xtf_header import SIDE_SCAN, channels
 from sim_replay.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
 
-_PROBE_PINGS: Final = 64  # that decide what samples mean, as in the pipeline
 _SONAR_PACKET: Final = 0
 _PING_HEADER: Final = 256
 _CHANNEL_HEADER: Final = 64
@@ -101,8 +101,7 @@ def read_survey(path: Path, config: Config) -> Survey:
             pings.append(event)
             released += intake.add_ping(event)
     released += intake.flush()
-    probe = [trace for ping in pings[:_PROBE_PINGS] for trace in (ping.port, ping.starboard) if trace is not None]
-    transfer, _ = resolve_transfer(config.sonar, probe)
+    transfer = settled_transfer(config.sonar, weigh_pings(pings))
     full_scale = {side: _full_scale(pings, side, config.sonar.full_scale) for side in SIDES}
     stretches = tuple(_stretches(released, intake, transfer, config))
     if not stretches:

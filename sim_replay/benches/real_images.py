@@ -20,9 +20,10 @@ import numpy as np
 from auv_mcm.classify.odds import MineOdds, shipped_odds
 from auv_mcm.outputs import make_directory
 from auv_mcm.records import Detection
+from sim_replay.benches.picture_speckle import picture_speckle
 from sim_replay.benches.real_calls import CALLED, Called, call, is_call, n_kept
 from sim_replay.benches.real_outlines import Judged, Overlaps, judge
-from sim_replay.benches.real_pictures import EFFIGY_M, Picture, clutter, effigies, evidence_of, length_px, snippets
+from sim_replay.benches.real_pictures import EFFIGY_M, Picture, clutter, effigies, length_px, snippets
 from sim_replay.benches.real_sheets import write_sheets
 from sim_replay.benches.real_tiles import SAS, SIDE_SCAN
 
@@ -71,7 +72,7 @@ def _print_pictures(pictures: Sequence[Picture]) -> None:
     lower, middle, upper = quartiles(whole)
     print(f"{len(pictures)} tiles with the object, {len(whole)} of them whole; {sum(p.inverted for p in pictures)} recorded inverted")
     print(f"whole masks are {lower:.0f}, {middle:.0f}, {upper:.0f} pixels long (quartiles): {100.0 * EFFIGY_M / middle:.1f} cm a pixel")
-    evidence = [evidence_of(picture.amplitude) for picture in pictures]
+    evidence = [picture_speckle(picture.amplitude) for picture in pictures]
     for name, part in (("skewness", [e.skewness for e in evidence]), ("deviation over mean", [e.relative_std for e in evidence])):
         print(f"speckle's {name} (quartiles): " + ", ".join(f"{value:.2f}" for value in quartiles(part)))
 

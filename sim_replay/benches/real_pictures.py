@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import EchoTrace
-from auv_mcm.waterfall.transfer import SpeckleEvidence, speckle_evidence
+from sim_replay.benches.picture_speckle import picture_speckle
 
 Mask = NDArray[np.bool_]
 Plane = NDArray[np.float64]
@@ -85,15 +84,10 @@ def read_picture(path: Path, *, mask_path: Path | None = None, mirrored: bool = 
         counts = np.ascontiguousarray(counts[:, ::-1])
         mask = None if mask is None else np.ascontiguousarray(mask[:, ::-1])
     measured = ~(_fill(counts) | _range_marks(counts))
-    evidence = evidence_of(counts)
+    evidence = picture_speckle(counts)
     inverted = evidence.skewness < _INVERTED_SKEWNESS and evidence.relative_std < _INVERTED_SPREAD
     amplitude = (_BRIGHTEST - counts if inverted else counts).astype(np.float64)
     return Picture(path.stem, counts, amplitude, measured, amplitude >= _BRIGHTEST, mask, inverted)
-
-
-def evidence_of(counts: NDArray[np.generic]) -> SpeckleEvidence:
-    """Speckle statistics of a picture (n_rows, n_columns), each row as a trace."""
-    return speckle_evidence([EchoTrace(samples=row, first_range_m=0.0, spacing_m=1.0) for row in counts])
 
 
 def length_px(mask: Mask) -> float:

@@ -61,6 +61,7 @@ MEANINGS: Final = {
     "service.journal_failed": "results that could not be written to disk",
     "service.ping_dropped": "pings dropped because perception was too slow",
     "service.ping_too_large": "pings larger than the buffer between processes",
+    "transfer.turned": "times that samples turned out to be stored in another way than they were taken for",
     "bottom.not_seen": "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours",
     "navigation.not_finite": "navigation values that were no numbers and were left out",
     "navigation.ping_stale": "pings too far from a navigation sample: their position is not trusted, they earn no coverage",

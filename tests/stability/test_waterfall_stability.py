@@ -16,10 +16,12 @@ from auv_mcm.integral import PaddedIntegral
 from auv_mcm.records import VALID, EchoTrace, NavSample, Ping, PoseTrack, Tile
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
+from auv_mcm.waterfall.law import weigh_laws
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
+from auv_mcm.waterfall.speckle import measure_regions, summarise
 from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.tiles import TileCutter
-from auv_mcm.waterfall.transfer import Transfer, resolve_transfer, to_intensity
+from auv_mcm.waterfall.transfer import Transfer, to_intensity
 
 N_PINGS, N_SAMPLES, SPACING_M, STEP_M = 96, 400, 0.1, 0.15
 SLANT_M = (np.arange(N_SAMPLES) + 0.5) * SPACING_M
@@ -117,9 +119,8 @@ def test_logarithmic_samples_of_any_offset() -> None:
 def test_samples_of_one_bit(levels: int) -> None:
     samples = np.digitize(amplitudes(), np.linspace(0.3, 0.6, levels - 1)).astype(np.uint8)
     assert_sound(tiles_of(samples)[0])
-    traces = [EchoTrace(samples=row, first_range_m=0.05, spacing_m=0.1) for row in samples[0]]
     with np.errstate(all="raise", under="ignore"):
-        resolve_transfer(CONFIG.sonar, traces)
+        weigh_laws(summarise([measure_regions([side[first : first + 16] for side in samples]) for first in range(0, N_PINGS, 16)]))
 
 
 # Sums: cancellation and overflow.

@@ -1,0 +1,269 @@
+"""Decide what samples mean from the first pings, and keep checking while pings come.
+
+What is decided depends on the pings alone, in their order: not on how they were delivered. With nothing configured, several hundred pings
+decide, or as many as come within half a minute where pings are rare; should later ones strongly speak against it, the law turns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.config import SonarConfig
+from auv_mcm.records import NAN, EchoTrace, Notice, Ping
+from auv_mcm.waterfall.law import LAWS, USUAL_DB_PER_COUNT, Law, LawOdds, weigh_laws
+from auv_mcm.waterfall.speckle import BLOCK_PINGS, Regions, measure_regions, summarise
+from auv_mcm.waterfall.transfer import Transfer, TransferKind
+
+DECIDE_PINGS: Final = 256
+_MAX_PINGS: Final = 512  # where the first do not decide
+_MIN_PINGS: Final = 64
+_DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that contacts do not wait for minutes
+_MAX_S: Final = 60.0
+_DECISIVE: Final = 0.99
+_STRONG: Final = 1e-3  # probability below which a law is contradicted: a notice, or a turn, must not come of an odd stretch of sea floor
+_TURN_NATS: Final = 0.2  # decibels per count that differ by less are not worth starting anew for
+_DOUBT_RATIO: Final = 1.6  # beyond the interval of decibels per count: fields of boulders bring the estimate down by a third
+_GAP_S: Final = 2.0
+_RECENT_BLOCKS: Final = 32  # 512 pings
+_SPREAD_BLOCKS: Final = 32
+
+
+class Verdict(NamedTuple):
+    """The transfer from here on, None if it stays, and what a person should know."""
+
+    transfer: Transfer | None
+    notices: tuple[Notice, ...]
+
+
+class LawWatch:
+    """Takes every ping of a mission once, in order; says what its samples are and when they turn out to be something else."""
+
+    def __init__(self, sonar: SonarConfig) -> None:
+        self._sonar = sonar
+        self._blocks: deque[Regions] = deque(maxlen=_RECENT_BLOCKS)
+        self._open: list[Ping] = []  # of the block being filled
+        self._n_pings = 0  # since the start, or since a hole in time
+        self._n_blocks = 0
+        self._first_s = math.nan
+        self._last_s = math.nan
+        self._transfer: Transfer | None = None
+        self._kind_known = False  # by configuration or protocol
+        self._is_checked = False
+        self._next_check = 0  # block count of the next look
+        self._next_decibels = 0
+        self._in_doubt = False
+
+    def add(self, ping: Ping) -> Verdict | None:
+        """Take a ping; a verdict where one is due. The first verdict always names a transfer; no ping can be read before."""
+        self._note_time(ping)
+        self._collect(ping)
+        if self._transfer is None:
+            return self._decide(ping.transfer) if self._is_time_to_decide(ping) else None
+        return self._check(ping.place) if self._n_blocks >= self._next_check else None
+
+    def finish(self) -> Verdict | None:
+        """Decide from the pings that came, or check once, where more were awaited for it."""
+        if self._transfer is None:
+            return self._decide(None) if self._n_pings else None
+        return None if self._is_checked else self._check("")
+
+    def _note_time(self, ping: Ping) -> None:
+        """After a hole in time another recorder may be speaking, as in several logs replayed as one mission."""
+        if self._transfer is not None and abs(ping.time_s - self._last_s) > _GAP_S:
+            self._blocks.clear()
+            self._open = []
+            self._n_blocks = 0
+            self._next_check = self._next_decibels = _MIN_PINGS // BLOCK_PINGS
+        if not math.isfinite(self._first_s):
+            self._first_s = ping.time_s
+        self._last_s = ping.time_s
+        self._n_pings += 1
+
+    def _collect(self, ping: Ping) -> None:
+        if self._open and _form(ping) != _form(self._open[0]):
+            self._open = []
+        self._open.append(ping)
+        if len(self._open) == BLOCK_PINGS:
+            self._blocks.append(measure_block(self._open))
+            self._n_blocks += 1
+            self._open = []
+
+    def _is_time_to_decide(self, ping: Ping) -> bool:
+        sonar = self._sonar
+        kind = ping.transfer if sonar.transfer == "auto" else sonar.transfer
+        if kind is not None and (kind != "log" or sonar.db_per_count is not None):
+            return True
+        lasted_s = abs(ping.time_s - self._first_s)
+        if self._n_pings >= _MAX_PINGS or (self._n_pings >= _MIN_PINGS and lasted_s >= _MAX_S):
+            return True
+        if self._n_pings % BLOCK_PINGS or self._n_pings < _MIN_PINGS:
+            return False
+        return (self._n_pings >= DECIDE_PINGS or lasted_s >= _DECIDE_S) and max(self._odds().probability) >= _DECISIVE
+
+    def _odds(self) -> LawOdds:
+        return weigh_laws(summarise(self._blocks))
+
+    def _decide(self, stated: TransferKind | None) -> Verdict:
+        known = stated if self._sonar.transfer == "auto" else self._sonar.transfer
+        odds = self._odds()
+        kind = odds.likeliest if known is None else known
+        self._kind_known = known is not None
+        self._transfer = Transfer(kind, self._db_per_count(odds) if kind == "log" else NAN)
+        self._is_checked = odds.n_regions > 0
+        self._next_check = self._n_blocks + DECIDE_PINGS // BLOCK_PINGS
+        self._next_decibels = 2 * max(self._n_blocks, 1)
+        if self._kind_known:
+            return Verdict(self._transfer, self._doubts(odds, "") if self._is_checked else ())
+        if not self._is_checked:
+            return Verdict(self._transfer, (_unchecked(kind),))
+        return Verdict(self._transfer, (_chosen(self._transfer, odds, self._n_pings),))
+
+    def _check(self, place: str) -> Verdict | None:
+        assert self._transfer is not None
+        odds = self._odds()
+        self._is_checked = True
+        self._next_check = self._n_blocks + DECIDE_PINGS // BLOCK_PINGS
+        if odds.n_regions == 0:
+            return None
+        if self._kind_known:
+            notices = self._doubts(odds, place)
+            return Verdict(None, notices) if notices else None
+        held, likeliest = self._transfer, odds.likeliest
+        if likeliest != held.kind:
+            if odds.of(held.kind) >= _STRONG:
+                return None
+        elif not self._decibels_turned(odds):
+            return None
+        self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
+        # What is older may speak of another recorder.
+        while len(self._blocks) > DECIDE_PINGS // BLOCK_PINGS:
+            self._blocks.popleft()
+        return Verdict(self._transfer, (_turned(held, self._transfer, odds, place),))
+
+    def _decibels_turned(self, odds: LawOdds) -> bool:
+        held = self._transfer
+        if held is None or held.kind != "log" or self._sonar.db_per_count is not None or self._n_blocks < self._next_decibels:
+            return False
+        # Looked at after twice as many pings each time: an estimate that wavers must not start statistics anew again and again.
+        self._next_decibels = 2 * self._n_blocks
+        low, high = odds.db_interval
+        outside = not low <= held.db_per_count <= high
+        return outside and abs(math.log(odds.db_per_count / held.db_per_count)) > _TURN_NATS
+
+    def _db_per_count(self, odds: LawOdds) -> float:
+        if self._sonar.db_per_count is not None:
+            return self._sonar.db_per_count
+        return odds.db_per_count if math.isfinite(odds.db_per_count) else USUAL_DB_PER_COUNT
+
+    def _doubts(self, odds: LawOdds, place: str) -> tuple[Notice, ...]:
+        """What speaks strongly against a law that is configured or that the sonar's protocol states, once until it agrees again."""
+        assert self._transfer is not None
+        kind = self._transfer.kind
+        source = "the sonar's protocol states" if self._sonar.transfer == "auto" else "sonar.transfer is"
+        notices = []
+        if odds.of(kind) < _STRONG:
+            notices.append(
+                Notice(
+                    code="transfer.disagrees",
+                    text=f"{source} '{kind}' but the samples look like '{odds.likeliest}' (odds {_odds_text(odds, odds.likeliest, kind)}). "
+                    "If that is wrong, contrast and false alarms suffer. Check the recorder's manual.",
+                    place=place,
+                )
+            )
+        configured, (low, high) = self._sonar.db_per_count, odds.db_interval
+        doubted = configured is not None and (configured < low / _DOUBT_RATIO or configured > high * _DOUBT_RATIO)
+        if not notices and kind == "log" and doubted:
+            notices.append(
+                Notice(
+                    code="transfer.db_per_count",
+                    text=f"sonar.db_per_count is {configured:g} but the samples look like {odds.db_per_count:.3f} "
+                    f"({low:.2f} to {high:.2f}). Check the recorder's manual.",
+                    place=place,
+                )
+            )
+        raised, self._in_doubt = self._in_doubt, bool(notices)
+        return () if raised else tuple(notices)
+
+
+def measure_block(pings: Sequence[Ping]) -> Regions:
+    """Measure 16 pings of equal layout and sample type."""
+    sides = ([ping.port for ping in pings], [ping.starboard for ping in pings])
+    return measure_regions([np.stack([_samples(trace) for trace in side]) for side in sides if side[0] is not None])
+
+
+def weigh_pings(pings: Sequence[Ping]) -> LawOdds:
+    """Odds of the laws from up to 512 pings spread over those given, in blocks of 16 that follow each other."""
+    starts = np.linspace(0, max(len(pings) - BLOCK_PINGS, 0), _SPREAD_BLOCKS).astype(int)
+    runs = [pings[start : start + BLOCK_PINGS] for start in sorted(set(starts.tolist()))]
+    whole = [run for run in runs if len(run) == BLOCK_PINGS and len({_form(ping) for ping in run}) == 1]
+    return weigh_laws(summarise([measure_block(run) for run in whole]))
+
+
+def settled_transfer(sonar: SonarConfig, odds: LawOdds) -> Transfer:
+    """The configured transfer or, where that is left open, the likeliest."""
+    kind = odds.likeliest if sonar.transfer == "auto" else sonar.transfer
+    if kind != "log":
+        return Transfer(kind)
+    if sonar.db_per_count is not None:
+        return Transfer(kind, sonar.db_per_count)
+    return Transfer(kind, odds.db_per_count if math.isfinite(odds.db_per_count) else USUAL_DB_PER_COUNT)
+
+
+def _samples(trace: EchoTrace | None) -> NDArray[Any]:
+    assert trace is not None  # all pings of a block have the same sides
+    return trace.samples
+
+
+def _form(ping: Ping) -> tuple[object, ...]:
+    return tuple(None if trace is None else (trace.samples.shape[0], trace.samples.dtype.str) for trace in (ping.port, ping.starboard))
+
+
+def _odds_text(odds: LawOdds, law: Law, other: Law) -> str:
+    ratio = odds.of(law) / max(odds.of(other), 1e-12)
+    return "over 1000 to 1" if ratio > 1000.0 else f"{ratio:.0f} to 1" if ratio >= 9.5 else f"{ratio:.1f} to 1"
+
+
+def _detail(transfer: Transfer, odds: LawOdds) -> str:
+    low, high = odds.looks_interval
+    looks = f"about {low:.0f} looks averaged" if round(low) == round(high) else f"{low:.0f} to {high:.0f} looks averaged"
+    if transfer.kind != "log":
+        return looks
+    low, high = odds.db_interval
+    return f"{transfer.db_per_count:.3f} dB per count ({low:.2f} to {high:.2f}), {looks}"
+
+
+def _chosen(transfer: Transfer, odds: LawOdds, n_pings: int) -> Notice:
+    next_likeliest = max((law for law in LAWS if law != transfer.kind), key=odds.of)
+    keys = "sonar.transfer and sonar.db_per_count" if transfer.kind == "log" else "sonar.transfer"
+    return Notice(
+        code="transfer.chosen",
+        text=f"samples are taken as '{transfer.kind}': odds {_odds_text(odds, transfer.kind, next_likeliest)} against '{next_likeliest}' "
+        f"from {n_pings} pings; {_detail(transfer, odds)}. Set {keys} if the recorder's manual says otherwise.",
+    )
+
+
+def _unchecked(kind: TransferKind) -> Notice:
+    text = f"too few usable samples to check the sample transfer; '{kind}' is used. Set sonar.transfer."
+    return Notice(code="transfer.unchecked", text=text)
+
+
+def _turned(held: Transfer, transfer: Transfer, odds: LawOdds, place: str) -> Notice:
+    if held.kind == transfer.kind:
+        what = f"'log' samples look like {_detail(transfer, odds)} instead of {held.db_per_count:.3f} dB"
+    else:
+        what = (
+            f"samples look like '{transfer.kind}' instead of '{held.kind}' (odds {_odds_text(odds, transfer.kind, held.kind)}; "
+            f"{_detail(transfer, odds)})"
+        )
+    return Notice(
+        code="transfer.turned",
+        text=f"{what} and are taken so from here on; statistics of the sea floor start anew. Contacts before may be wrong or missing: set "
+        "sonar.transfer and replay the record, and replay logs of different recorders apart.",
+        place=place,
+    )

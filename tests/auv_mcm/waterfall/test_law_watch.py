@@ -1,0 +1,121 @@
+"""When the law of a recorder is decided, doubted and changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from law_pings import intensity_pings, log_counts, pings
+
+from auv_mcm.config import SonarConfig
+from auv_mcm.records import Notice, Ping
+from auv_mcm.waterfall.law_watch import LawWatch, Verdict
+from auv_mcm.waterfall.transfer import Transfer
+
+AMPLITUDE = 60.0 * np.sqrt(intensity_pings(1, "spreading", n_pings=512))
+LOGARITHM = log_counts(intensity_pings(4, "spreading", n_pings=512, seed=2), 0.314)
+
+
+def verdicts_of(watch: LawWatch, given: list[Ping]) -> list[tuple[int, Verdict]]:
+    found = [(ping.number, verdict) for ping in given if (verdict := watch.add(ping)) is not None]
+    last = watch.finish()
+    return found if last is None else [*found, (-1, last)]
+
+
+def notices_of(sonar: SonarConfig, given: list[Ping]) -> list[Notice]:
+    return [notice for _, verdict in verdicts_of(LawWatch(sonar), given) for notice in verdict.notices]
+
+
+def test_several_hundred_pings_decide_and_the_notice_states_the_odds() -> None:
+    (number, (transfer, (notice,))), *more = verdicts_of(LawWatch(SonarConfig()), pings(LOGARITHM))
+    assert number == 255
+    assert transfer is not None
+    assert transfer.kind == "log"
+    assert transfer.db_per_count == pytest.approx(0.314, rel=0.15)
+    assert notice.code == "transfer.chosen"
+    assert "odds over 1000 to 1 against" in notice.text
+    assert "from 256 pings" in notice.text
+    assert "looks averaged" in notice.text
+    assert "sonar.db_per_count" in notice.text
+    assert not more
+
+
+def test_rare_pings_do_not_make_contacts_wait_for_minutes() -> None:
+    slow = pings(AMPLITUDE[:200], rate_hz=1.0)
+    number, verdict = verdicts_of(LawWatch(SonarConfig()), slow)[0]
+    assert 63 <= number <= 79
+    assert verdict.transfer == Transfer("amplitude")
+
+
+def test_a_short_record_is_decided_at_its_end() -> None:
+    ((number, verdict),) = verdicts_of(LawWatch(SonarConfig()), pings(AMPLITUDE[:48]))
+    assert number == -1
+    assert verdict.transfer == Transfer("amplitude")
+
+
+def test_without_speckle_the_commonest_is_used_and_the_notice_says_so() -> None:
+    for sonar, kind in ((SonarConfig(), "amplitude"), (SonarConfig(transfer="log"), "log")):
+        ((_, verdict),) = verdicts_of(LawWatch(sonar), pings(np.full((40, 100), 7, dtype=np.uint8)))
+        assert verdict.transfer is not None
+        assert verdict.transfer.kind == kind
+    assert [notice.code for notice in notices_of(SonarConfig(), pings(np.full((40, 100), 7, dtype=np.uint8)))] == ["transfer.unchecked"]
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 60.0])
+def test_the_law_turns_when_another_recorder_speaks(gap_s: float) -> None:
+    """As where logs of two recorders are replayed as one mission, with a hole in time or without."""
+    later = pings(LOGARITHM, first=512 + round(10.0 * gap_s))
+    (_, first), (number, turned), *more = verdicts_of(LawWatch(SonarConfig()), pings(AMPLITUDE.astype(np.uint8)) + later)
+    assert first.transfer == Transfer("amplitude")
+    assert turned.transfer is not None
+    assert turned.transfer.kind == "log"
+    assert turned.transfer.db_per_count == pytest.approx(0.314, rel=0.25)
+    assert number - later[0].number <= (64 if gap_s else 512)
+    assert [notice.code for notice in turned.notices] == ["transfer.turned"]
+    assert turned.notices[0].place == f"ping {number}"
+    assert len(more) <= 1  # decibels per count may be refined
+
+
+def test_a_configured_law_that_fits_is_used_at_once_and_never_doubted() -> None:
+    for sonar, samples in (
+        (SonarConfig(transfer="amplitude"), AMPLITUDE),
+        (SonarConfig(transfer="log", db_per_count=0.314), LOGARITHM),
+        (SonarConfig(transfer="intensity"), intensity_pings(4, "spreading", n_pings=512)),
+    ):
+        ((number, verdict),) = verdicts_of(LawWatch(sonar), pings(samples))
+        assert number == 0
+        assert verdict.transfer is not None
+        assert verdict.transfer.kind == sonar.transfer
+        assert not verdict.notices
+
+
+def test_a_configured_law_is_kept_and_doubted_once_on_strong_evidence() -> None:
+    (notice,) = notices_of(SonarConfig(transfer="amplitude"), pings(LOGARITHM))
+    assert notice.code == "transfer.disagrees"
+    assert "sonar.transfer is 'amplitude' but the samples look like 'log' (odds over 1000 to 1)" in notice.text
+    (notice,) = notices_of(SonarConfig(transfer="log", db_per_count=0.5), pings(AMPLITUDE))
+    assert notice.code == "transfer.disagrees"
+    (notice,) = notices_of(SonarConfig(transfer="log", db_per_count=1.0), pings(LOGARITHM))
+    assert notice.code == "transfer.db_per_count"
+
+
+def test_a_short_record_of_a_configured_law_is_doubted_at_its_end() -> None:
+    (notice,) = notices_of(SonarConfig(transfer="amplitude"), pings(LOGARITHM[:128]))
+    assert notice.code == "transfer.disagrees"
+
+
+def test_a_logarithm_whose_decibels_are_left_open_is_doubted_with_the_first_decision() -> None:
+    ((_, verdict),) = verdicts_of(LawWatch(SonarConfig(transfer="log")), pings(AMPLITUDE[:300]))
+    assert verdict.transfer is not None
+    assert verdict.transfer.kind == "log"
+    assert [notice.code for notice in verdict.notices] == ["transfer.disagrees"]
+
+
+def test_what_the_protocol_states_beats_speckle_but_not_the_configuration() -> None:
+    stated = pings(LOGARITHM, transfer="intensity")
+    watch = LawWatch(SonarConfig())
+    assert watch.add(stated[0]) == Verdict(Transfer("intensity"), ())
+    (notice,) = notices_of(SonarConfig(), stated)
+    assert notice.code == "transfer.disagrees"
+    assert "the sonar's protocol states 'intensity'" in notice.text
+    first = LawWatch(SonarConfig(transfer="amplitude")).add(stated[0])
+    assert first == Verdict(Transfer("amplitude"), ())
