@@ -30,6 +30,7 @@ _STRONG: Final = 1e-3  # probability below which a law is contradicted: a notice
 _TURN_NATS: Final = 0.2  # decibels per count that differ by less are not worth starting anew for
 _DOUBT_RATIO: Final = 1.6  # beyond the interval of decibels per count: fields of boulders bring the estimate down by a third
 _GAP_S: Final = 2.0
+_GAP_STEPS: Final = 3.0  # of the time between pings: those of a long-range sonar come seconds apart
 _RECENT_BLOCKS: Final = 32  # 512 pings
 _SPREAD_BLOCKS: Final = 32
 
@@ -52,6 +53,7 @@ class LawWatch:
         self._n_blocks = 0
         self._first_s = math.nan
         self._last_s = math.nan
+        self._step_s = math.inf  # between the last two pings, unknown at first
         self._transfer: Transfer | None = None
         self._kind_known = False  # by configuration or protocol
         self._is_checked = False
@@ -75,7 +77,8 @@ class LawWatch:
 
     def _note_time(self, ping: Ping) -> None:
         """After a hole in time another recorder may be speaking, as in several logs replayed as one mission."""
-        if self._transfer is not None and abs(ping.time_s - self._last_s) > _GAP_S:
+        step_s = abs(ping.time_s - self._last_s)
+        if self._transfer is not None and step_s > max(_GAP_S, _GAP_STEPS * self._step_s):
             self._blocks.clear()
             self._open = []
             self._n_blocks = 0
@@ -83,6 +86,7 @@ class LawWatch:
         if not math.isfinite(self._first_s):
             self._first_s = ping.time_s
         self._last_s = ping.time_s
+        self._step_s = step_s if math.isfinite(step_s) else self._step_s
         self._n_pings += 1
 
     def _collect(self, ping: Ping) -> None:

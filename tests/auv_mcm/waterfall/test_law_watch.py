@@ -98,6 +98,12 @@ def test_a_configured_law_is_kept_and_doubted_once_on_strong_evidence() -> None:
     assert notice.code == "transfer.db_per_count"
 
 
+def test_pings_seconds_apart_are_no_holes_in_time() -> None:
+    (notice,) = notices_of(SonarConfig(transfer="amplitude"), pings(LOGARITHM, rate_hz=0.3))
+    assert notice.code == "transfer.disagrees"
+    assert notice.place == "ping 255"
+
+
 def test_a_short_record_of_a_configured_law_is_doubted_at_its_end() -> None:
     (notice,) = notices_of(SonarConfig(transfer="amplitude"), pings(LOGARITHM[:128]))
     assert notice.code == "transfer.disagrees"
