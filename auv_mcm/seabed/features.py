@@ -140,11 +140,11 @@ def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> 
 
     Then the means over blocks of the squares of pixels, and of products with the pixel 0.18 m farther out.
     """
-    rows, columns = ((n + 2 * MARGIN_CELLS) * CELL_BLOCKS * size for n, size in zip((n_along, n_across), block, strict=True))
     margin = MARGIN_CELLS * CELL_BLOCKS
+    rows, columns = (n_along * CELL_BLOCKS + 2 * margin) * block[0], n_across * CELL_BLOCKS * block[1]
     first = tile.core_start - margin * block[0]
     source = slice(max(first, 0), min(first + rows, tile.mask.shape[0]))
-    place = slice(source.start - first, source.stop - first), slice(margin * block[1], margin * block[1] + tile.mask.shape[1])
+    place = slice(source.start - first, source.stop - first), slice(0, tile.mask.shape[1])
     usable = np.zeros((rows, columns), dtype=np.float32)
     echo = np.zeros((rows, columns), dtype=np.float32)
     usable[place] = (tile.mask[source] & (VALID | SATURATED)) == VALID
@@ -155,7 +155,10 @@ def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> 
     with np.errstate(under="ignore"):  # what is so dark may count as nothing
         np.multiply(echo[:, :-lag], echo[:, lag:], out=product[:, :-lag])
         squared = echo * echo
-    total, share, square, likeness = (_summed(part, block) / np.float32(block[0] * block[1]) for part in (echo, usable, squared, product))
+    total, share, square, likeness = (
+        np.pad(_summed(part, block) / np.float32(block[0] * block[1]), ((0, 0), (margin, margin)))
+        for part in (echo, usable, squared, product)
+    )
     kept = share >= 0.5
     whole = np.maximum(share, np.float32(0.5))
     mean, square, likeness = (np.where(kept, part / whole, np.float32(0.0)) for part in (total, square, likeness))
@@ -169,7 +172,7 @@ def _fine_sums(echo: Floats, valid: Floats, square: Floats, likeness: Floats) ->
         name: np.clip(part / mean - 1.0, -1.0, _FINE_LIMIT) * valid
         for name, part in (("contrast_fine", square), ("likeness_fine", likeness))
     }
-    return _stacked_sums(maps, CELL_BLOCKS)
+    return _all_summed(maps, CELL_BLOCKS)
 
 
 def _summed(values: Floats, block: tuple[int, int]) -> Floats:
@@ -198,7 +201,7 @@ def _cell_sums(echo: Floats, valid: Floats, log_echo: Floats, block_m: tuple[flo
     }
     near, near_count = _difference(log_echo, valid, 2, 1)
     maps |= {"near_count": near_count, "near_second": near * near, "near_third": near**3}
-    sums = _stacked_sums(maps, CELL_BLOCKS)
+    sums = _all_summed(maps, CELL_BLOCKS)
     for name, n in (("medium", 2), ("coarse", 4)):
         count = _summed(valid, (n, n))
         kept = (2.0 * count >= n * n).astype(np.float32)
@@ -208,15 +211,14 @@ def _cell_sums(echo: Floats, valid: Floats, log_echo: Floats, block_m: tuple[flo
         coarser |= _differences(level, kept, 1, f"step_{name}", with_third=True)
         if name == "medium":
             coarser |= {"dark_medium": (mean < _DARK_MEDIUM) * kept, "bright_medium": (mean > _BRIGHT_MEDIUM) * kept}
-        sums |= _stacked_sums(coarser, CELL_BLOCKS // n)
+        sums |= _all_summed(coarser, CELL_BLOCKS // n)
     kept = (2.0 * sums["valid"] >= CELL_BLOCKS * CELL_BLOCKS).astype(np.float32)
     level = np.log(np.maximum(sums["echo"] / np.maximum(sums["valid"], np.float32(1.0)), np.float32(_FLOOR))) * kept
     return sums | {"wide_count": kept, "wide_first": level, "wide_second": level * level}
 
 
-def _stacked_sums(maps: dict[str, Floats], n: int) -> dict[str, Floats]:
-    stack = _summed(np.stack([part.astype(np.float32, copy=False) for part in maps.values()]), (n, n))
-    return dict(zip(maps, stack, strict=True))
+def _all_summed(maps: dict[str, Floats], n: int) -> dict[str, Floats]:
+    return {name: _summed(part.astype(np.float32, copy=False), (n, n)) for name, part in maps.items()}
 
 
 def _difference(values: Floats, valid: Floats, lag: int, axis: int) -> tuple[Floats, Floats]:
