@@ -190,14 +190,20 @@ def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -
 
 
 def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:
-    """What the search comes to over all that was seen; empty if nothing was. Contacts count as found mines with their p_mine."""
+    """Sum up the search over all that was seen; empty if nothing was.
+
+    mines_found: the sum of p_mine of contacts called mine-like. mines_left: see `remaining_mines`.
+    """
     if clearance is None:
         return {}
     seen = clearance.seen
     p = clearance.p_detected[seen]
     cell_m2 = clearance.cell_m**2
-    found = math.fsum(contact.p_mine for contact in contacts if is_mine_like(contact))
-    left = remaining_mines(found, p, cell_m2)
+    p_called: list[float] = []
+    p_doubtful: list[float] = []
+    for contact in contacts:
+        (p_called if is_mine_like(contact) else p_doubtful).append(contact.p_mine)
+    left = remaining_mines(p_doubtful, p)
     kinds = {kind: int(np.count_nonzero(clearance.seabed[seen] == index)) for index, kind in enumerate(SEABED_TYPES)}
     return {
         "searched": {
@@ -206,7 +212,14 @@ def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> d
             "km2_elsewhere": round(clearance.n_elsewhere * cell_m2 * 1e-6, 6),
             "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
             "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
-            "mines_left": {"expected": round(left.expected, 4), "at_most_95": left.high, "p_none": round(left.p_none, 4)},
+            "mines_found": round(math.fsum(p_called), 4),
+            "mines_left": {
+                "expected": round(left.expected, 4),
+                "at_most_95": left.at_most_95,
+                "p_none": round(left.p_none, 4),
+                "among_contacts": len(p_doubtful),
+                "p_mine_sum": round(math.fsum(p_doubtful), 4),
+            },
         }
     }
 

@@ -39,6 +39,7 @@ from auv_mcm.records import (
     Notice,
     Ping,
     PipelineEvent,
+    SeabedCells,
     Side,
     SourceEvent,
     Tile,
@@ -54,8 +55,9 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. With `exhaustive` the cascade has no budget, and tiles without a usable pixel are scored too. `detect` and
-    `look` take the place of detection in a tile and of the close look at a detection, to compare with others or to learn from what is seen.
+    when another view joins them. With `exhaustive` the cascade has no budget, and tiles without a usable pixel are scored too. `detect`,
+    `look` and `seabed` take the place of detection in a tile, of the close look at a detection, and of the kinds of sea floor in a tile, to
+    compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
 
     The models that `config.detect` names are read here, once. Raises BadInputError if one cannot be.
@@ -70,6 +72,7 @@ class Pipeline:
         timer: Callable[[], float] | None = None,
         detect: Callable[[Tile], TileDetections] | None = None,
         look: Callable[[Detection], Detection] | None = None,
+        seabed: Callable[[Tile], SeabedCells | None] | None = None,
         kept: Contacts | None = None,
     ) -> None:
         self._config = config
@@ -89,7 +92,8 @@ class Pipeline:
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
-        self._seabed = configured_seabed_model(config)
+        # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
+        self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._grid: Grid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -243,7 +247,7 @@ class Pipeline:
     def _cover(self, tile: Tile, evaluated: float) -> CoveragePatch:
         grid = self._cells_around(tile)
         with self._timed("seabed"):
-            seabed = None if grid is None else seabed_cells(tile, self._seabed)
+            seabed = None if grid is None else self._seabed_of(tile)
         with self._timed("coverage"):
             return cover_tile(tile, self._config.sonar, evaluated, grid, seabed)
 

@@ -127,6 +127,8 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     the others are overlap. Column j covers ground range [j, j + 1) * column_spacing_m.
     pose, first_return_m, first_return_sigma_m, ping_number: per row. first_return_m is the slant range of the first bottom
     return and its 1-sigma, (n_rows,) float64. ping_number: (n_rows,) int64, -1 where the row has no ping.
+    level: (n_rows, n) float32, nats: the local mean that was divided out, against the mission's mean so far at the same grazing angle (that
+    of logarithms, so that speckle adds its own constant), in n equal parts of the columns, NaN where unknown; None for a tile by itself.
     """
 
     side: Side
@@ -142,6 +144,7 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     first_return_m: NDArray[np.float64]
     first_return_sigma_m: NDArray[np.float64]
     ping_number: NDArray[np.int64]
+    level: NDArray[np.float32] | None = None
 
 
 class Surroundings(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -91,11 +91,11 @@ def _add_seabed(kinds: Commands) -> None:
         kinds,
         "seabed",
         "learn what kinds of sea floor look like",
-        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. The same\n"
-        "seeds make the same model, here or on a dask cluster.",
-        ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 800-803 --workers 4"],
+        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. Seeds from\n"
+        "4000 on fly missions like the named scenes, lower ones know nothing of them. The same seeds make the same model.",
+        ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"],
     )
-    _add_mission_options(parser, "750-849")
+    _add_mission_options(parser, "3000-3049 and 4000-4079")
     parser.set_defaults(command=_run_seabed)
 
 

@@ -1,8 +1,10 @@
-"""Measures of texture in windows of sea floor: how uneven it is at several scales, whether it has a direction, and how many shadows.
+"""Measure the texture of sea floor: how uneven it is at several scales, whether it has a direction, how many shadows and how bright it is.
 
-Lacunarity, the spread of box means at a scale, is what D. P. Williams ("Fast unsupervised seafloor characterization in sonar imagery using
-lacunarity", IEEE TGRS 53, 2015) tells sea floors by; complexity and anisotropy together are the axes of M. Geilhufe and O. Midtgaard
-(FFI, "Quantifying the complexity in sonar images for MCM performance estimation", 2014). Ripples are a peak of the spectrum.
+Variances of logarithms at several scales are the lacunarity of D. P. Williams ("Fast unsupervised seafloor characterization in sonar
+imagery using lacunarity", IEEE TGRS 53, 2015), which one glint cannot upset; complexity and anisotropy together are the axes of M. Geilhufe
+and O. Midtgaard (FFI, "Quantifying the complexity in sonar images for MCM performance estimation", 2014). Ripples are a peak of the
+spectrum. What stands up from the floor is bright first and dark behind, so that differences along the range are skewed; texture that lies
+flat is not. Each cell is measured in windows of three sizes around it: small ones know where a border runs, large ones which kind it is.
 """
 
 from __future__ import annotations
@@ -17,34 +19,71 @@ from numpy.typing import NDArray
 from auv_mcm.records import SATURATED, VALID, Tile
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 
-NAMES: Final = (
-    "lacunarity_fine",
-    "lacunarity_medium",
-    "lacunarity_coarse",
-    "ripple_peak",
-    "low_frequencies",
-    "anisotropy",
+_IN_WINDOW: Final = (
+    "spread",
+    "skewness",
     "dark",
     "bright",
-    "skewness",
     "grain_along",
     "grain_across",
+    "lag_along",
+    "lag_across",
+    "rise_near",
+    "rise_far",
+    "anisotropy",
+    "orientation",
+    "spread_medium",
+    "dark_medium",
+    "bright_medium",
+    "step_medium_along",
+    "step_medium_across",
+    "rise_medium",
+    "spread_coarse",
+    "step_coarse_along",
+    "step_coarse_across",
+    "rise_coarse",
+    "spread_wide",
+    "contrast_fine",
+    "likeness_fine",
+)
+_IN_CELL: Final = ("spread", "skewness", "dark", "bright", "grain_along", "grain_across", "step_medium_along", "step_medium_across")
+WINDOWS: Final = {"small": 3, "large": 7}
+"""Windows around a cell, in cells along each side."""
+NAMES: Final = (
+    *(f"{name}_cell" for name in _IN_CELL),
+    *(f"{name}_{size}" for size in WINDOWS for name in _IN_WINDOW),
+    "ripple_peak",
+    "low_frequencies",
+    "log_wavelength",
+    "level_cell",
+    "level_small",
+    "level_large",
+    "level_spread",
 )
 BLOCK_M: Final = 0.24
-CELL_BLOCKS: Final = 16
-WINDOW_BLOCKS: Final = 2 * CELL_BLOCKS  # with the cell in its middle
+CELL_BLOCKS: Final = 8
+WINDOW_BLOCKS: Final = 32  # of the spectrum, with two by two cells in its middle
+MARGIN_CELLS: Final = 4  # around those measured: half the largest window, and one for differences
 
-_LEAST_VALID: Final = 0.6  # of a window
-_PIECE: Final = 8  # blocks; sums are kept in such pieces, of which a window has four by four
-_DARK: Final = 0.35  # of the local mean
+_MIN_VALID: Final = 0.5  # of the small window
+_DARK: Final = 0.35  # of the local mean, for blocks
 _BRIGHT: Final = 2.5
-_LEAST_SHARE: Final = 0.003  # of dark or bright blocks, below which they do not count
+_DARK_MEDIUM: Final = 0.5  # for two by two blocks, whose speckle is less
+_BRIGHT_MEDIUM: Final = 1.8
+_MIN_SHARE: Final = 0.003  # of dark or bright blocks, below which they do not count
+_MIN_VARIANCE: Final = 0.003  # of logarithms, below which differences do not count
 _FLOOR: Final = 1e-2  # of the local mean, for logarithms
+_GLINT: Final = 20.0  # of the local mean, above which a pixel counts as that much
+_LAG: Final = 4  # blocks: about a metre
+_FINE_LAG_M: Final = 0.18  # half of the shortest ripples
+_FINE_LIMIT: Final = 5.0  # of what is measured inside blocks
+_DIM: Final = 0.05  # of the local mean; darker blocks count as that bright in ratios
 _LONGEST_RIPPLE_M: Final = 4.0
 _LONG_M: Final = 1.5
 _SMALLEST: Final = 1e-9
-_LEAST_ALTITUDE_M: Final = 0.1
+_MIN_ALTITUDE_M: Final = 0.1
 
 
 class Texture(NamedTuple):
@@ -63,126 +102,252 @@ class Texture(NamedTuple):
 
 
 def measure_texture(tile: Tile) -> Texture:
-    """Textures of the cells of a tile's core, whose windows reach into the overlap; its local mean is 1.
+    """Measure the cells of a tile's core, in windows that reach into the overlap.
 
-    Lacunarities are natural logarithms of the variance over the squared mean of box means of 0.24, 0.48 and 0.96 m; ripple_peak of the
-    spectrum's highest value over its mean at all wavenumbers of that size; low_frequencies of the share of wavelengths above 1.5 m; dark
-    and bright of the shares of boxes; grains of the squared difference of neighbouring boxes over the squared mean, which tell the speckle
-    that all else stands on.
+    Spreads, grains, lags and steps are natural logarithms of variances, or of half mean squared differences, of logarithmic echoes: of
+    blocks of 0.24 m (spread; grain over one block, lag over four), of two by two (medium), four by four (coarse) and eight by eight blocks
+    (wide). rises are skewnesses of differences towards far range; dark and bright logarithms of the shares of such blocks. ripple_peak is
+    the logarithm of the spectrum's highest value over its mean at all wavenumbers of that size; low_frequencies that of the share of
+    wavelengths above 1.5 m. levels are nats above the mission's mean at the same grazing angle, 0 where that is not known.
     """
     block = max(1, round(BLOCK_M / tile.row_spacing_m)), max(1, round(BLOCK_M / tile.column_spacing_m))
     block_m = block[0] * tile.row_spacing_m, block[1] * tile.column_spacing_m
     n_along = max(1, math.ceil((tile.core_stop - tile.core_start) / (CELL_BLOCKS * block[0])))
     n_across = max(1, math.ceil(tile.mask.shape[1] / (CELL_BLOCKS * block[1])))
-    wide_echo, wide_valid = _blocks(tile, block, n_along, n_across)
-    wide_level = np.log(np.maximum(wide_echo, _FLOOR)) * wide_valid
-    inner = slice(_PIECE, -_PIECE), slice(_PIECE, -_PIECE)  # what lies around serves differences alone
-    echo, valid, level = wide_echo[inner], wide_valid[inner], wide_level[inner]
-    n_valid = _in_windows(valid)
-    count = np.maximum(n_valid, 1.0)
-    mean = _in_windows(level) / count
-    squared = level * level
-    second, third = _in_windows(squared) / count, _in_windows(squared * level) / count
-    variance = np.maximum(second - mean * mean, _SMALLEST)
-    peak, low, across_crests, wavelength = _spectrum(level, valid, mean, block_m)
-    features = np.stack(
-        [
-            *(_lacunarity(echo, valid, n) for n in (1, 2, 4)),
-            peak,
-            low,
-            _anisotropy(wide_level, wide_valid, block_m),
-            np.log(_in_windows((echo < _DARK) * valid) / count + _LEAST_SHARE),
-            np.log(_in_windows((echo > _BRIGHT) * valid) / count + _LEAST_SHARE),
-            (third - 3.0 * mean * second + 2.0 * mean**3) / variance**1.5,
-            *_grain(echo, valid),
-        ],
-        axis=-1,
-    )
-    features[n_valid < _LEAST_VALID * WINDOW_BLOCKS * WINDOW_BLOCKS] = np.nan
-    cell_m = CELL_BLOCKS * block_m[0], CELL_BLOCKS * block_m[1]
+    echo, valid, *fine = _blocks(tile, block, n_along, n_across)
+    log_echo = np.log(np.maximum(echo, np.float32(_FLOOR))) * valid
+    sums = _cell_sums(echo, valid, log_echo, block_m)
+    sums |= _fine_sums(echo, valid, *fine)
+    shape = n_along, n_across
+    stack = np.stack(list(sums.values()))
+    windows = {n: dict(zip(sums, _around(stack, n, shape), strict=True)) for n in (1, *WINDOWS.values())}
+    columns = [_statistics(windows[1], _IN_CELL), *(_statistics(windows[n], _IN_WINDOW) for n in WINDOWS.values())]
+    peak, low, across_crests, wavelength = (_of_cells(part, shape) for part in _spectrum(log_echo, valid, block_m))
+    columns.append(np.stack([peak, low, np.log(np.clip(wavelength, BLOCK_M, 2.0 * _LONGEST_RIPPLE_M))], axis=-1))
+    columns.append(_levels(tile, block, sums, shape))
+    features = np.concatenate(columns, axis=-1).astype(np.float64)
+    features[windows[WINDOWS["small"]]["valid"] < _MIN_VALID * (WINDOWS["small"] * CELL_BLOCKS) ** 2] = np.nan
     altitude_m = float(np.median(tile.first_return_m))
     if math.isnan(altitude_m):
         features[:] = np.nan
-    cot_grazing = (np.arange(n_across) + 0.5) * cell_m[1] / np.fmax(altitude_m, _LEAST_ALTITUDE_M)
+    cell_m = CELL_BLOCKS * block_m[0], CELL_BLOCKS * block_m[1]
+    cot_grazing = (np.arange(n_across) + 0.5) * cell_m[1] / np.fmax(altitude_m, _MIN_ALTITUDE_M)
     return Texture(features, across_crests, wavelength, cot_grazing, cell_m)
 
 
-def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> tuple[Array, Array]:
-    """Means of the usable pixels of blocks, and 1 where half of them are usable, else 0: of the core's windows, and a piece around."""
-    margin = (WINDOW_BLOCKS - CELL_BLOCKS) // 2 + _PIECE
-    rows, columns = (n_along * CELL_BLOCKS + 2 * margin) * block[0], (n_across * CELL_BLOCKS + 2 * margin) * block[1]
+def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Average the usable pixels of blocks, of the cells and a margin around; and 1 where half of a block is usable, else 0.
+
+    Then the means over blocks of the squares of pixels, and of products with the pixel 0.18 m farther out.
+    """
+    margin = MARGIN_CELLS * CELL_BLOCKS
+    rows, columns = (n_along * CELL_BLOCKS + 2 * margin) * block[0], n_across * CELL_BLOCKS * block[1]
     first = tile.core_start - margin * block[0]
     source = slice(max(first, 0), min(first + rows, tile.mask.shape[0]))
-    place = slice(source.start - first, source.stop - first), slice(margin * block[1], margin * block[1] + tile.mask.shape[1])
+    place = slice(source.start - first, source.stop - first), slice(0, tile.mask.shape[1])
     usable = np.zeros((rows, columns), dtype=np.float32)
     echo = np.zeros((rows, columns), dtype=np.float32)
     usable[place] = (tile.mask[source] & (VALID | SATURATED)) == VALID
-    np.multiply(tile.intensity[source], usable[place], out=echo[place])  # 0 where nothing is valid
-    total, share = (_summed(part, block) / (block[0] * block[1]) for part in (echo, usable))
-    kept = share >= 0.5
-    return np.where(kept, total / np.maximum(share, 0.5), 0.0), kept.astype(np.float64)
-
-
-def _summed(values: NDArray[np.float32] | Array, block: tuple[int, int]) -> Array:
-    """Sums over blocks of an array whose sides they divide."""
-    rows, columns = values.shape[0] // block[0], values.shape[1] // block[1]
-    by_column = values[:, :: block[1]].astype(np.float64)
-    for k in range(1, block[1]):  # a few long sums, where a sum along so short an axis would be slow
-        by_column += values[:, k :: block[1]]
-    return np.asarray(np.add.reduce(by_column.reshape(rows, block[0], columns), axis=1))
-
-
-def _in_windows(values: Array, n: int = 1) -> Array:
-    """(n_along, n_across) sums over windows of an array with a value per n by n blocks."""
-    piece = _summed(values, (_PIECE // n, _PIECE // n))
-    per_cell, per_window = CELL_BLOCKS // _PIECE, WINDOW_BLOCKS // _PIECE
-    return np.asarray(sliding_window_view(piece, (per_window, per_window))[::per_cell, ::per_cell].sum(axis=(-2, -1)))
-
-
-def _lacunarity(echo: Array, valid: Array, n: int) -> Array:
-    """Of means over n by n blocks, of which half must be valid."""
-    count = _summed(valid, (n, n))
-    kept = (2.0 * count >= n * n).astype(np.float64)
-    box = _summed(echo, (n, n)) / np.maximum(count, 1.0) * kept - kept  # about the local mean of 1, which keeps digits
-    n_boxes = np.maximum(_in_windows(kept, n), 1.0)
-    mean = _in_windows(box, n) / n_boxes
-    variance = np.maximum(_in_windows(box * box, n) / n_boxes - mean * mean, 0.0)
-    return np.asarray(np.log(variance / np.maximum(mean + 1.0, _FLOOR) ** 2 + _LEAST_SHARE))
-
-
-def _grain(echo: Array, valid: Array) -> tuple[Array, Array]:
-    """Half the mean squared difference of neighbours along and across, over the squared mean, as logarithms."""
-    level = _in_windows(echo) / np.maximum(_in_windows(valid), 1.0)
-    told = []
-    for here, there in (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None)))):
-        both, difference = np.zeros_like(echo), np.zeros_like(echo)
-        both[here] = valid[here] * valid[there]
-        difference[here] = (echo[there] - echo[here]) ** 2 * both[here]
-        half = 0.5 * _in_windows(difference) / np.maximum(_in_windows(both), 1.0)
-        told.append(np.asarray(np.log(half / np.maximum(level, _FLOOR) ** 2 + _LEAST_SHARE)))
-    return told[0], told[1]
-
-
-def _anisotropy(level: Array, valid: Array, block_m: tuple[float, float]) -> Array:
-    """Of the structure tensor, 0 for none to 1 for stripes (J. Bigun and G. Granlund, 1987), over differences of two blocks. Arrays with a
-    piece around the windows."""
-    rows, columns = slice(_PIECE, -_PIECE), slice(_PIECE, -_PIECE)
-    before, after = slice(_PIECE - 1, -_PIECE - 1), slice(_PIECE + 1, 1 - _PIECE)
-    along = (level[after, columns] - level[before, columns]) * valid[after, columns] * valid[before, columns] / block_m[0]
-    across = (level[rows, after] - level[rows, before]) * valid[rows, after] * valid[rows, before] / block_m[1]
-    j_aa, j_cc, j_ac = (_in_windows(part) for part in (along * along, across * across, along * across))
-    return np.asarray(np.hypot(j_aa - j_cc, 2.0 * j_ac) / np.maximum(j_aa + j_cc, _SMALLEST))
-
-
-def _spectrum(level: Array, valid: Array, mean: Array, block_m: tuple[float, float]) -> tuple[Array, Array, Array, Array]:
-    """Per window the logarithm of the highest peak over its ring's mean, that of the share of long wavelengths, and the peak's direction
-    and wavelength. Peaks are looked for between two blocks and four metres."""
-    windows, holes = (
-        sliding_window_view(part.astype(np.float32), (WINDOW_BLOCKS, WINDOW_BLOCKS))[::CELL_BLOCKS, ::CELL_BLOCKS]
-        for part in (level, valid)
+    np.minimum(tile.intensity[source], np.float32(_GLINT), out=echo[place])
+    echo[place] *= usable[place]
+    lag = max(1, round(_FINE_LAG_M / tile.column_spacing_m))
+    product = np.zeros_like(echo)
+    with np.errstate(under="ignore"):  # what is so dark may count as nothing
+        np.multiply(echo[:, :-lag], echo[:, lag:], out=product[:, :-lag])
+        squared = echo * echo
+    total, share, square, likeness = (
+        np.pad(_summed(part, block) / np.float32(block[0] * block[1]), ((0, 0), (margin, margin)))
+        for part in (echo, usable, squared, product)
     )
+    kept = share >= 0.5
+    whole = np.maximum(share, np.float32(0.5))
+    mean, square, likeness = (np.where(kept, part / whole, np.float32(0.0)) for part in (total, square, likeness))
+    return mean, kept.astype(np.float32), square, likeness
+
+
+def _fine_sums(echo: Floats, valid: Floats, square: Floats, likeness: Floats) -> dict[str, Floats]:
+    """Sum over cells the contrast inside blocks, and how much of it is left between pixels 0.18 m apart."""
+    mean = np.maximum(echo, np.float32(_DIM)) ** 2
+    maps = {
+        name: np.clip(part / mean - 1.0, -1.0, _FINE_LIMIT) * valid
+        for name, part in (("contrast_fine", square), ("likeness_fine", likeness))
+    }
+    return _all_summed(maps, CELL_BLOCKS)
+
+
+def _summed(values: Floats, block: tuple[int, int]) -> Floats:
+    """Sum over blocks of the last two axes, whose lengths they divide."""
+    rows, columns = values.shape[-2] // block[0], values.shape[-1] // block[1]
+    by_column = values[..., :: block[1]].copy()
+    for k in range(1, block[1]):  # a few long sums, where a sum along so short an axis would be slow
+        by_column += values[..., k :: block[1]]
+    return np.asarray(np.add.reduce(by_column.reshape(*values.shape[:-2], rows, block[0], columns), axis=-2))
+
+
+def _cell_sums(echo: Floats, valid: Floats, log_echo: Floats, block_m: tuple[float, float]) -> dict[str, Floats]:
+    """Sum over cells, margin included, what the statistics of any window are made of."""
+    squared = log_echo * log_echo
+    maps = {
+        "valid": valid,
+        "echo": echo,
+        "first": log_echo,
+        "second": squared,
+        "third": squared * log_echo,
+        "dark": (echo < _DARK) * valid,
+        "bright": (echo > _BRIGHT) * valid,
+        **_differences(log_echo, valid, 1, "grain", with_third=False),
+        **_differences(log_echo, valid, _LAG, "lag", with_third=True),
+        **_tensor(log_echo, valid, block_m),
+    }
+    near, near_count = _difference(log_echo, valid, 2, 1)
+    maps |= {"near_count": near_count, "near_second": near * near, "near_third": near**3}
+    sums = _all_summed(maps, CELL_BLOCKS)
+    for name, n in (("medium", 2), ("coarse", 4)):
+        count = _summed(valid, (n, n))
+        kept = (2.0 * count >= n * n).astype(np.float32)
+        mean = _summed(echo, (n, n)) / np.maximum(count, np.float32(1.0))
+        level = np.log(np.maximum(mean, np.float32(_FLOOR))) * kept
+        coarser = {f"{name}_count": kept, f"{name}_first": level, f"{name}_second": level * level}
+        coarser |= _differences(level, kept, 1, f"step_{name}", with_third=True)
+        if name == "medium":
+            coarser |= {"dark_medium": (mean < _DARK_MEDIUM) * kept, "bright_medium": (mean > _BRIGHT_MEDIUM) * kept}
+        sums |= _all_summed(coarser, CELL_BLOCKS // n)
+    kept = (2.0 * sums["valid"] >= CELL_BLOCKS * CELL_BLOCKS).astype(np.float32)
+    level = np.log(np.maximum(sums["echo"] / np.maximum(sums["valid"], np.float32(1.0)), np.float32(_FLOOR))) * kept
+    return sums | {"wide_count": kept, "wide_first": level, "wide_second": level * level}
+
+
+def _all_summed(maps: dict[str, Floats], n: int) -> dict[str, Floats]:
+    return {name: _summed(part.astype(np.float32, copy=False), (n, n)) for name, part in maps.items()}
+
+
+def _difference(values: Floats, valid: Floats, lag: int, axis: int) -> tuple[Floats, Floats]:
+    """Subtract what lies `lag` before along an axis, 0 where one of the two is not valid; and 1 where both are."""
+    here, there = [slice(None), slice(None)], [slice(None), slice(None)]
+    here[axis], there[axis] = slice(None, -lag), slice(lag, None)
+    both, difference = np.zeros_like(values), np.zeros_like(values)
+    both[tuple(here)] = valid[tuple(here)] * valid[tuple(there)]
+    difference[tuple(here)] = (values[tuple(there)] - values[tuple(here)]) * both[tuple(here)]
+    return difference, both
+
+
+def _differences(values: Floats, valid: Floats, lag: int, name: str, *, with_third: bool) -> dict[str, Floats]:
+    maps: dict[str, Floats] = {}
+    for axis, direction in enumerate(("along", "across")):
+        difference, both = _difference(values, valid, lag, axis)
+        squared = difference * difference
+        maps |= {f"{name}_{direction}_count": both, f"{name}_{direction}_second": squared}
+        if with_third and axis == 1:
+            maps[f"{name}_third"] = squared * difference
+    return maps
+
+
+def _tensor(level: Floats, valid: Floats, block_m: tuple[float, float]) -> dict[str, Floats]:
+    """Multiply differences over two blocks: the structure tensor (J. Bigun and G. Granlund, 1987)."""
+    along, across = np.zeros_like(level), np.zeros_like(level)
+    along[1:-1] = (level[2:] - level[:-2]) * valid[2:] * valid[:-2] / np.float32(block_m[0])
+    across[:, 1:-1] = (level[:, 2:] - level[:, :-2]) * valid[:, 2:] * valid[:, :-2] / np.float32(block_m[1])
+    return {"tensor_along": along * along, "tensor_across": across * across, "tensor_both": along * across}
+
+
+def _around(values: Floats, n: int, shape: tuple[int, int]) -> Floats:
+    """Sum values of cells (..., n_along, n_across), margin included, over n by n cells around each cell; n is odd."""
+    margin = MARGIN_CELLS - n // 2
+    rows, columns = shape[0] + n - 1, shape[1] + n - 1
+    inner = values[..., margin : margin + rows, margin : margin + columns]
+    by_row = np.add.reduce([inner[..., k : k + shape[0], :] for k in range(n)])
+    return np.asarray(np.add.reduce([by_row[..., k : k + shape[1]] for k in range(n)]))
+
+
+def _statistics(sums: dict[str, Floats], names: tuple[str, ...]) -> Floats:
+    """Make the named statistics of windows, (n_along, n_across, len(names))."""
+    count = np.maximum(sums["valid"], np.float32(1.0))
+    mean = sums["first"] / count
+    variance = np.maximum(sums["second"] / count - mean * mean, np.float32(_MIN_VARIANCE))
+    made = {
+        "spread": np.log(variance),
+        "skewness": (sums["third"] / count - 3.0 * mean * sums["second"] / count + 2.0 * mean**3) / variance**1.5,
+        "dark": np.log(sums["dark"] / count + _MIN_SHARE),
+        "bright": np.log(sums["bright"] / count + _MIN_SHARE),
+        **{f"{name}_{way}": _log_half(sums, f"{name}_{way}") for name in ("grain", "lag") for way in ("along", "across")},
+        **{f"step_{size}_{way}": _log_half(sums, f"step_{size}_{way}") for size in ("medium", "coarse") for way in ("along", "across")},
+    }
+    if "rise_near" in names:
+        total = np.maximum(sums["tensor_along"] + sums["tensor_across"], np.float32(_SMALLEST))
+        excess = sums["tensor_along"] - sums["tensor_across"]
+        medium = np.maximum(sums["medium_count"], np.float32(1.0))
+        made |= {
+            "rise_near": _skewness(sums["near_third"], sums["near_second"], sums["near_count"]),
+            "rise_far": _skewness(sums["lag_third"], sums["lag_across_second"], sums["lag_across_count"]),
+            "anisotropy": np.hypot(excess, 2.0 * sums["tensor_both"]) / total,
+            "orientation": excess / total,
+            "dark_medium": np.log(sums["dark_medium"] / medium + _MIN_SHARE),
+            "bright_medium": np.log(sums["bright_medium"] / medium + _MIN_SHARE),
+            **{f"rise_{size}": _step_skewness(sums, size) for size in ("medium", "coarse")},
+            "contrast_fine": sums["contrast_fine"] / count,
+            "likeness_fine": sums["likeness_fine"] / count,
+            **{f"spread_{size}": _log_spread(sums, size) for size in ("medium", "coarse", "wide")},
+        }
+    return np.stack([made[name] for name in names], axis=-1)
+
+
+def _log_half(sums: dict[str, Floats], name: str) -> Floats:
+    return np.log(0.5 * sums[f"{name}_second"] / np.maximum(sums[f"{name}_count"], np.float32(1.0)) + _MIN_VARIANCE)
+
+
+def _skewness(third: Floats, second: Floats, count: Floats) -> Floats:
+    n = np.maximum(count, np.float32(1.0))
+    return np.asarray(third / n / (second / n + np.float32(_MIN_VARIANCE)) ** 1.5)
+
+
+def _step_skewness(sums: dict[str, Floats], size: str) -> Floats:
+    return _skewness(sums[f"step_{size}_third"], sums[f"step_{size}_across_second"], sums[f"step_{size}_across_count"])
+
+
+def _log_spread(sums: dict[str, Floats], size: str) -> Floats:
+    count = np.maximum(sums[f"{size}_count"], np.float32(1.0))
+    mean = sums[f"{size}_first"] / count
+    return np.log(np.maximum(sums[f"{size}_second"] / count - mean * mean, np.float32(0.0)) + _MIN_VARIANCE)
+
+
+def _levels(tile: Tile, block: tuple[int, int], sums: dict[str, Floats], shape: tuple[int, int]) -> Floats:
+    """Measure how bright cells are against the mission's mean, in the cell, in the windows, and how much that varies in the large one."""
+    around = np.full((shape[0] + 2 * MARGIN_CELLS, shape[1] + 2 * MARGIN_CELLS), np.nan, dtype=np.float32)
+    if tile.level is not None and tile.level.size:
+        rows = CELL_BLOCKS * block[0]
+        middle = tile.core_start + np.floor((np.arange(len(around)) - MARGIN_CELLS + 0.5) * rows).astype(np.intp)
+        across_m = (np.arange(around.shape[1]) - MARGIN_CELLS + 0.5) * CELL_BLOCKS * block[1]
+        column = np.floor(across_m * tile.level.shape[1] / tile.mask.shape[1]).astype(np.intp)
+        in_rows, in_columns = (middle >= 0) & (middle < len(tile.level)), (column >= 0) & (column < tile.level.shape[1])
+        around[np.ix_(in_rows, in_columns)] = tile.level[np.ix_(middle[in_rows], column[in_columns])]
+    known = np.isfinite(around) & (sums["wide_count"] > 0.0)
+    level = np.where(known, around + sums["wide_first"], np.float32(0.0))
+    count = known.astype(np.float32)
+    made: list[Floats] = [_around(level, 1, shape)]
+    for n in WINDOWS.values():
+        n_known = np.maximum(_around(count, n, shape), np.float32(1.0))
+        made.append((_around(level, n, shape) / n_known).astype(np.float32))
+    variance = _around(level * level, n, shape) / n_known - made[-1] ** 2
+    made.append(np.sqrt(np.maximum(variance, np.float32(0.0))).astype(np.float32))
+    return np.stack(made, axis=-1)
+
+
+def _of_cells(values: Array, shape: tuple[int, int]) -> Array:
+    """Repeat what was measured for two by two cells."""
+    return np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
+
+
+def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tuple[Array, Array, Array, Array]:
+    """Per two by two cells the logarithm of the highest peak over its ring's mean, that of the share of long wavelengths, and the peak's
+    direction and wavelength. Peaks are looked for between two blocks and four metres. Arrays with their margin."""
+    step = 2 * CELL_BLOCKS
+    margin = MARGIN_CELLS * CELL_BLOCKS - (WINDOW_BLOCKS - step) // 2
+    n_along, n_across = (math.ceil((n - 2 * MARGIN_CELLS * CELL_BLOCKS) / step) for n in level.shape)
+    inner = tuple(slice(margin, margin + (n - 1) * step + WINDOW_BLOCKS) for n in (n_along, n_across))
+    windows, holes = (sliding_window_view(part[inner], (WINDOW_BLOCKS, WINDOW_BLOCKS))[::step, ::step] for part in (level, valid))
+    mean = windows.sum(axis=(-2, -1)) / np.maximum(holes.sum(axis=(-2, -1)), np.float32(1.0))
     taper = np.hanning(WINDOW_BLOCKS + 2)[1:-1].astype(np.float32)
-    level_there = (windows - mean.astype(np.float32)[..., np.newaxis, np.newaxis]) * holes * (taper[:, np.newaxis] * taper)
+    level_there = (windows - mean[..., np.newaxis, np.newaxis]) * holes * (taper[:, np.newaxis] * taper)
     transformed = np.fft.rfft2(level_there)
     power = transformed.real**2 + transformed.imag**2
     along, across, ring, ripple, long = _wavenumbers(block_m)

@@ -16,8 +16,10 @@ Array = NDArray[np.float64]
 
 _UNKNOWN: Final = SEABED_TYPES.index("unknown")
 _RIPPLE: Final = SEABED_TYPES.index("ripple")
-_COUPLING: Final = 1.0  # nats that a neighbouring cell of the same kind adds
+_COUPLING: Final = 0.7  # nats that a neighbouring cell of the same kind adds; 1 changes what is right by less than 0.005
 _SWEEPS: Final = 6
+_MIN_CONFIDENCE: Final = 0.6
+"""What is less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been right."""
 
 
 def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
@@ -26,17 +28,17 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
     measured: NDArray[np.bool_] = np.asarray(np.isfinite(texture.features).all(axis=-1))
     features = np.where(measured[..., np.newaxis], texture.features, 0.0)
     found = odds_of(features, np.broadcast_to(texture.cot_grazing, measured.shape), model)
-    posterior = smoothed(found.log_p * measured[..., np.newaxis], measured)
+    known = measured & (found.distance <= model.learnt.novelty)
+    posterior = smoothed(found.log_p * known[..., np.newaxis], known)
     best = np.argmax(posterior, axis=-1)
-    kind = kind_indices(model)[best]
     confidence = np.take_along_axis(posterior, best[..., np.newaxis], axis=-1)[..., 0]
-    novel = measured & (found.nearest > model.novelty)
-    kind = np.where(measured & ~novel, kind, _UNKNOWN).astype(np.uint8)
+    told = known & (confidence >= _MIN_CONFIDENCE)
+    kind = np.where(told, kind_indices(model)[best], _UNKNOWN).astype(np.uint8)
     rippled = kind == _RIPPLE
     return SeabedCells(
         cell_m=texture.cell_m,
         kind=kind,
-        confidence=np.where(measured, np.where(novel, 1.0, confidence), 0.0).astype(np.float32),
+        confidence=np.where(told, confidence, 0.0).astype(np.float32),
         ripple_rad=np.where(rippled, _on_compass(texture, tile), np.nan).astype(np.float32),
         wavelength_m=np.where(rippled, texture.wavelength_m, np.nan).astype(np.float32),
     )

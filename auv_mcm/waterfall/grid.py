@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,20 @@ from auv_mcm.records import PoseTrack, Side
 _MIN_ROW_COVER = 0.5
 
 
+LEVEL_COLUMNS: Final = 8  # pixels per value of a level across the track: 0.48 m of the default spacing
+"""Levels change over metres, so that few values across the track are enough."""
+
+
 class SideImage(NamedTuple):
-    """intensity: (n, n_columns) float32, 0 where not VALID; mask: (n, n_columns) uint8."""
+    """intensity: (n, n_columns) float32, 0 where not VALID; mask: (n, n_columns) uint8.
+
+    offset: (n, ceil(n_columns / LEVEL_COLUMNS)) float32, nats: the angle response taken off the intensity less that of the whole mission so
+    far. None where it was never measured.
+    """
 
     intensity: NDArray[np.float32]
     mask: NDArray[np.uint8]
+    offset: NDArray[np.float32] | None = None
 
 
 class Swath(NamedTuple):
@@ -64,7 +73,10 @@ def slice_swath(swath: Swath, rows: slice) -> Swath:
         swath.first_return_m[rows],
         swath.first_return_sigma_m[rows],
         swath.ping_number[rows],
-        {side: SideImage(image.intensity[rows], image.mask[rows]) for side, image in swath.sides.items()},
+        {
+            side: SideImage(image.intensity[rows], image.mask[rows], None if image.offset is None else image.offset[rows])
+            for side, image in swath.sides.items()
+        },
     )
 
 
@@ -76,7 +88,12 @@ def concatenate_swaths(swaths: list[Swath]) -> Swath:
     for side in dict.fromkeys(side for swath in swaths for side in swath.sides):
         n_columns = max(swath.sides[side].mask.shape[1] for swath in swaths if side in swath.sides)
         pieces = [_widened(swath.sides.get(side), swath.n_rows, n_columns) for swath in swaths]
-        sides[side] = SideImage(np.concatenate([p.intensity for p in pieces]), np.concatenate([p.mask for p in pieces]))
+        offsets = [p.offset for p in pieces if p.offset is not None]
+        sides[side] = SideImage(
+            np.concatenate([p.intensity for p in pieces]),
+            np.concatenate([p.mask for p in pieces]),
+            np.concatenate(offsets) if len(offsets) == len(pieces) else None,
+        )
     return Swath(
         np.concatenate([swath.along_m for swath in swaths]),
         concatenate_poses([swath.pose for swath in swaths]),
@@ -89,11 +106,20 @@ def concatenate_swaths(swaths: list[Swath]) -> Swath:
 
 def _widened(image: SideImage | None, n_rows: int, n_columns: int) -> SideImage:
     if image is None:
-        return SideImage(np.zeros((n_rows, n_columns), dtype=np.float32), np.zeros((n_rows, n_columns), dtype=np.uint8))
+        shape = n_rows, n_columns
+        return SideImage(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8), unknown_offset(shape))
     missing = n_columns - image.mask.shape[1]
     if missing == 0:
         return image
-    return SideImage(np.pad(image.intensity, ((0, 0), (0, missing))), np.pad(image.mask, ((0, 0), (0, missing))))
+    offset = image.offset
+    if offset is not None:
+        offset = np.concatenate([offset, unknown_offset((n_rows, n_columns))[:, offset.shape[1] :]], axis=1)
+    return SideImage(np.pad(image.intensity, ((0, 0), (0, missing))), np.pad(image.mask, ((0, 0), (0, missing))), offset)
+
+
+def unknown_offset(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Make the offset of an image of a shape for which none is known: NaN."""
+    return np.full((shape[0], math.ceil(shape[1] / LEVEL_COLUMNS)), np.nan, dtype=np.float32)
 
 
 class AlongTrackGrid:
@@ -180,7 +206,10 @@ def _average_rows(
         np.interp(centre, pings.along_m, pings.first_return_sigma_m),
         np.where(covered, pings.ping_number[nearest], -1),
         {
-            side: SideImage(*average_rows(image.intensity, image.mask, source, overlap, _MIN_ROW_COVER * spacing_m))
+            side: SideImage(
+                *average_rows(image.intensity, image.mask, source, overlap, _MIN_ROW_COVER * spacing_m),
+                None if image.offset is None else image.offset[nearest],
+            )
             for side, image in pings.sides.items()
         },
     )

@@ -19,6 +19,9 @@ N_ANGLE_BINS: Final = 180
 _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
 _CLIP_NATS: Final = 3.0
 _TIME_CONSTANT_PINGS: Final = 150.0
+REFERENCE_PINGS: Final = 20_000.0
+"""Time constant of the angle response that levels of the sea floor are measured against: half an hour and more, so that a patch of one
+kind of sea floor does not become its own reference."""
 _MIN_BIN_SAMPLES: Final = 8
 
 _GAIN_STEP_NATS: Final = 0.7
@@ -38,7 +41,8 @@ class AngleCurve:
     Samples are clipped to +-3 nats around the curve, so that neither targets nor shadows drag it far.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, time_constant_pings: float = _TIME_CONSTANT_PINGS) -> None:
+        self._time_constant_pings = time_constant_pings
         self._level = np.full(N_ANGLE_BINS, np.nan)
         self._weight = np.zeros(N_ANGLE_BINS)
 
@@ -56,7 +60,7 @@ class AngleCurve:
         innovation = angle_sums(angle, log_intensity, usable, N_ANGLE_BINS, centre, _CLIP_NATS)[1] / np.maximum(count, 1)
         enough = count >= _MIN_BIN_SAMPLES
         n_pings = log_intensity.shape[0]
-        share = n_pings / np.minimum(self._weight + n_pings, _TIME_CONSTANT_PINGS)
+        share = n_pings / np.minimum(self._weight + n_pings, self._time_constant_pings)
         learnt = np.where(enough, centre + np.minimum(share, 1.0) * innovation, self._level)
         level = np.where(np.isnan(self._level), learnt, self._level)
         self._level = learnt

@@ -14,10 +14,10 @@ from auv_mcm.intake import PingBlock
 from auv_mcm.kernels.waterfall import Turning, ping_masks
 from auv_mcm.records import SIDES, Ping, Side, Tile
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
-from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
+from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import Traces, ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.quality import TraceChecker
-from auv_mcm.waterfall.radiometry import AngleCurve, GainStepFilter, row_medians
+from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, row_medians
 from auv_mcm.waterfall.tiles import TileCutter
 from auv_mcm.waterfall.transfer import Transfer
 
@@ -46,6 +46,7 @@ class Waterfall:
         """Read samples as `transfer` says from the next segment on, and forget what was learnt from how they were read before."""
         self._checkers = {side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES}
         self._curves = {side: AngleCurve() for side in SIDES}
+        self._references = {side: AngleCurve(REFERENCE_PINGS) for side in SIDES}
         self._gains = {side: GainStepFilter() for side in SIDES}
         self._tracker = BottomTracker(self._config.sonar.blank_m)
 
@@ -119,7 +120,10 @@ class Waterfall:
         log_intensity -= gain[:, None]
         curve = self._curves[side].learn(log_intensity, learnable, tangent)
         intensity = ground.intensity * np.exp(-gain[:, None] - curve)
-        return SideImage(intensity.astype(np.float32), mask)
+        # A few columns are enough for what changes as slowly as the angle response.
+        some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
+        reference = self._references[side].learn(log_intensity[:, some], learnable[:, some], tangent[:, some])
+        return SideImage(intensity.astype(np.float32), mask, (curve[:, some] - reference).astype(np.float32))
 
     def _turning(self, side: Side, block: PingBlock, level_m: NDArray[np.float64], first_return_m: NDArray[np.float64]) -> Turning:
         """Rotation that spreads or squeezes the pings on the bottom.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.config import WaterfallConfig
 from auv_mcm.kernels.waterfall import normalise
 from auv_mcm.records import SATURATED, SIDES, VALID, Side, Tile
-from auv_mcm.waterfall.grid import Swath, concatenate_swaths, slice_swath
+from auv_mcm.waterfall.grid import LEVEL_COLUMNS, SideImage, Swath, concatenate_swaths, slice_swath
 from auv_mcm.waterfall.radiometry import local_mean
 
 
@@ -94,4 +95,15 @@ class TileCutter:
             first_return_m=piece.first_return_m,
             first_return_sigma_m=piece.first_return_sigma_m,
             ping_number=piece.ping_number,
+            level=_level(image, mean, known),
         )
+
+
+def _level(image: SideImage, mean: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    """Measure the local mean against that of the mission at the same grazing angle, in the columns of the image's offset."""
+    if image.offset is None:
+        return None
+    n_columns = mean.shape[1]
+    some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
+    log_mean = np.log(mean[:, some], out=np.full((len(mean), len(some)), np.nan), where=known[:, some] & (mean[:, some] > 0.0))
+    return np.asarray(log_mean + image.offset, dtype=np.float32)

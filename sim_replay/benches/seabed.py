@@ -1,6 +1,7 @@
-"""How well kinds of sea floor are told apart on missions never fitted on, beside Haralick's textures, and what it costs.
+"""Compare the live map of the sea floor with what the simulator put there, on the named scenes, all cells, and what it costs.
 
 auv-mcm bench seabed                              flies, scores and prints
+auv-mcm bench seabed --model FILE                 scores a model of 'auv-mcm calibrate seabed'
 auv-mcm bench seabed --picture FILE --log LOG ... draws recorded lines and what their floor is taken for
 """
 
@@ -9,11 +10,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import cv2
 import msgspec
@@ -21,91 +20,150 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.contacts.picture import encoded
-from auv_mcm.errors import UsageError
+from auv_mcm.detect.stage import TileDetections
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.outputs import write_file
-from auv_mcm.records import SEABED_TYPES
-from auv_mcm.seabed.features import measure_texture
-from auv_mcm.seabed.model import SeabedModel, kind_indices, odds_of, shipped_seabed_model
-from auv_mcm.seabed.stage import seabed_cells, smoothed
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.plan.clearance import ClearanceMap
+from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
+from auv_mcm.seabed.model import SeabedModel, parse_seabed_model, shipped_seabed_model
+from auv_mcm.seabed.stage import seabed_cells
 from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import columns, markdown
-from sim_replay.seabed.fit import FIT_SEEDS, alike, regression
-from sim_replay.seabed.haralick import haralick_features
+from sim_replay.benches.layout import NOTHING, columns, markdown
+from sim_replay.benches.scenes import SCENES, config_for
+from sim_replay.scoring.seabed_map import SeabedMap
 from sim_replay.seabed.picture import seabed_picture
-from sim_replay.seabed.samples import MIXED, TrueTile, kind_of_covers, true_tiles
+from sim_replay.seabed.score import Shares, confusion_m2, shares
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.training.farm import Farm, run_tasks
 
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-T = TypeVar("T")
 
-FIRST_SEED: Final = 9320  # nothing of the sea floor was ever fitted or tried on seeds from here on
+FIRST_SEED: Final = 91001  # nothing of the sea floor was ever fitted or tried on seeds from here on
 _QUALITY: Final = 62
-_SYSTEMS: Final = ("ours", "ours, cell by cell", "Haralick's, smoothed alike")
+
+
+class Task(NamedTuple):
+    """A mission over a named scene. model: JSON of the model that serves it."""
+
+    scene: str
+    seed: int
+    model: bytes
 
 
 class Told(NamedTuple):
-    """Of one mission: confusion (len(_SYSTEMS), n_types, n_types), truth down; texture_s, stage_s: medians of processor time per tile."""
+    """Of one mission: confusion (n_types, n_types) in m², truth down; stage_s: median processor time per tile."""
 
-    confusion: Counts
-    texture_s: float
+    confusion_m2: Array
     stage_s: float
 
 
-class Rival(NamedTuple):
-    """Haralick's features with the same regression: centre, scale (n,), weights (terms, n_kinds)."""
-
-    centre: Array
-    scale: Array
-    weights: Array
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=count, default=24, help=f"missions to score on, from seed {FIRST_SEED} (default 24)")
-    parser.add_argument(
-        "--rival-seeds", type=count, default=len(FIT_SEEDS), help=f"missions to fit Haralick's on (default {len(FIT_SEEDS)})"
-    )
+    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
+    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument("--model", type=Path, metavar="FILE", help="model to score (default: the one that ships)")
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the counts to FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the areas to FILE")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing")
     parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="XTF log to draw; may be given again")
     parser.add_argument("--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fit the rival, score both and print, or draw; returns the exit code. Raises UsageError for a file that cannot be written."""
+    """Score and print, or draw; returns the exit code. Raises UsageError for unknown scenes and files that cannot be written."""
     if (arguments.picture is None) != (arguments.log is None):
         raise UsageError("--picture draws what --log names: give both, or neither to score")
+    data = _model_bytes(arguments.model)
     if arguments.picture is not None:
-        return _draw(arguments.log, arguments.tiles, arguments.picture)
-    farm = Farm(arguments.workers)
-    rival_seeds = list(islice(FIT_SEEDS, arguments.rival_seeds))
-    rival = _fitted(list(_counted(run_tasks(haralick_samples, rival_seeds, farm), len(rival_seeds), "fitted on")))
-    seeds = list(range(FIRST_SEED, FIRST_SEED + arguments.seeds))
-    told = list(_counted(run_tasks(partial(scored, rival=rival, model=shipped_seabed_model()), seeds, farm), len(seeds), "scored"))
-    confusion = np.sum([each.confusion for each in told], axis=0)
-    laid_out = markdown if arguments.markdown else columns
-    print(f"{len(seeds)} missions, seeds {seeds[0]} to {seeds[-1]}: {confusion[0].sum()} cells whose windows show one kind alone\n")
-    for name, counts in zip(_SYSTEMS, confusion, strict=True):
-        print(f"{name}: {np.trace(counts) / counts.sum():.3f} right, {_balanced(counts):.3f} on average over kinds\n")
-        print(laid_out(("truth", *SEABED_TYPES, "right"), list(_rows(counts))), end="\n\n")
-    texture_ms, stage_ms = (1e3 * float(np.median([getattr(each, name) for each in told])) for name in ("texture_s", "stage_s"))
-    print(f"per tile, processor time: {texture_ms:.1f} ms for textures, {stage_ms:.1f} ms in all")
+        return _draw(arguments.log, arguments.tiles, arguments.picture, parse_seabed_model(data, str(arguments.model)))
+    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
+    if unknown := [name for name in names if name not in named_scenes()]:
+        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    tasks = [Task(name, seed, data) for name in names for seed in seeds]
+    told = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
+    by_scene = {
+        name: np.sum([each.confusion_m2 for task, each in zip(tasks, told, strict=True) if task.scene == name], axis=0) for name in names
+    }
+    print(f"{len(seeds)} missions per scene, seeds {seeds[0]} to {seeds[-1]}; {parse_seabed_model(data, 'model').fitted_on}\n")
+    print(report(by_scene, arguments.markdown))
+    print(f"\nper tile, processor time: {1e3 * float(np.median([each.stage_s for each in told])):.1f} ms in the median")
     if arguments.json is not None:
-        counted = {name: counts.tolist() for name, counts in zip(_SYSTEMS, confusion, strict=True)}
+        areas = {name: area_m2.tolist() for name, area_m2 in by_scene.items()}
         try:
-            write_file(arguments.json, msgspec.json.format(msgspec.json.encode({"kinds": SEABED_TYPES, **counted})))
+            write_file(arguments.json, msgspec.json.format(msgspec.json.encode({"kinds": SEABED_TYPES, "m2": areas})))
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
     return 0
 
 
-def _draw(logs: Sequence[Path], n_tiles: int, out: Path) -> int:
+def scored(task: Task) -> Told:
+    """Fly a mission over a named scene and compare its map with the truth."""
+    scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
+    model = parse_seabed_model(task.model, "model")
+    stage_s: list[float] = []
+
+    def timed(tile: Tile) -> SeabedCells:
+        start_s = time.process_time()
+        cells = seabed_cells(tile, model)
+        stage_s.append(time.process_time() - start_s)
+        return cells
+
+    mission = Mission(scene)
+    pipeline = Pipeline(config_for(scene), detect=lambda tile: TileDetections((), 0, 0), seabed=timed)
+    searched = ClearanceMap(shipped_performance())
+    for event in mission.events():
+        for told in pipeline.feed(event):
+            if isinstance(told, CoveragePatch):
+                searched.add(told)
+    for told in pipeline.finish():
+        if isinstance(told, CoveragePatch):
+            searched.add(told)
+    clearance = searched.snapshot()
+    n = len(SEABED_TYPES)
+    truth = msgspec.convert(mission.truth()["seabed_map"], SeabedMap)
+    return Told(np.zeros((n, n)) if clearance is None else confusion_m2(clearance, truth), float(np.median(stage_s)))
+
+
+def report(by_scene: dict[str, Array], in_markdown: bool = False) -> str:
+    """Lay out shares by scene and of all together, and the areas of each true kind by what it was taken for."""
+    laid_out = markdown if in_markdown else columns
+    pooled = np.sum(list(by_scene.values()), axis=0)
+    rows = [_row(name, area_m2) for name, area_m2 in {**by_scene, "all": pooled}.items()]
+    header = ("scene", "km²", "right", "unknown", "right where a kind is given")
+    kinds = [
+        [name, *(f"{part / 1e6:.3f}" for part in pooled[index].tolist()), f"{pooled[index, index] / pooled[index].sum():.2f}"]
+        for index, name in enumerate(SEABED_TYPES)
+        if pooled[index].sum() > 0.0
+    ]
+    return laid_out(header, rows) + "\n\n" + laid_out(("truth, km²", *SEABED_TYPES, "right"), kinds)
+
+
+def _row(name: str, area_m2: Array) -> list[str]:
+    told: Shares = shares(area_m2)
+    return [name, f"{area_m2.sum() / 1e6:.3f}", *(NOTHING if np.isnan(share) else f"{share:.2f}" for share in told)]
+
+
+def _model_bytes(path: Path | None) -> bytes:
+    if path is None:
+        return msgspec.json.encode(shipped_seabed_model())
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BadInputError(f"--model {path} cannot be read: {error.strerror}. Check the path") from error
+    parse_seabed_model(data, str(path))
+    return data
+
+
+def _draw(logs: Sequence[Path], n_tiles: int, out: Path, model: SeabedModel) -> int:
     options = {".png": [cv2.IMWRITE_PNG_COMPRESSION, 9], ".jpg": [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]}.get(out.suffix.lower())
     if options is None:
         raise UsageError(f"--picture {out}: name a file that ends in .png or .jpg")
-    picture = encoded(seabed_picture(logs, n_tiles, shipped_seabed_model()), out.suffix.lower(), options)
+    picture = encoded(seabed_picture(logs, n_tiles, model), out.suffix.lower(), options)
     try:
         write_file(out, picture)
     except OSError as error:
@@ -113,75 +171,7 @@ def _draw(logs: Sequence[Path], n_tiles: int, out: Path) -> int:
     return 0
 
 
-def haralick_samples(seed: int) -> tuple[Array, NDArray[np.uint8]]:
-    """(n, n_features) of pure cells and (n,) their covers."""
-    parts = []
-    for tile, cover in true_tiles(seed):
-        features = haralick_features(tile)
-        pure = (cover != MIXED) & np.isfinite(features).all(axis=-1)
-        parts.append((features[pure], cover[pure]))
-    return np.concatenate([features for features, _ in parts]), np.concatenate([cover for _, cover in parts])
-
-
-def scored(seed: int, rival: Rival, model: SeabedModel) -> Told:
-    """Every system on one mission."""
-    n = len(SEABED_TYPES)
-    confusion = np.zeros((len(_SYSTEMS), n, n), dtype=np.int64)
-    texture_s, stage_s = [], []
-    for true in true_tiles(seed):
-        texture, took_s = _timed(partial(measure_texture, true.tile))
-        texture_s.append(took_s)
-        cells, took_s = _timed(partial(seabed_cells, true.tile, model))
-        stage_s.append(took_s)
-        measured = np.isfinite(texture.features).all(axis=-1)
-        odds = odds_of(np.nan_to_num(texture.features), np.broadcast_to(texture.cot_grazing, measured.shape), model)
-        alone = kind_indices(model)[np.argmax(odds.log_p, axis=-1)]
-        for system, kind in enumerate((cells.kind, alone, _by_rival(true, rival, kind_indices(model)))):
-            pure = (true.cover != MIXED) & measured
-            np.add.at(confusion[system], (kind_of_covers()[true.cover[pure]], kind[pure]), 1)
-    return Told(confusion, float(np.median(texture_s)), float(np.median(stage_s)))
-
-
-def _timed(work: Callable[[], T]) -> tuple[T, float]:
-    start_s = time.process_time()
-    done = work()
-    return done, time.process_time() - start_s
-
-
-def _fitted(samples: list[tuple[Array, NDArray[np.uint8]]]) -> Rival:
-    features, cover = (np.concatenate(part) for part in zip(*samples, strict=True))
-    centre, scale = features.mean(axis=0), np.maximum(features.std(axis=0), 1e-9)
-    of_cover = kind_of_covers()
-    known = np.array(list(dict.fromkeys(of_cover.tolist())))
-    kind = np.searchsorted(np.sort(known), of_cover[cover])
-    return Rival(centre, scale, regression(_terms((features - centre) / scale), kind, alike(cover, kind)))
-
-
-def _by_rival(true: TrueTile, rival: Rival, kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    features = haralick_features(true.tile)
-    measured = np.asarray(np.isfinite(features).all(axis=-1))
-    log_p = _terms((np.nan_to_num(features) - rival.centre) / rival.scale) @ rival.weights
-    log_p -= np.logaddexp.reduce(log_p, axis=-1, keepdims=True)
-    return np.asarray(np.sort(kinds)[np.argmax(smoothed(log_p * measured[..., np.newaxis], measured), axis=-1)], dtype=np.uint8)
-
-
-def _terms(x: Array) -> Array:
-    near = np.clip(x, -2.0, 2.0)
-    return np.concatenate([np.ones((*near.shape[:-1], 1)), near, near**2], axis=-1)
-
-
-def _rows(counts: Counts) -> Iterator[list[str]]:
-    for index, name in enumerate(SEABED_TYPES):
-        if total := int(counts[index].sum()):
-            yield [name, *map(str, counts[index].tolist()), f"{counts[index, index] / total:.2f}"]
-
-
-def _balanced(counts: Counts) -> float:
-    present = counts.sum(axis=1) > 0
-    return float(np.mean(np.diag(counts)[present] / counts.sum(axis=1)[present]))
-
-
-def _counted(results: Iterator[T], total: int, word: str) -> Iterator[T]:
+def _counted(results: Iterator[Told], total: int) -> Iterator[Told]:
     for done, result in enumerate(results, 1):
-        print(f"\r{done} of {total} missions {word}", end="" if done < total else "\n", file=sys.stderr, flush=True)
+        print(f"\r{done} of {total} missions scored", end="" if done < total else "\n", file=sys.stderr, flush=True)
         yield result

@@ -16,6 +16,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import is_mine_like
 from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.outputs import write_file
+from auv_mcm.plan.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from sim_replay.report import words
 from sim_replay.report.cards import band, cards, place_m
@@ -97,6 +98,7 @@ def render_report(
         chart=draw_chart(track_deg, ranked, patches, waypoints),
         chart_width=WIDTH,
         searched=_searched(mission.searched),
+        mines_left=_mines_left(mission.searched),
         clearance_map=base64.b64encode(mission.clearance_png).decode(),
         band=band,
         likely=[card for card in told if card.mine_like],
@@ -134,10 +136,27 @@ def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         return []
     left, at_p = searched["mines_left"], searched["km2_at_p"]
     return [
-        (f"{searched['p_detected_mean']:.0%}", "of mines found", "expected, on average over what was seen"),
+        (
+            f"{searched['p_detected_mean']:.0%}",
+            "to find a mine",
+            "by the tables for such sea floor and ranges, on average over what was seen",
+        ),
         (words.area(1e6 * at_p["0.9"]), "at 90 % or more", f"of {words.area(1e6 * searched['km2'])} seen"),
         (f"{left['expected']:.1f}", "mines left, expected", f"no more than {left['at_most_95']} with 95 %"),
     ]
+
+
+def _mines_left(searched: Mapping[str, Any]) -> str:
+    """Say where the number of mines left comes from."""
+    if not searched:
+        return ""
+    left = searched["mines_left"]
+    return (
+        f"Contacts called mine-like stand for {searched['mines_found']:.1f} mines found; mines left are those among the "
+        f"{left['among_contacts']} contacts that are not called: their p_mine add up to {left['p_mine_sum']:.1f}, of which "
+        f"{DOUBTFUL_SHARE:.0%} were mines in simulated missions, and a little is added for mines that make no contact at all. "
+        f"That holds where mines lie about as densely as there, {USUAL_PER_KM2} per km²; over a floor without mines the number is too high."
+    )
 
 
 def _period(mission: MissionRecord) -> str:

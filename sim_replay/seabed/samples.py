@@ -1,4 +1,4 @@
-"""Textures of cells whose windows show one kind of sea floor alone, and which kind that is."""
+"""Textures of cells of simulated missions, and what kinds of sea floor the simulator put in each."""
 
 from __future__ import annotations
 
@@ -12,77 +12,67 @@ from auv_mcm.detect.stage import TileDetections
 from auv_mcm.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
 from auv_mcm.navigation import interpolate_track
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import SEABED_TYPES, Tile
-from auv_mcm.seabed.features import CELL_BLOCKS, WINDOW_BLOCKS, measure_texture
-from sim_replay.seabed.missions import KIND_OF, mission_scene
+from auv_mcm.records import SEABED_TYPES, SeabedType, Tile
+from auv_mcm.seabed.features import Texture, measure_texture
+from sim_replay.seabed.missions import KIND_OF, mission_scene, sonar_config
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import local_frame
 
-_PER_WINDOW: Final = 7  # places asked for along each side of a window
-
-COVERS: Final = tuple(KIND_OF)
-MIXED: Final = 255
-"""In place of a cover: the window shows several, or part of it cannot be placed."""
+KINDS: Final[tuple[SeabedType, ...]] = tuple(kind for kind in SEABED_TYPES if kind != "unknown")
+_PER_CELL: Final = 4  # places asked for along each side of a cell
+_EVERY: Final = 3  # cells of a mission that are kept: neighbours say nearly the same
+_MIN_KNOWN: Final = 0.5  # of a cell's places that can be placed
 
 
 class Samples(NamedTuple):
-    """features (n, len(NAMES)) float64, all finite; cot_grazing (n,), of the grazing angle; cover (n,) uint8, index into COVERS."""
+    """features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle; shares (n, len(KINDS)) float32, of each
+    kind in the cell, 1 in all."""
 
-    features: NDArray[np.float64]
-    cot_grazing: NDArray[np.float64]
-    cover: NDArray[np.uint8]
-
-
-class TrueTile(NamedTuple):
-    """A tile and, per cell, (n_along, n_across) uint8, the cover of its whole window, index into COVERS, or MIXED."""
-
-    tile: Tile
-    cover: NDArray[np.uint8]
+    features: NDArray[np.float32]
+    cot_grazing: NDArray[np.float32]
+    shares: NDArray[np.float32]
 
 
-def kind_of_covers() -> NDArray[np.uint8]:
-    """(len(COVERS),) index into SEABED_TYPES of what each cover counts as."""
-    return np.array([SEABED_TYPES.index(KIND_OF[cover]) for cover in COVERS], dtype=np.uint8)
-
-
-def true_tiles(seed: int) -> list[TrueTile]:
-    """Every tile of the mission of a seed."""
-    mission = Mission(mission_scene(seed))
-    config = Config(sonar=SonarConfig(transfer="amplitude"))  # as a mission's settings say that knows its recorder
-    pipeline = Pipeline(config, detect=_nothing)
+def samples_of(seed: int) -> Samples:
+    """Fly the mission of a seed and take every third of its cells, those at borders between kinds as well."""
+    scene = mission_scene(seed)
+    mission = Mission(scene)
+    config = Config(sonar=sonar_config(scene))
+    pipeline = Pipeline(config, detect=_nothing, seabed=lambda tile: None)
     tiles: list[Tile] = []
     for event in mission.events():
         tiles += [told for told in pipeline.feed(event) if isinstance(told, Tile)]
     tiles += [told for told in pipeline.finish() if isinstance(told, Tile)]
-    return [TrueTile(tile, true_covers(tile, mission, config.sonar)) for tile in tiles]
+    return pooled([tile_samples(tile, mission, config.sonar) for tile in tiles])
 
 
-def samples_of(seed: int) -> Samples:
-    """Pure cells of the mission of a seed."""
-    parts = []
-    for tile, cover in true_tiles(seed):
-        texture = measure_texture(tile)
-        pure = (cover != MIXED) & np.isfinite(texture.features).all(axis=-1)
-        grazing = np.broadcast_to(texture.cot_grazing, cover.shape)
-        parts.append((texture.features[pure], grazing[pure], cover[pure]))
-    return Samples(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+def tile_samples(tile: Tile, mission: Mission, sonar: SonarConfig) -> Samples:
+    """Measure the cells of a tile and look up their kinds."""
+    texture = measure_texture(tile)
+    shares = true_shares(tile, texture, mission, sonar)
+    total = shares.sum(axis=-1)
+    kept = np.flatnonzero((np.isfinite(texture.features).all(axis=-1) & (total >= _MIN_KNOWN)).ravel())[::_EVERY]
+    cot_grazing = np.broadcast_to(texture.cot_grazing, total.shape).ravel()[kept]
+    features = texture.features.reshape(-1, texture.features.shape[-1])[kept]
+    share = (shares / np.maximum(total, _MIN_KNOWN)[..., np.newaxis]).reshape(-1, len(KINDS))[kept]
+    return Samples(features.astype(np.float32), cot_grazing.astype(np.float32), share.astype(np.float32))
 
 
 def pooled(samples: list[Samples]) -> Samples:
+    """Put samples together."""
     return Samples(*(np.concatenate(part) for part in zip(*samples, strict=True)))
 
 
-def true_covers(tile: Tile, mission: Mission, sonar: SonarConfig) -> NDArray[np.uint8]:
-    """Per cell of a tile the cover of its window, by where the payload believes it to lie, or MIXED."""
-    texture = measure_texture(tile)
+def true_shares(tile: Tile, texture: Texture, mission: Mission, sonar: SonarConfig) -> NDArray[np.float64]:
+    """Look up the share of each kind in cells (n_along, n_across, len(KINDS)), by where the payload believes them to lie.
+
+    Shares of a cell of which part cannot be placed add up to less than 1.
+    """
     n_along, n_across = texture.features.shape[:2]
-    cell_rows = texture.cell_m[0] / tile.row_spacing_m
-    reach = np.linspace(-0.5, 0.5, _PER_WINDOW) * WINDOW_BLOCKS / CELL_BLOCKS
-    row = tile.core_start + ((np.arange(n_along)[:, np.newaxis] + 0.5 + reach) * cell_rows).ravel()
-    ground_m = ((np.arange(n_across)[:, np.newaxis] + 0.5 + reach) * texture.cell_m[1]).ravel()
-    position, ground = (
-        part.ravel() for part in np.meshgrid(np.clip(row, 0.0, len(tile.pose) - 1.0), np.maximum(ground_m, 0.0), indexing="ij")
-    )
+    inside = (np.arange(_PER_CELL) + 0.5) / _PER_CELL
+    row = tile.core_start + ((np.arange(n_along)[:, np.newaxis] + inside) * texture.cell_m[0] / tile.row_spacing_m).ravel()
+    ground_m = ((np.arange(n_across)[:, np.newaxis] + inside) * texture.cell_m[1]).ravel()
+    position, ground = (part.ravel() for part in np.meshgrid(np.clip(row, 0.0, len(tile.pose) - 1.0), ground_m, indexing="ij"))
     first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
     echoes = EchoGeometry(
         side=tile.side,
@@ -93,11 +83,11 @@ def true_covers(tile: Tile, mission: Mission, sonar: SonarConfig) -> NDArray[np.
     )
     place = local_frame(mission.scene.origin).to_enu(*locate(echoes, sonar))
     known = np.isfinite(place).all(axis=1)
-    of_cover = np.array([COVERS.index(cover.type) for cover in mission.sea.world.covers], dtype=np.uint8)
-    cover = np.full(position.shape, MIXED, dtype=np.uint8)
-    cover[known] = of_cover[mission.sea.world.seabed_at(place[known, 0], place[known, 1])]
-    windows = cover.reshape(n_along, _PER_WINDOW, n_across, _PER_WINDOW).swapaxes(1, 2).reshape(n_along, n_across, -1)
-    return np.where((windows == windows[..., :1]).all(axis=-1), windows[..., 0], MIXED).astype(np.uint8)
+    kind_of_cover = np.array([KINDS.index(KIND_OF[cover.type]) for cover in mission.sea.world.covers], dtype=np.int64)
+    kind = np.full(position.shape, len(KINDS), dtype=np.int64)
+    kind[known] = kind_of_cover[mission.sea.world.seabed_at(place[known, 0], place[known, 1])]
+    by_cell = kind.reshape(n_along, _PER_CELL, n_across, _PER_CELL)
+    return np.stack([(by_cell == index).mean(axis=(1, 3)) for index in range(len(KINDS))], axis=-1)
 
 
 def _nothing(tile: Tile) -> TileDetections:

@@ -199,6 +199,8 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
     seen_p = np.array([0.5, 0.9001, 0.96])
     assert searched["mines_left"]["expected"] == pytest.approx(0.5 * (1.0 - seen_p).sum() / seen_p.sum(), abs=1e-3)
+    assert searched["mines_found"] == 0.0
+    assert searched["mines_left"]["among_contacts"] == 0
 
 
 def test_what_was_searched_too_far_off_for_the_map_is_summed_up_and_reported() -> None:

@@ -375,3 +375,19 @@ def test_numbers_read_as_people_write_them() -> None:
 def test_pictures_in_the_page_are_pictures() -> None:
     for source in Page(full_page()).sources:
         assert decoded(base64.b64decode(source.partition(",")[2])).ndim == 3
+
+
+def test_the_page_says_where_the_number_of_mines_left_comes_from() -> None:
+    """Six mines left stood unexplained beside six of six found."""
+    searched = {
+        "km2": 0.07,
+        "p_detected_mean": 0.6,
+        "km2_at_p": {"0.9": 0.01},
+        "mines_found": 5.8,
+        "mines_left": {"expected": 6.2, "at_most_95": 13, "p_none": 0.01, "among_contacts": 412, "p_mine_sum": 9.4},
+    }
+    text = Page(full_page(mission=mission(searched=searched, clearance_png=b"picture"))).text
+    assert "6.2" in text
+    assert "no more than 13 with 95 %" in text
+    assert "412 contacts that are not called: their p_mine add up to 9.4" in text
+    assert "Contacts called mine-like stand for 5.8 mines found" in text

@@ -15,15 +15,14 @@ from auv_mcm.records import SEABED_TYPES, SeabedType
 from auv_mcm.seabed.features import NAMES, measure_texture
 from auv_mcm.seabed.model import (
     INPUTS,
-    N_TERMS,
-    Kind,
+    Gaussian,
+    Layer,
     SeabedModel,
     as_stored,
-    fitted_cover,
+    fitted_gaussian,
     odds_of,
     parse_seabed_model,
     standardised,
-    terms,
 )
 from auv_mcm.seabed.stage import seabed_cells, smoothed
 
@@ -56,24 +55,22 @@ def model() -> SeabedModel:
     centre, scale = (f(np.concatenate(list(floors.values())), axis=0) for f in (np.mean, np.std))
     scale = np.maximum(scale, 1.0)
     floors = {name: (z - centre) / scale for name, z in floors.items()}
-    kinds = []
-    for name, z in floors.items():
-        weights = np.zeros(N_TERMS)
-        mean, variance = z.mean(axis=0), 0.02
-        weights[0], weights[1 : 1 + len(INPUTS)] = -0.5 * float(mean @ mean) / variance, mean / variance
-        kinds.append(Kind(kind=name, weights=as_stored(weights)))
-    covers = tuple(fitted_cover(name, z, 0.1, 1e-2) for name, z in floors.items())
-    fitted = SeabedModel(
+    variance = 0.05
+    means = [np.clip(z.mean(axis=0), -2.0, 2.0) for z in floors.values()]
+    layer = Layer(
+        weights=tuple(as_stored(mean / variance) for mean in means),
+        constants=as_stored(np.array([-0.5 * float(mean @ mean) / variance for mean in means])),
+    )
+    known = fitted_gaussian(np.concatenate(list(floors.values())), 0.1, 1e-2, 1.0)
+    return SeabedModel(
         fitted_on="made-up floors",
         inputs=INPUTS,
+        kinds=names,
         centre=as_stored(centre),
         scale=as_stored(scale),
-        kinds=tuple(kinds),
-        covers=covers,
-        novelty=1e5,
+        layers=(layer,),
+        learnt=msgspec.structs.replace(known, novelty=2.0 * known.novelty),
     )
-    known = np.concatenate([textures(name, seed) for name in names for seed in range(4)])
-    return msgspec.structs.replace(fitted, novelty=3.0 * float(odds_of(known, cot_grazing(len(known)), fitted).nearest.max()))
 
 
 @pytest.mark.parametrize("name", ["flat", "ripple", "rough"])
@@ -128,31 +125,50 @@ def test_neighbours_settle_what_a_cell_leaves_open_and_no_more() -> None:
     assert smoothed(log_p, alone)[2, 2, 1] == pytest.approx(1.0 / (1.0 + math.exp(-0.3)))
 
 
-def test_distances_are_those_of_gaussians() -> None:
+def test_distances_are_those_of_a_gaussian() -> None:
     rng = np.random.Generator(np.random.PCG64(7))
     n = len(INPUTS)
-    x = rng.normal(size=(50_000, n)) @ rng.normal(size=(n, n)).T + rng.normal(size=n)
-    cover = fitted_cover("sand", x, 0.0, 0.0)
+    x = rng.normal(size=(20_000, n)) @ rng.normal(size=(n, n)).T + rng.normal(size=n)
+    learnt = fitted_gaussian(x, 0.0, 0.0, 0.99)
     whitening = np.zeros((n, n))
-    for row, values in enumerate(cover.whitening):
+    for row, values in enumerate(learnt.whitening):
         whitening[row, : row + 1] = values
     away = x[:50] - x.mean(axis=0)
     expected = np.einsum("ai,ij,aj->a", away, np.linalg.inv(np.cov(x.T)), away)
-    assert np.sum(((x[:50] - np.array(cover.mean)) @ whitening.T) ** 2, axis=1) == pytest.approx(expected, rel=1e-3)
+    assert np.sum((away @ whitening.T) ** 2, axis=1) == pytest.approx(expected, rel=0.05)
+    assert (np.sum(((x - x.mean(axis=0)) @ whitening.T) ** 2, axis=1) < learnt.novelty).mean() > 0.99
 
 
-def test_terms_are_all_products_once() -> None:
-    x = np.arange(1.0, 1.0 + len(INPUTS)) / 8.0
-    told = sorted(terms(x).tolist())
-    expected = [1.0, *x.tolist(), *(float(x[i] * x[j]) for i in range(len(x)) for j in range(i, len(x)))]
-    assert told == pytest.approx(sorted(expected))
-    assert len(told) == N_TERMS
+def test_layers_are_weighed_one_after_the_other() -> None:
+    n = len(INPUTS)
+    rng = np.random.Generator(np.random.PCG64(8))
+    first, second = rng.normal(0.0, 0.2, (5, n)), rng.normal(0.0, 1.0, (2, 5))
+    model = SeabedModel(
+        fitted_on="nothing",
+        inputs=INPUTS,
+        kinds=("flat", "rough"),
+        centre=(0.0,) * n,
+        scale=(1.0,) * n,
+        layers=(
+            Layer(weights=tuple(map(tuple, first.tolist())), constants=(0.1,) * 5),
+            Layer(weights=tuple(map(tuple, second.tolist())), constants=(0.0, 0.5)),
+        ),
+        learnt=Gaussian(mean=(0.0,) * n, whitening=tuple((0.0,) * row + (1.0,) for row in range(n)), novelty=10.0),
+    )
+    features = rng.normal(0.0, 1.0, (4, n - 1))
+    features[0, 0] = 50.0  # weighed as if it lay at three standard deviations, and far from all that was learnt
+    odds = odds_of(features, np.ones(4), model)
+    x = np.clip(np.column_stack([features, np.zeros(4)]), -3.0, 3.0)
+    sums = np.tanh(x @ first.T + 0.1) @ second.T + (0.0, 0.5)
+    assert odds.log_p == pytest.approx(sums - np.logaddexp.reduce(sums, axis=1, keepdims=True))
+    assert odds.distance[0] > 2500.0
+    assert odds.distance[1:] == pytest.approx((features[1:] ** 2).sum(axis=1))
 
 
 def test_a_file_that_is_no_model_is_refused_by_what_is_wrong(model: SeabedModel) -> None:
     assert parse_seabed_model(msgspec.json.encode(model), "m.json") == model
     good = msgspec.to_builtins(model)
-    changes: tuple[dict[str, object], ...] = ({"inputs": ["x"]}, {"novelty": 0.0}, {"covers": []}, {"centre": []}, {"more": 1})
+    changes: tuple[dict[str, object], ...] = ({"inputs": ["x"]}, {"kinds": []}, {"layers": []}, {"centre": []}, {"more": 1})
     for change in changes:
         with pytest.raises(BadInputError, match=r"m\.json.*calibrate seabed"):
             parse_seabed_model(msgspec.json.encode({**good, **change}), "m.json")

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from simulated_pings import ALTITUDE_M, CONFIG, GROUND_M, SLANT_M, Run, amplitudes, decibels, row_of_ping, run
 
+from auv_mcm.config import WaterfallConfig
 from auv_mcm.waterfall.radiometry import AngleCurve, GainStepFilter, local_mean, row_medians
 
 N_PINGS = 320
@@ -252,3 +254,32 @@ def test_local_means_are_masked_means_of_what_lies_in_the_image(seed: int, shape
 
 def test_the_stage_counts_no_gain_step_on_plain_ground(plain: Run) -> None:
     assert +plain.counters == Counter()
+
+
+def test_a_bright_patch_is_no_reference_for_itself() -> None:
+    """The local mean and the angle curve forget within twenty metres what was darker before; levels are those of the mission."""
+    factor = np.ones((1, 900, 1))
+    factor[0, 500:] = 4.0  # only the sea floor gets brighter; the water column stays
+    samples = amplitudes(900, factor=np.where(SLANT_M > ALTITUDE_M, factor, 1.0))
+    seen = run(samples)
+    tiles = [tile for tile in seen.tiles if tile.side == "port"]
+    level = np.concatenate([tile.level[tile.core_start : tile.core_stop] for tile in tiles if tile.level is not None])
+    intensity, valid = seen.image()
+    dark, bright = (
+        slice(row_of_ping(first, seen.first_row), row_of_ping(last, seen.first_row)) for first, last in ((300, 450), (800, 880))
+    )
+    rise = float(np.nanmedian(level[bright]) - np.nanmedian(level[dark]))
+    assert 0.5 * math.log(4.0) < rise < math.log(4.0)  # less what the patch, two fifths of the mission, has added to its mean
+    assert intensity[bright][valid[bright]].mean() == pytest.approx(intensity[dark][valid[dark]].mean(), rel=0.1)
+
+
+def test_levels_do_not_depend_on_the_blocks_that_tiles_are_cut_from() -> None:
+    samples = amplitudes(600, seed=3)
+    grid = WaterfallConfig(row_spacing_m=CONFIG.waterfall.row_spacing_m, column_spacing_m=0.06, tile_rows=128)
+    one, other = (run(samples, config=config, overlap_m=16.0) for config in (CONFIG, msgspec.structs.replace(CONFIG, waterfall=grid)))
+    levels = [
+        np.concatenate([t.level[t.core_start : t.core_stop] for t in each.tiles if t.side == "port" and t.level is not None])
+        for each in (one, other)
+    ]
+    inner = slice(0, min(map(len, levels)))
+    assert np.allclose(levels[0][inner], levels[1][inner], equal_nan=True, atol=1e-5)

@@ -1,0 +1,198 @@
+"""Judge what the payload says of mines left, with the sea floor as it estimates it, on the named scenes.
+
+auv-mcm bench clearance                           flies, judges and prints
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.contacts.export import is_mine_like
+from auv_mcm.errors import UsageError
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.outputs import write_file
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.plan.clearance import Clearance, ClearanceMap
+from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.plan.residual import DOUBTFUL_SHARE, remaining_about, without_contact
+from auv_mcm.records import Contact, CoveragePatch
+from sim_replay.benches.arguments import count
+from sim_replay.benches.layout import columns, markdown
+from sim_replay.benches.scenes import SCENES, config_for
+from sim_replay.performance.looks import GATE_M
+from sim_replay.scoring.matching import gates_m
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import TARGET_KINDS
+from sim_replay.simulator.scene_file import named_scenes, read_scene
+from sim_replay.training.farm import Farm, run_tasks
+
+FIRST_SEED: Final = 91001
+_HEADER = (
+    "scene",
+    "missions",
+    "targets",
+    "found",
+    "by the tables",
+    "left",
+    "expected",
+    "in the interval",
+    "expected, scene left out",
+    "in it",
+)
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """A mission over a named scene, with its mines or without."""
+
+    scene: str
+    seed: int
+    with_targets: bool
+
+
+class Judged(msgspec.Struct, frozen=True, kw_only=True):
+    """One mission. n_targets: seen on legs; n_found: near a contact called mine-like. by_tables: sum of p_detected where they lie.
+
+    p_doubtful: sum of p_mine over contacts not called. p_detected: mean over what was searched.
+    """
+
+    scene: str
+    n_targets: int
+    n_found: int
+    by_tables: float
+    p_doubtful: float
+    p_detected: float
+
+    @property
+    def n_left(self) -> int:
+        return self.n_targets - self.n_found
+
+    def expected(self, share: float = DOUBTFUL_SHARE) -> float:
+        """Mines left, with a share of the doubtful sum."""
+        return share * self.p_doubtful + without_contact(self.p_detected)
+
+    def is_inside(self, share: float = DOUBTFUL_SHARE) -> bool:
+        """Tell whether the 95 % interval holds the mines left."""
+        told = remaining_about(self.expected(share))
+        return told.low <= self.n_left <= told.high
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
+    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument("--without-mines", action="store_true", help="take the mines out of the scenes")
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write what was judged to FILE")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, judge and print; returns the exit code. Raises UsageError for unknown scenes and a file that cannot be written."""
+    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
+    if unknown := [name for name in names if name not in named_scenes()]:
+        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    tasks = [Task(scene=name, seed=seed, with_targets=not arguments.without_mines) for name in names for seed in seeds]
+    missions = list(_counted(run_tasks(judged, tasks, Farm(arguments.workers)), len(tasks)))
+    print(f"{len(missions)} missions, seeds {seeds[0]} to {seeds[-1]} of each scene\n")
+    print(report(missions, arguments.markdown))
+    if arguments.json is not None:
+        try:
+            write_file(arguments.json, msgspec.json.format(msgspec.json.encode(missions)))
+        except OSError as error:
+            raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
+    return 0
+
+
+def judged(task: Task) -> Judged:
+    """Fly one mission with the whole chain."""
+    scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
+    if not task.with_targets:
+        scene = msgspec.structs.replace(scene, scatter=tuple(some for some in scene.scatter if some.kind not in TARGET_KINDS))
+    mission = Mission(scene)
+    pipeline = Pipeline(config_for(scene))
+    searched = ClearanceMap(shipped_performance())
+    for event in mission.events():
+        for told in pipeline.feed(event):
+            if isinstance(told, CoveragePatch):
+                searched.add(told)
+    for told in pipeline.finish():
+        if isinstance(told, CoveragePatch):
+            searched.add(told)
+    clearance = searched.snapshot()
+    assert clearance is not None  # a named scene is seen
+    targets = [thing for thing in mission.truth()["objects"] if thing["is_target"] and thing["looks"]]
+    return judge(task.scene, clearance, pipeline.contacts, [(thing["lat"], thing["lon"]) for thing in targets])
+
+
+def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]) -> Judged:
+    """Compare a search with where targets really lie, latitude and longitude in degrees."""
+    frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
+    at_m = np.array([frame.to_enu(*place, 0.0)[:2] for place in targets_deg]).reshape(-1, 2)
+    called = [contact for contact in contacts if is_mine_like(contact)]
+    place_m = np.array([frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in called]).reshape(-1, 2)
+    sigma_m = np.sqrt([max(float(np.linalg.eigvalsh(c.covariance_m2)[-1]), 0.0) for c in called])
+    distance_m = np.hypot(*(at_m[:, np.newaxis] - place_m).transpose(2, 0, 1))
+    index = np.floor(at_m / clearance.cell_m).astype(np.int64)
+    east, north = index[:, 0] - clearance.first_east, index[:, 1] - clearance.first_north
+    n_north, n_east = clearance.looks.shape
+    inside = (east >= 0) & (east < n_east) & (north >= 0) & (north < n_north)
+    p_detected = clearance.p_detected
+    return Judged(
+        scene=scene,
+        n_targets=len(at_m),
+        n_found=int(np.count_nonzero((distance_m <= gates_m(GATE_M, sigma_m)).any(axis=1))),
+        by_tables=float(p_detected[north[inside], east[inside]].sum()),
+        p_doubtful=float(sum(contact.p_mine for contact in contacts if contact.p_mine < MINE_LIKE_P)),
+        p_detected=float(p_detected[clearance.seen].mean()),
+    )
+
+
+def fitted_share(missions: Sequence[Judged]) -> float:
+    """Fit the share of the doubtful sum that makes the mines expected as many as those left."""
+    doubtful = sum(mission.p_doubtful for mission in missions)
+    left = sum(mission.n_left - without_contact(mission.p_detected) for mission in missions)
+    return max(left / doubtful, 0.0) if doubtful > 0.0 else 0.0
+
+
+def report(missions: Sequence[Judged], in_markdown: bool = False) -> str:
+    """Lay out missions by scene and all together. The share that the scene's estimates use is fitted on the other scenes alone."""
+    names = list(dict.fromkeys(mission.scene for mission in missions))
+    shares = {name: fitted_share([mission for mission in missions if mission.scene != name] or missions) for name in names}
+    rows = []
+    for name in (*names, "all"):
+        some = [mission for mission in missions if name in (mission.scene, "all")]
+        counts = [len(some), sum(m.n_targets for m in some), sum(m.n_found for m in some)]
+        inside, inside_left_out = (sum(m.is_inside() for m in some), sum(m.is_inside(shares[m.scene]) for m in some))
+        rows.append(
+            [
+                name,
+                *map(str, counts),
+                f"{sum(m.by_tables for m in some):.1f}",
+                str(sum(m.n_left for m in some)),
+                f"{sum(m.expected() for m in some):.1f}",
+                f"{inside} of {len(some)}",
+                f"{sum(m.expected(shares[m.scene]) for m in some):.1f}",
+                f"{inside_left_out} of {len(some)}",
+            ]
+        )
+    laid_out = markdown if in_markdown else columns
+    low, high = min(shares.values()), max(shares.values())
+    return laid_out(_HEADER, rows) + (
+        f"\n\nof the sum of p_mine over contacts not called {fitted_share(missions):.3f} were mines left, {low:.3f} to {high:.3f} with a "
+        f"scene left out; {DOUBTFUL_SHARE:g} is what the payload takes"
+    )
+
+
+def _counted(results: Iterator[Judged], total: int) -> Iterator[Judged]:
+    for done, result in enumerate(results, 1):
+        print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
+        yield result

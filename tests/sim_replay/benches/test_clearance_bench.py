@@ -1,0 +1,85 @@
+"""Mines left as estimated against those really left."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from auv_mcm.geodesy import LocalFrame
+from auv_mcm.plan.clearance import Clearance
+from auv_mcm.plan.residual import without_contact
+from auv_mcm.records import Contact
+from sim_replay.benches.clearance import Judged, fitted_share, judge, report
+
+FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
+
+
+def place(east_m: float, north_m: float) -> tuple[float, float]:
+    latitude_deg, longitude_deg, _ = FRAME.to_geodetic([east_m, north_m, 0.0])
+    return float(latitude_deg), float(longitude_deg)
+
+
+def contact(east_m: float, north_m: float, p_mine: float) -> Contact:
+    latitude_deg, longitude_deg = place(east_m, north_m)
+    made = SimpleNamespace(latitude_deg=latitude_deg, longitude_deg=longitude_deg, p_mine=p_mine, covariance_m2=np.eye(2) * 0.01)
+    return cast("Contact", cast("Any", made))
+
+
+def searched(p: float) -> Clearance:
+    """Forty by forty metres, all seen."""
+    nothing = np.full((10, 10), np.nan, dtype=np.float32)
+    return Clearance(
+        origin_latitude_deg=43.0,
+        origin_longitude_deg=5.0,
+        cell_m=4.0,
+        first_east=0,
+        first_north=0,
+        exponent=np.full((10, 10), -np.log1p(-p)),
+        looks=np.ones((10, 10), dtype=np.uint8),
+        towards=np.ones((10, 10), dtype=np.uint64),
+        seabed=np.zeros((10, 10), dtype=np.uint8),
+        ripple_rad=nothing,
+        wavelength_m=nothing,
+        altitude_m=nothing,
+    )
+
+
+def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> None:
+    contacts = [contact(10.5, 10.0, 0.9), contact(20.0, 21.0, 0.15), contact(35.0, 5.0, 0.7), contact(5.0, 35.0, 0.1)]
+    told = judge("flat", searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
+    assert (told.n_targets, told.n_found, told.n_left) == (3, 1, 2)
+    assert told.by_tables == pytest.approx(1.8)
+    assert told.p_doubtful == pytest.approx(0.25)
+    assert told.p_detected == pytest.approx(0.6)
+
+
+def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
+    told = judge("flat", searched(0.6), [], [])
+    assert (told.n_targets, told.n_found, told.p_doubtful) == (0, 0, 0.0)
+
+
+def mission(scene: str, n_left: int, p_doubtful: float) -> Judged:
+    return Judged(scene=scene, n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5)
+
+
+def test_the_share_makes_as_many_mines_expected_as_were_left() -> None:
+    missions = [mission("flat", 2, 3.0), mission("rough", 12, 17.0), mission("mixed", 9, 14.0)]
+    share = fitted_share(missions)
+    assert sum(each.expected(share) for each in missions) == pytest.approx(23.0)
+    assert missions[0].expected(share) == pytest.approx(3.0 * share + without_contact(0.5))
+
+
+def test_a_scene_is_judged_with_a_share_that_the_others_gave() -> None:
+    missions = [mission("flat", 5, 10.0), mission("rough", 12, 12.0)]
+    row = next(line for line in report(missions).splitlines() if line.startswith("flat"))
+    left_out = (12.0 - without_contact(0.5)) / 12.0 * 10.0 + without_contact(0.5)
+    assert row.split()[-4] == f"{left_out:.1f}"
+
+
+def test_an_estimate_far_off_is_outside_the_interval() -> None:
+    assert mission("flat", 4, 6.0).is_inside()
+    assert not mission("flat", 19, 3.0).is_inside()
+    assert not mission("flat", 0, 40.0).is_inside()
