@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
 from auv_mcm.seabed.features import NAMES
@@ -125,9 +126,9 @@ def test_cells_of_a_mission_are_what_the_simulator_put_there(monkeypatch: pytest
 def test_a_new_model_can_be_learnt_when_the_shipped_one_measures_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
     """Calibration could not run after the names of textures had changed, since the pipeline read the shipped model first."""
 
-    def refuse() -> None:
+    def refuse(config: Config) -> None:
         raise BadInputError("seabed/model.json: fitted on other textures")
 
-    monkeypatch.setattr("auv_mcm.pipeline.shipped_seabed_model", refuse)
+    monkeypatch.setattr("auv_mcm.pipeline.configured_seabed_model", refuse)
     monkeypatch.setattr(sampled, "mission_scene", small_scene)
     assert len(samples_of(11).shares) > 20
