@@ -29,7 +29,6 @@ _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Row = tuple[_Number, ...]
 _STEEPEST: Final = 0.2  # cotangent; logarithms start here
 _FARTHEST: Final = 3.0  # standard deviations; what lies farther out is weighed as if it lay there
-_MARGIN: Final = 1.5  # of the distance that holds all but few of the textures learnt
 
 
 class Layer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -117,7 +116,7 @@ def fitted_gaussian(x: Array, shrinkage: float, ridge: float, kept: float) -> Ga
     """Fit the Gaussian of standardised inputs (n_samples, len(INPUTS)).
 
     The covariance is drawn towards its own diagonal by `shrinkage` (0 to 1), and `ridge` times its mean variance is added. kept: share of
-    the samples within two thirds of the novelty. Raises ValueError for fewer samples than inputs.
+    the samples within the novelty. Raises ValueError for fewer samples than inputs.
     """
     if x.shape[0] <= x.shape[1]:
         raise ValueError(f"{x.shape[0]} samples for {x.shape[1]} inputs: give more missions")
@@ -127,11 +126,11 @@ def fitted_gaussian(x: Array, shrinkage: float, ridge: float, kept: float) -> Ga
     covariance += ridge * np.trace(covariance) / len(mean) * np.eye(len(mean))
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     white = (x - mean) @ whitening.T
-    novelty = _MARGIN * float(np.quantile(np.sum(white * white, axis=1), kept))
+    novelty = float(np.quantile(np.sum(white * white, axis=1), kept))
     return Gaussian(
         mean=as_stored(mean),
         whitening=tuple(as_stored(whitening[row, : row + 1]) for row in range(len(mean))),
-        novelty=float(f"{novelty:.4g}"),
+        novelty=float(f"{novelty:.2g}"),
     )
 
 
