@@ -20,15 +20,14 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
-from auv_mcm.config import Config
+from auv_mcm.clearance.coverage import Grid, cover_tile, placed_rows
+from auv_mcm.confirmation import is_worth_a_look, look_closely, passed_over
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
-from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
+from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows
 from auv_mcm.records import (
     SIDES,
     Contact,
@@ -41,10 +40,11 @@ from auv_mcm.records import (
     SourceEvent,
     Tile,
 )
-from auv_mcm.seabed.model import shipped_seabed_model
-from auv_mcm.seabed.stage import seabed_cells
-from auv_mcm.waterfall.stage import Waterfall
+from auv_mcm.seabed.seabed_cells import seabed_cells
+from auv_mcm.seabed.seabed_model import shipped_seabed_model
+from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.transfer import Transfer, recheck_transfer, resolve_transfer
+from auv_mcm.waterfall.waterfall import Waterfall
 
 _PROBE_PINGS: Final = 64
 _GAP_S: Final = 2.0

@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVarTuple
 
-from auv_mcm.config import Config
 from auv_mcm.records import Notice, Ping, SourceEvent
+from auv_mcm.settings.config import Config
 from drivers.heads import HeadPairer
 from drivers.navigation.merge import NavMerge
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.port_stream import PortStream, Told
 from drivers.ports import PULSE, merge_settings, read_ports
 from drivers.stamps import Stamp

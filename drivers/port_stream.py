@@ -8,21 +8,21 @@ from typing import Final, Protocol, TypeAlias
 
 from msgspec import structs
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.config import SonarConfig
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.clocks import DeviceClock, SourceClock, UtcAnchor, wire_delay_s
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.registry import CAN_PROTOCOL, text_decoder
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_protocols import CAN_PROTOCOL, text_decoder
 from drivers.ports import Port
 from drivers.reading_watch import ReadingWatch
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarFrame, SonarReply
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply
+from drivers.sonar.sonars import sonar_named
 from drivers.stamps import Stamp
-from drivers.vehicle.registry import VehicleSettings, dialect_of
-from drivers.vehicle.seam import VehicleState
+from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.vehicles import VehicleSettings, dialect_of
 
 log = logging.getLogger(__name__)
 

@@ -6,17 +6,17 @@ from typing import Final, NamedTuple
 
 from msgspec import structs
 
-from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
-from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
-from auv_mcm.vehicle_config import VEHICLE_NAMES
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
 from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, parse_link_uri
-from drivers.navigation.registry import CAN_PROTOCOL
-from drivers.navigation.settings import NavMergeSettings
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarSettings
+from drivers.navigation.nav_protocols import CAN_PROTOCOL
+from drivers.navigation.nav_settings import NavMergeSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from drivers.sonar.sonars import sonar_named
 from drivers.vehicle.guard import Guard
-from drivers.vehicle.registry import VEHICLES, VehicleSettings, settings_of
+from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, settings_of
 
 PULSE: Final = "pulse"
 """The device of a port that only says when a second begins."""

@@ -8,7 +8,7 @@ from typing import Final
 from auv_mcm.records import Notice
 from drivers.clocks import DeviceClock, PulseLabels, UtcAnchor, host_offset_ns, sentence_offset_ns, wire_delay_s
 from drivers.links.pulse import unpack_edge
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.ports import Port
 from drivers.stamps import Stamp
 

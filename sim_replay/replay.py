@@ -14,11 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import __version__, kernels
+from auv_mcm.clearance.clearance_map import ClearanceMap
+from auv_mcm.clearance.clearance_picture import clearance_png
+from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.config import Config, config_yaml
 from auv_mcm.contacts.export import best_view
 from auv_mcm.contacts.picture import snippet_png
-from auv_mcm.outputs import (
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
+from auv_mcm.settings.config import Config, config_yaml
+from auv_mcm.shell.results import (
     Tally,
     area_totals,
     contact_totals,
@@ -31,12 +36,7 @@ from auv_mcm.outputs import (
     write_results,
     write_snippets,
 )
-from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.clearance import ClearanceMap
-from auv_mcm.plan.clearance_picture import clearance_png
-from auv_mcm.plan.performance import shipped_performance
-from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
-from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
+from sim_replay.logs.recorded import CHUNK_BYTES, Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, render_report
 
 MAX_TRACK_POINTS: Final = 4000

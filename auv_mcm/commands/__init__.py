@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from auv_mcm.errors import UsageError
 
 if TYPE_CHECKING:
-    from auv_mcm.config import Config
+    from auv_mcm.settings.config import Config
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -50,8 +50,8 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 def read_config(path: Path | None) -> Config:
     """The configuration in a file, or the defaults. Raises UsageError for one that cannot be read or is not valid."""
-    from auv_mcm.config import Config, parse_config
-    from auv_mcm.strict_yaml import read_text
+    from auv_mcm.settings.config import Config, parse_config
+    from auv_mcm.settings.strict_yaml import read_text
 
     if path is None:
         return Config()

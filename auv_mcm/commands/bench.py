@@ -7,30 +7,31 @@ import importlib
 from typing import Final
 
 from auv_mcm.commands import Commands, command
+from auv_mcm.errors import UsageError
 
-BENCHES: Final = {  # modules of sim_replay.benches with add_arguments and run, imported if chosen
-    "waterfall": ("chain", "the whole chain, cost per stage"),
-    "detect": ("detect", "the detector's cost per tile"),
-    "simulate": ("simulate", "the simulator's cost"),
-    "scenes": ("scenes", "what is found in the named scenes, and what each step of the close look adds"),
-    "froc": ("froc", "every detector and each step after it, on missions held out from all training"),
-    "segmentation": ("segmentation", "Markov-field segmentation, error beside time"),
-    "snakes": ("snakes", "contours, error beside time"),
-    "shapes": ("shapes", "classification by shape, error beside time"),
-    "beliefs": ("beliefs", "what views make one believe"),
-    "images": ("real_images", "outlines and calls on real pictures"),
-    "cascade": ("cascade", "the trained cascade's speed and budgets"),
-    "inversion": ("inversion", "relief recovered from images, error beside time"),
-    "augment": ("augment", "whether embedded targets can be told from simulated ones"),
-    "framers": ("framers", "message framing: speed, garbage, and what damage costs"),
-    "ports": ("ports", "the service at a full serial line: start, processor time, how late pings are"),
-    "soak": ("soak", "the service for long, and killed: memory, counters, what is lost"),
-    "seabed": ("seabed", "kinds of sea floor told apart on missions held out"),
-    "performance": ("performance", "predicted against realised detection, by sea floor and range"),
-    "pfa": ("pfa", "false alarms per km² and per decision"),
-    "tours": ("tours", "plans of survey and second looks: how near to the optimum, in what time"),
-    "adapt": ("adapt", "replanning on the way beside a lawnmower laid beforehand"),
-    "figure9": ("figure9", "the source paper's examples of classical detection"),
+BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
+    "waterfall": ("benches.chain", "the whole chain, cost per stage"),
+    "detect": ("benches.detect", "the detector's cost per tile"),
+    "simulate": ("benches.simulate", "the simulator's cost"),
+    "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of the close look adds"),
+    "froc": ("benches.froc", "every detector and each step after it, on missions held out from all training"),
+    "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
+    "snakes": ("studies.snakes", "contours, error beside time"),
+    "shapes": ("studies.shapes", "classification by shape, error beside time"),
+    "beliefs": ("studies.beliefs", "what views make one believe"),
+    "images": ("studies.real_images", "outlines and calls on real pictures"),
+    "cascade": ("benches.cascade", "the trained cascade's speed and budgets"),
+    "inversion": ("studies.inversion", "relief recovered from images, error beside time"),
+    "augment": ("benches.augment", "whether embedded targets can be told from simulated ones"),
+    "framers": ("benches.framers", "message framing: speed, garbage, and what damage costs"),
+    "ports": ("benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
+    "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
+    "seabed": ("benches.seabed", "kinds of sea floor told apart on missions held out"),
+    "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
+    "pfa": ("studies.pfa", "false alarms per km² and per decision"),
+    "tours": ("benches.tours", "plans of survey and second looks: how near to the optimum, in what time"),
+    "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
+    "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
 }
 
 
@@ -49,7 +50,12 @@ def add(commands: Commands) -> None:
 
 def _run(chosen: argparse.Namespace) -> int:
     module, does = BENCHES[chosen.bench]
-    bench = importlib.import_module(f"sim_replay.benches.{module}")
+    try:
+        bench = importlib.import_module(f"sim_replay.{module}")
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("sim_replay.studies"):
+            raise
+        raise UsageError(f"'{chosen.bench}' is a study, which is not installed: run it from a checkout of the sources") from error
     parser = argparse.ArgumentParser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure: {does}.")
     bench.add_arguments(parser)
     return int(bench.run(parser.parse_args(chosen.arguments)))

@@ -113,9 +113,9 @@ def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Nam
 def _run_budget(arguments: argparse.Namespace) -> int:
     import msgspec
 
-    from auv_mcm.config import config_yaml
     from auv_mcm.detect.cascade.choose import configured_model
     from auv_mcm.detect.cascade.speed import budget_for, measure_speed
+    from auv_mcm.settings.config import config_yaml
 
     config = read_config(arguments.config)
     model = configured_model(config)
@@ -135,9 +135,9 @@ def _run_budget(arguments: argparse.Namespace) -> int:
 
 
 def _run_performance(arguments: argparse.Namespace) -> int:
-    from sim_replay.performance.calibrate import FIT_SEEDS, FLIGHTS, fly_all, tables, to_json, words_for
-    from sim_replay.performance.fit import fit
-    from sim_replay.training.farm import Farm
+    from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.fitting.detection_performance.calibrate_performance import FIT_SEEDS, FLIGHTS, fly_all, tables, to_json, words_for
+    from sim_replay.fitting.detection_performance.fit_performance import fit
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
@@ -159,9 +159,9 @@ def _run_performance(arguments: argparse.Namespace) -> int:
 def _run_seabed(arguments: argparse.Namespace) -> int:
     import msgspec
 
-    from sim_replay.seabed.fit import FIT_SEEDS, fit_model, told_of
-    from sim_replay.seabed.samples import pooled, samples_of
-    from sim_replay.training.farm import Farm, run_tasks
+    from sim_replay.fitting.cascade.farm import Farm, run_tasks
+    from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_model, told_of
+    from sim_replay.fitting.seabed.samples import pooled, samples_of
 
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS

@@ -21,6 +21,6 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from auv_mcm.check import run_checks
+    from auv_mcm.shell.check import run_checks
 
     return run_checks(lambda: read_config(arguments.config), print)

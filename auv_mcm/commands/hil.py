@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from auv_mcm.outputs import write_json
+    from auv_mcm.shell.results import write_json
     from sim_replay.hil.run import run_scenario
     from sim_replay.hil.scenario import read_scenario, shipped
     from sim_replay.hil.verdict import as_table, judge

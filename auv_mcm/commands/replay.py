@@ -47,7 +47,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.recorded import parse_speed, session_config
+    from sim_replay.logs.recorded import parse_speed, session_config
     from sim_replay.replay import replay
 
     recorded = session_config(arguments.logs) if arguments.config is None else None

@@ -11,7 +11,7 @@ from auv_mcm.commands import Commands, add_config_option, command, read_config
 
 if TYPE_CHECKING:
     from auv_mcm.clock import Clock
-    from auv_mcm.config import Config
+    from auv_mcm.settings.config import Config
 
 
 def add(commands: Commands) -> None:
@@ -41,7 +41,7 @@ def add(commands: Commands) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.example or arguments.interface:
-        from drivers.interface import example_text, interface_text
+        from drivers.describe import example_text, interface_text
 
         sys.stdout.write(example_text() if arguments.example else interface_text(read_config(arguments.config)))
         return 0
@@ -56,7 +56,7 @@ def run_service(config: Config, clock: Clock | None = None) -> int:
     """
     import logging
 
-    from auv_mcm.service import serve
+    from auv_mcm.shell.service import serve
 
     logging.Formatter.converter = time.gmtime
     logging.basicConfig(

@@ -21,6 +21,6 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.training.command import main
+    from sim_replay.fitting.cascade.command import main
 
     return main([argument for argument in arguments.arguments if argument != "--"])

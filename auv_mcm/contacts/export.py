@@ -36,7 +36,7 @@ from auv_mcm.contacts.geojson import (
     rounded,
     rounded_longitude,
 )
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
 
 ELLIPSE_SIGMAS: Final = 2.0  # drawn error ellipses: 86 % of the probability of two normal axes lies inside

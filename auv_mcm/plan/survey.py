@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import Clearance, LookModel
+from auv_mcm.clearance.clearance_map import Clearance, LookModel
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
 from auv_mcm.plan.dubins import Pose, sample_path
 from auv_mcm.plan.limits import Limits, obstacle

@@ -17,8 +17,8 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.records import NAN, EchoTrace, Notice
+from auv_mcm.settings.config import SonarConfig
 
 SINGLE_LOOK_STD_DB: Final = 10.0 / math.log(10.0) * math.pi / math.sqrt(6.0)
 _WINDOW: Final = 64

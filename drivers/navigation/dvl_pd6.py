@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.records import NAN
 from drivers.framing import Arrived, StampedFramer
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.stamps import Stamp
 
 _MAX_LINE_BYTES: Final = 128

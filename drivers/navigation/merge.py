@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
-from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
 from auv_mcm.records import NAN, NavSample, Notice
+from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.clocks import DeviceClock, wire_delay_s
 from drivers.navigation.corrections import (
     Attitude,
@@ -29,9 +29,9 @@ from drivers.navigation.corrections import (
 )
 from drivers.navigation.gnss_watch import Doubt, GnssWatch
 from drivers.navigation.health import Fallback, UnitHealth
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
-from drivers.navigation.seam import NavFix
-from drivers.navigation.settings import NavMergeSettings
 from drivers.stamps import Stamp
 
 Event: TypeAlias = NavSample | Notice

@@ -25,7 +25,7 @@ from drivers.navigation.n2k_messages import (
     decode,
     identifier_of,
 )
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.stamps import Stamp
 
 _MAX_NAMES: Final = 512

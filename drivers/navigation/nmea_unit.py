@@ -9,9 +9,9 @@ from typing import Any, Final
 from auv_mcm.records import NAN
 from drivers.framing import Arrived, StampedFramer
 from drivers.navigation.device_date import DeviceDate
+from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.pixse import PIXSE_RECORDS, Burst
-from drivers.navigation.seam import NavFix
 from drivers.navigation.sentences import Dbt, Dpt, Gga, Gll, Hdt, Pashr, Prdid, Rmc, Vtg, Zda, parse
 from drivers.stamps import Stamp
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 from auv_mcm.records import NAN
 from drivers.framing import Arrived
 from drivers.navigation.device_date import DeviceDate
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.sentences import (
     Hdt,
     PixseAttitude,

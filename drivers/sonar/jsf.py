@@ -34,8 +34,8 @@ from drivers.sonar.jsf_messages import (
     told_data_bytes,
 )
 from drivers.sonar.pairing import SidePairer
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
-from drivers.sonar.settings import check_settings
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonar_settings import check_settings
 from drivers.stamps import Stamp
 
 HIGH_FREQUENCY: Final = 21  # subsystem

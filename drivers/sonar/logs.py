@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from auv_mcm.errors import BadInputError
-from drivers.sonar.seam import SonarDecoder, SonarFrame, SonarReply
+from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarReply
 from drivers.stamps import Stamp
 
 NOT_RECEIVED: Final = Stamp(0, 0)

@@ -42,8 +42,8 @@ from drivers.sonar.ping_messages import (
     encode,
     linear_power,
 )
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
-from drivers.sonar.settings import check_settings
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonar_settings import check_settings
 from drivers.stamps import Stamp
 
 MAX_GAIN: Final = 7

@@ -12,7 +12,7 @@ from auv_mcm.records import NAN
 from drivers.framing import Grammar, StampedFramer
 from drivers.stamps import Stamp
 from drivers.vehicle.ascii_fields import Table, plain_text
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Capability,
     Command,
     ContactReport,

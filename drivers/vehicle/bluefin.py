@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import BluefinSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.device_date import DAY_S
 from drivers.navigation.nmea0183 import sentence
 from drivers.stamps import Stamp
@@ -36,7 +36,7 @@ from drivers.vehicle.bluefin_sentences import (
     BluefinVelocity,
     table_of,
 )
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
     ContactReport,

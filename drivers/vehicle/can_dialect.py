@@ -8,11 +8,11 @@ from typing import Final, Literal
 
 import msgspec
 
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.n2k_messages import identifier_of
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.stamps import Stamp
 from drivers.vehicle.can_messages import (
     ANSWERS,
@@ -37,7 +37,7 @@ from drivers.vehicle.can_messages import (
 )
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import command_message, report_message, text_message
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Arrived,
     Capability,

@@ -11,8 +11,8 @@ from typing import Any, Final, Literal
 from auv_mcm.clock import Clock
 from auv_mcm.records import Contact, Notice, Waypoint
 from drivers.stamps import Stamp
+from drivers.vehicle.dialect import PayloadHealth
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.seam import PayloadHealth
 
 log = logging.getLogger(__name__)
 

@@ -18,12 +18,26 @@ import math
 from collections import Counter
 from typing import Final, Literal, NamedTuple
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import ImcSettings
+from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import StampedFramer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.dialect import (
+    Acknowledged,
+    Arrived,
+    Capability,
+    Command,
+    ContactReport,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    Rejected,
+    VehicleEvent,
+    VehicleState,
+    Withheld,
+)
 from drivers.vehicle.imc_contact import contact_of, target_of
 from drivers.vehicle.imc_messages import (
     LAYOUTS,
@@ -41,20 +55,6 @@ from drivers.vehicle.imc_messages import (
     number_of,
 )
 from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, Packet, packed
-from drivers.vehicle.seam import (
-    Acknowledged,
-    Arrived,
-    Capability,
-    Command,
-    ContactReport,
-    GoTo,
-    Granted,
-    PayloadHealth,
-    Rejected,
-    VehicleEvent,
-    VehicleState,
-    Withheld,
-)
 
 PLAN_ID: Final = "auv_mcm"
 _MANEUVER_ID: Final = "follow"

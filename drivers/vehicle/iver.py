@@ -11,9 +11,10 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import IverSettings
+from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect, FloorBelow, PacedReports, above_zero
+from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
 from drivers.vehicle.iver_sentences import (
     IverCompass,
     IverContact,
@@ -25,7 +26,6 @@ from drivers.vehicle.iver_sentences import (
     line_of,
     table_of,
 )
-from drivers.vehicle.seam import Capability, ContactReport, Steer, VehicleEvent, VehicleState
 
 _HEALTH_EVERY_S: Final = 1.0
 _COMPASS_VALID_S: Final = 2.0

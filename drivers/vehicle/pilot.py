@@ -13,14 +13,10 @@ from collections import Counter, deque
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from auv_mcm.records import Contact, Notice, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.stamps import Stamp
 from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
-from drivers.vehicle.guard import Guard, Refusal
-from drivers.vehicle.guidance import LineOfSight, Track
-from drivers.vehicle.outbox import Outbox
-from drivers.vehicle.runs import ON_LEG, with_points_on_legs
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Arrived,
     Capability,
@@ -35,6 +31,10 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.guard import Guard, Refusal
+from drivers.vehicle.guidance import LineOfSight, Track
+from drivers.vehicle.report_queue import Outbox
+from drivers.vehicle.runs import ON_LEG, with_points_on_legs
 from drivers.vehicle.whereabouts import Whereabouts
 
 log = logging.getLogger(__name__)

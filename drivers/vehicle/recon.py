@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Final
 
-from auv_mcm.vehicle_config import ReconSettings
+from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect, FloorBelow, PacedReports, above_zero
+from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
 from drivers.vehicle.recon_sentences import (
     ReconAlive,
     ReconContact,
@@ -27,7 +28,6 @@ from drivers.vehicle.recon_sentences import (
     frame,
     table_of,
 )
-from drivers.vehicle.seam import Capability, ContactReport, Steer, VehicleEvent, VehicleState
 
 _IN_MISSION: Final = 0x01
 _SUSPENDED: Final = 0x02

@@ -16,20 +16,20 @@ import numpy as np
 import pyxtf
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, PoseTrack, Side
+from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.transfer import Transfer, resolve_transfer, to_intensity
+from sim_replay.logs.xtf import XtfLog
+from sim_replay.logs.xtf_header import SIDE_SCAN, channels
+from sim_replay.logs.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
 from sim_replay.simulator.echo import absorption_db_per_km
 from sim_replay.simulator.scene import Sonar
-from sim_replay.xtf import XtfLog
-from sim_replay.xtf_header import SIDE_SCAN, channels
-from sim_replay.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
 
 _PROBE_PINGS: Final = 64  # that decide what samples mean, as in the pipeline
 _SONAR_PACKET: Final = 0

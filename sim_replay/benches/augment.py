@@ -23,7 +23,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from auv_mcm.config import Config, SonarConfig
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from sim_replay.augment.embed import embed
 from sim_replay.augment.log import Survey, read_survey, window_intensity

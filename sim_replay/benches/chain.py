@@ -22,13 +22,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Ping
+from auv_mcm.settings.config import Config
 from sim_replay.benches.arguments import duration_min
 from sim_replay.benches.log import add_log, given_or_flown
-from sim_replay.xtf import XtfLog
-from sim_replay.xtf_writer import write_xtf
+from sim_replay.logs.xtf import XtfLog
+from sim_replay.logs.xtf_writer import write_xtf
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from auv_mcm.config import Config
 from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.detect.measure import measure
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
+from auv_mcm.settings.config import Config
 from sim_replay.benches.log import add_log, given_or_flown
-from sim_replay.xtf import XtfLog
+from sim_replay.logs.xtf import XtfLog
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

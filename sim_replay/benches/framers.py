@@ -17,7 +17,7 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
 from drivers.framing import Framer, Grammar
 from drivers.links.can_frame import CanFrame
 from drivers.links.slcan import SlcanParser

@@ -18,17 +18,17 @@ import numpy as np
 
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.stage import look_closely
-from auv_mcm.config import Config
+from auv_mcm.confirmation import look_closely
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.detect.cascade.choose import NONE, SHIPPED
 from auv_mcm.errors import UsageError
-from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import write_file
 from sim_replay.benches.layout import NOTHING, columns, density_cell, markdown, share_cell
-from sim_replay.rival import rival_contacts
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import density
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene import Scene

@@ -37,8 +37,8 @@ from sim_replay.fakes.job import Device
 from sim_replay.hil.run import RESULTS, SERVICE_LOG, run_scenario
 from sim_replay.hil.scenario import ExitCode, Expectation, Read, Scenario
 from sim_replay.hil.verdict import Evidence
-from sim_replay.session.open import SessionMission, recorded_config
-from sim_replay.session.reader import Session
+from sim_replay.logs.session_mission import SessionMission, recorded_config
+from sim_replay.logs.session_reader import Session
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import read_scene
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from msgspec import structs
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample, Ping
 from drivers.links.can_frame import CanFrame
 from sim_replay.fakes.controller import Report, ReportingController

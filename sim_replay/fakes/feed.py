@@ -11,10 +11,10 @@ from typing import Final, NamedTuple
 
 from msgspec import structs
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from sim_replay.recorded import RecordedMission
+from auv_mcm.settings.config import SonarConfig
+from sim_replay.logs.recorded import RecordedMission
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.recording import complete
 from sim_replay.simulator.scene_file import read_scene

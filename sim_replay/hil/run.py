@@ -22,14 +22,14 @@ from typing import Any, Final
 import msgspec
 import yaml
 
-from auv_mcm.config import Config
 from auv_mcm.errors import HardwareError
-from auv_mcm.outputs import make_directory
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import make_directory
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
-from sim_replay.recorded import RecordedMission
+from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import named_scenes, read_scene

@@ -11,7 +11,7 @@ import pytest
 
 from auv_mcm import __version__
 from auv_mcm.cli import main
-from auv_mcm.config import Config, parse_config
+from auv_mcm.settings.config import Config, parse_config
 
 ROOT = Path(__file__).parents[2]
 
@@ -173,7 +173,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
 def test_the_process_that_serves_stays_lean() -> None:
     code = (
         "import sys; import auv_mcm.cli; start = set(sys.modules)\n"
-        "import auv_mcm.service, sim_replay.recorded\n"
+        "import auv_mcm.shell.service, sim_replay.logs.recorded\n"
         "print(sorted({'numpy'} & start), sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2', 'can'} & set(sys.modules)))"
     )
     assert run(code=code).stdout == "[] []\n", "the command starts without numpy, the service runs without the others"

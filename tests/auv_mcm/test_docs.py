@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.config import parse_config
+from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene

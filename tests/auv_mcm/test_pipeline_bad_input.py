@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from short_missions import flown, one_leg
 
-from auv_mcm.config import Config
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import NAN, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.settings.config import Config
 from sim_replay.simulator.scene import SceneObject, Sonar
+from tests.auv_mcm.short_missions import flown, one_leg
 
 LATITUDE, LONGITUDE = 50.0, -4.0
 TARGET = (22.0, 9.0)  # along, across, metres

@@ -6,14 +6,14 @@ from functools import cache
 
 import msgspec
 import pytest
-from short_missions import flown, one_leg
 
 from auv_mcm.classify.beliefs import FRAME
 from auv_mcm.classify.odds import MineOdds, Weights
-from auv_mcm.config import Config, ConfirmConfig
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Notice, PipelineEvent, SourceEvent
+from auv_mcm.settings.config import Config, ConfirmConfig
 from sim_replay.simulator.scene import Recorder, SceneObject, Sonar
+from tests.auv_mcm.short_missions import flown, one_leg
 
 OBJECTS = (
     SceneObject(kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),

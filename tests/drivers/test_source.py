@@ -9,13 +9,12 @@ from itertools import count
 from typing import Any
 
 import pytest
-from port_traffic import PORTS, config_of, fix, profile, traffic
 
 from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.config import Config
 from auv_mcm.errors import HardwareError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from auv_mcm.service import LiveSource, parse_source_uri
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.service import LiveSource, parse_source_uri
 from drivers.links.link import Link
 from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence
@@ -24,6 +23,7 @@ from drivers.port_intake import PortIntake
 from drivers.ports import Port, read_ports
 from drivers.source import OnBytes, OnState, PortSource, open_source
 from drivers.stamps import Stamp
+from tests.drivers.port_traffic import PORTS, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0
 ASKED = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.02}}]"

@@ -6,12 +6,12 @@ import io
 from pathlib import Path
 
 import pytest
-from test_hil_scenario import SOUND
 
 from auv_mcm.clock import ReplayClock
 from auv_mcm.errors import UsageError
 from sim_replay.hil.scenario import HostClockStep, parse_scenario
 from sim_replay.hil.stepping_service import SteppingClock, follow, main
+from tests.hil.test_hil_scenario import SOUND
 
 
 @pytest.mark.parametrize("by_s", [3600.0, -12.5])

@@ -14,11 +14,11 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, NavSample, Ping
-from sim_replay.xtf import XtfLog
+from auv_mcm.settings.config import Config
+from sim_replay.logs.xtf import XtfLog
 
 SharedData = Callable[[str], Path]
 

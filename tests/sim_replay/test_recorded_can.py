@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.port_config import NavUnitSettings
 from auv_mcm.records import NavSample
+from auv_mcm.settings.port_settings import NavUnitSettings
 from drivers.navigation.corrections import offset_m
 from drivers.navigation.merge import NavMerge
 from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.n2k_messages import MESSAGES, decode, identifier_of
-from drivers.navigation.seam import NavFix
-from drivers.navigation.settings import NavMergeSettings
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.stamps import Stamp
 from sim_replay.recorded_can import RecordedMessage, read_can_log
 

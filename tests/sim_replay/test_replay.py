@@ -14,15 +14,15 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.clock import ReplayClock, SystemClock
-from auv_mcm.config import Config, ServiceConfig
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample
-from auv_mcm.service import Service, open_source, parse_source_uri
-from sim_replay.recorded import Pace, RecordedMission, parse_speed
+from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.service import Service, open_source, parse_source_uri
+from sim_replay.logs.recorded import Pace, RecordedMission, parse_speed
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
-from sim_replay.xtf_writer import write_xtf
 
 ROOT = Path(__file__).parents[2]
 FILES = {

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.mrf import Segmentation, segment
-from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import SHADOW, Region
-from sim_replay.benches.drawn_regions import Drawing, draw_region
+from sim_replay.studies.drawn_regions import Drawing, draw_region
+from sim_replay.studies.paper_mrf import segment_as_paper
 
 Plane = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from auv_mcm.confirm.snake import Contours, Start, converge, settings_of, start_
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
 from sim_replay.benches.overlap import overlap
-from sim_replay.benches.snakes import box, drawn_pair, plain_region, random_start
+from sim_replay.studies.snakes import box, drawn_pair, plain_region, random_start
 
 SHAPE = (64, 80)
 NONE = np.empty((0, 2))

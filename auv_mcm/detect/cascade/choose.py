@@ -6,10 +6,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from auv_mcm.config import Config
 from auv_mcm.detect.cascade.model import CascadeModel, fits_sonar, parse_model
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
+from auv_mcm.settings.config import Config
 
 SHIPPED: Final = "shipped"
 NONE: Final = "none"

@@ -14,7 +14,7 @@ from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFit, ShapeFits, fit_shapes
 from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import FIRST_FIELD, Solid, solid_of
-from sim_replay.benches.shapes import CORRELATION_AREA, best_class, closed_form_region, draw_object
+from sim_replay.studies.shapes import CORRELATION_AREA, best_class, closed_form_region, draw_object
 
 SHAPES: dict[Solid, Shape] = {
     "sphere": Sphere(radius_m=0.4),

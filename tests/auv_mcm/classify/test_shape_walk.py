@@ -16,7 +16,7 @@ from auv_mcm.classify.search import Box, look_around
 from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from auv_mcm.kernels.shape import FORBIDDEN, PENCIL, Solid, intervals, intervals_numpy
 from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes, walk_shapes_numpy
-from sim_replay.benches.shapes import closed_form_region
+from sim_replay.studies.shapes import closed_form_region
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from sampled_views import Array, extent_m, height_m, reach_m, sampled_parallel_end_m, sampled_view
 from scipy.spatial import ConvexHull
 
 from auv_mcm.classify.shapes import (
@@ -26,6 +25,7 @@ from auv_mcm.classify.shapes import (
     flat_ground_range_m,
     view_shape,
 )
+from tests.auv_mcm.classify.sampled_views import Array, extent_m, height_m, reach_m, sampled_parallel_end_m, sampled_view
 
 RIGHT = 0.5 * math.pi
 SIZE = st.floats(0.1, 3.0)

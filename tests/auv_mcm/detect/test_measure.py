@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scene_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, Plane, make_tile, speckle
 
 from auv_mcm.detect.measure import ROWS_M, Measurement, _bridged, measure, without_footprint
 from auv_mcm.detect.prescreen import Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.records import SATURATED, TURN, VALID, Tile
 from auv_mcm.snippet import pack_snippet
+from tests.auv_mcm.detect.scene_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, Plane, make_tile, speckle
 
 SHAPE = (120, 320)
 

@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from survey_worlds import LIMITS
 
 from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.fence import circles_inside, runs_inside
 from auv_mcm.plan.limits import turns_inside
+from tests.auv_mcm.plan.survey_worlds import LIMITS
 
 Points = NDArray[np.float64]
 PLACE = st.floats(-100.0, 100.0)

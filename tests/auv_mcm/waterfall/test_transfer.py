@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.records import EchoTrace
+from auv_mcm.settings.config import SonarConfig
 from auv_mcm.waterfall.transfer import SINGLE_LOOK_STD_DB, Transfer, kind_from_speckle, resolve_transfer, speckle_evidence, to_intensity
 
 N_SAMPLES, BOTTOM = 1500, 200

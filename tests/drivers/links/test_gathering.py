@@ -12,8 +12,6 @@ from typing import Final, NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from link_watch import Watch, running, until
-from loop_time import LoopClock, LoopTime, run_in_loop_time
 
 from drivers.links.can_frame import CanFrame
 from drivers.links.gather import GATHER_S, PLENTY_BYTES, gather_s
@@ -22,6 +20,8 @@ from drivers.links.slcan import SlcanPort, encode
 from drivers.links.stream import StreamPort
 from drivers.links.uri import BAUD_RATES
 from drivers.stamps import Stamp
+from tests.drivers.links.link_watch import Watch, running, until
+from tests.drivers.links.loop_time import LoopClock, LoopTime, run_in_loop_time
 
 BYTES_PER_S: Final = 92_160.0
 USB_PACKET_S: Final = 64 / BYTES_PER_S

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import pytest
 import serial
-from link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
-from loop_time import LoopTime, run_in_loop_time
 
 from auv_mcm.clock import ReplayClock
 from drivers.links.link import Link
-from drivers.links.registry import byte_link
+from drivers.links.open_link import byte_link
 from drivers.links.stream import MAX_QUEUED_BYTES
 from drivers.links.uri import SerialAddress
 from drivers.stamps import Stamp
 from sim_replay.fakes.port import FakePort
+from tests.drivers.links.link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
+from tests.drivers.links.loop_time import LoopTime, run_in_loop_time
 
 BAUD = 4000000
 

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from hypothesis import strategies as st
 
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.stamps import Stamp
 
 T0 = Stamp(5_000_000_000, 1_700_000_000_000_000_000)

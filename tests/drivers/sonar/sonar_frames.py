@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.sonar.ping_messages import OsMonoProfile
-from drivers.sonar.seam import SonarDecoder, SonarFrame, SonarReply
+from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarReply
 from drivers.stamps import Stamp
 
 NOW: Final = Stamp(5, 7)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sonar_frames import frames_of, items_of, replies_of
 
 from auv_mcm.errors import UsageError
 from drivers.framing import Framer
@@ -33,7 +32,8 @@ from drivers.sonar.jsf_messages import (
     time_request,
     to_wire,
 )
-from drivers.sonar.seam import SonarSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from tests.drivers.sonar.sonar_frames import frames_of, items_of, replies_of
 
 # Offset and struct format of each field behind the message header, from EdgeTech's description.
 OFFSETS: dict[str, tuple[int, str]] = {

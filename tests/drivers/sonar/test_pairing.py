@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.records import EchoTrace
 from drivers.sonar.pairing import SidePairer
-from drivers.sonar.seam import SonarFrame
+from drivers.sonar.sonar_decoder import SonarFrame
 from drivers.stamps import Stamp
 
 RANGE_M = 50.0

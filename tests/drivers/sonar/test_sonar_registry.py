@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sonar_frames import profile
 
 from auv_mcm.errors import BadInputError, UsageError
 from drivers.sonar.logs import NOT_RECEIVED, read_log
 from drivers.sonar.ping_messages import JsonWrapper, encode
-from drivers.sonar.registry import SONARS, sonar_named
-from drivers.sonar.seam import SonarFrame, SonarSettings
+from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
+from drivers.sonar.sonars import SONARS, sonar_named
+from tests.drivers.sonar.sonar_frames import profile
 
 
 def svlog(path: Path, n_pings: int) -> Path:

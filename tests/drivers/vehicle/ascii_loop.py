@@ -9,13 +9,13 @@ from typing import Any
 from hypothesis import strategies as st
 
 from auv_mcm.records import NavSample
-from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
 from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect
 from drivers.vehicle.bluefin import BluefinDialect
+from drivers.vehicle.dialect import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
 from drivers.vehicle.iver import IverDialect
 from drivers.vehicle.recon import ReconDialect
-from drivers.vehicle.seam import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon

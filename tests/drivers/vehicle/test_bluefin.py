@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 
 import pytest
-from ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
 from msgspec import structs
 
-from auv_mcm.vehicle_config import BluefinSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.nmea0183 import sentence
 from drivers.vehicle.bluefin import ATTEMPTS, RESEND_S, BluefinDialect
-from drivers.vehicle.seam import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
+from drivers.vehicle.dialect import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
+from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
 
 
 def said(dialect: BluefinDialect, now_s: float) -> list[str]:

@@ -8,12 +8,11 @@ from itertools import count, pairwise
 
 import msgspec
 import pytest
-from can_traffic import at, records
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation import n2k_messages as n2k
 from drivers.vehicle.can_dialect import CanDialect
@@ -37,7 +36,7 @@ from drivers.vehicle.can_messages import (
 )
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import text_of
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Arrived,
     Command,
@@ -52,6 +51,7 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from tests.drivers.vehicle.can_traffic import at, records
 
 PAYLOAD, VEHICLE = 96, 32
 PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)

@@ -10,10 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import ImcSettings
+from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.dialect import (
+    Acknowledged,
+    Arrived,
+    Capability,
+    ContactReport,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    Rejected,
+    Steer,
+    VehicleEvent,
+    VehicleState,
+    Vertical,
+    Withheld,
+)
 from drivers.vehicle.imc import PLAN_ID, ImcDialect
 from drivers.vehicle.imc_contact import contact_of
 from drivers.vehicle.imc_messages import (
@@ -30,21 +45,6 @@ from drivers.vehicle.imc_messages import (
     decode,
 )
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, Packet, packed
-from drivers.vehicle.seam import (
-    Acknowledged,
-    Arrived,
-    Capability,
-    ContactReport,
-    GoTo,
-    Granted,
-    PayloadHealth,
-    Rejected,
-    Steer,
-    VehicleEvent,
-    VehicleState,
-    Vertical,
-    Withheld,
-)
 
 US, VEHICLE, OTHER = 0x6000, 0x1E, 0x2F
 UTC_S = 1_700_000_000

@@ -13,10 +13,9 @@ from importlib.util import find_spec
 
 import pytest
 
-from auv_mcm.vehicle_config import ImcSettings
+from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.stamps import Stamp
-from drivers.vehicle.imc import PLAN_ID, ImcDialect
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Arrived,
     ContactReport,
     GoTo,
@@ -26,6 +25,7 @@ from drivers.vehicle.seam import (
     VehicleState,
     Vertical,
 )
+from drivers.vehicle.imc import PLAN_ID, ImcDialect
 
 pytestmark = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the peer, is not installed: pip install imcpy")
 

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperDialect, stamp
 
 from auv_mcm.records import NAN, Contact, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved, offset_m
-from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Arrived,
     Capability,
@@ -29,6 +27,8 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.pilot import Pilot
+from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperDialect, stamp
 
 HOME_DEG = (54.0, 8.0)
 FENCE_DEG = tuple(moved(*HOME_DEG, *corner) for corner in ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0)))

@@ -8,7 +8,7 @@ import pytest
 
 from auv_mcm.records import NAN
 from drivers.stamps import Stamp
-from drivers.vehicle.seam import VehicleState
+from drivers.vehicle.dialect import VehicleState
 from drivers.vehicle.whereabouts import Whereabouts
 
 STAMP = Stamp(0, 0)

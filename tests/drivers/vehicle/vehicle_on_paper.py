@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TypeAlias
 
 from drivers.stamps import Stamp
-from drivers.vehicle.seam import Capability, Command, ContactReport, PayloadHealth, VehicleEvent
+from drivers.vehicle.dialect import Capability, Command, ContactReport, PayloadHealth, VehicleEvent
 
 Heard: TypeAlias = tuple[VehicleEvent, ...] | None
 """What the vehicle says at once; None: noise."""

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xtf_logs import written
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
+from auv_mcm.settings.config import Config
 from sim_replay.augment.forward import render
-from sim_replay.augment.recorded import invert_waterfall, waterfall_pictures
-from sim_replay.recorded import RecordedMission
+from sim_replay.logs.recorded import RecordedMission
+from sim_replay.studies.recorded_lines import invert_waterfall, waterfall_pictures
+from tests.sim_replay.logs.xtf_logs import written
 
 
 def test_log_gives_pictures_and_scenes_of_both_sides(tmp_path: Path) -> None:

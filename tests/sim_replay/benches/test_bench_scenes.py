@@ -7,16 +7,16 @@ import math
 from pathlib import Path
 
 import pytest
-from drawn_looks import confirmation, detection
 
-from auv_mcm.config import Config, ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Contact, Detector, LookStep
+from auv_mcm.settings.config import Config, ContactsConfig
 from sim_replay.benches import scenes
 from sim_replay.benches.scenes import add_arguments, as_after, config_for, run, served_by
 from sim_replay.simulator.scene_file import read_scene
+from tests.auv_mcm.classify.drawn_looks import confirmation, detection
 
 PRIOR = math.log(0.02 / 0.98)
 

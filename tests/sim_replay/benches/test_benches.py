@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from xtf_logs import written
 
 from auv_mcm.cli import main
 from auv_mcm.commands.bench import BENCHES
+from tests.sim_replay.logs.xtf_logs import written
 
 ROOT = Path(__file__).parents[3]
 

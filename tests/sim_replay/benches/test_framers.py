@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.navigation.registry import TEXT_PROTOCOLS
-from drivers.sonar.registry import SONARS
+from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
+from drivers.sonar.sonars import SONARS
 from sim_replay.benches.framers import (
     FAULT_KINDS,
     WIRES,

@@ -15,10 +15,10 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.registry import text_decoder
-from drivers.navigation.seam import NavFix
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_protocols import text_decoder
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonars import sonar_named
 from drivers.stamps import Stamp
 from sim_replay.fakes.feed import mission_events, time_line
 from sim_replay.fakes.job import Job, read_job

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.records import NavSample
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.stamps import Stamp
 from drivers.vehicle.can_dialect import CanDialect
 from drivers.vehicle.can_messages import COMMAND_VALID_S, DEMANDS, FIRST_COMMAND_S, PAYLOAD_SILENT_S, PayloadStatus, encode
 from drivers.vehicle.can_translation import command_message
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Arrived,
     ContactReport,

@@ -9,17 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
-from auv_mcm.vehicle_config import ImcSettings
+from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
 from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.imc import ImcDialect
-from drivers.vehicle.imc_contact import contact_of
-from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
-from drivers.vehicle.imc_wire import ImcGrammar, packed
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
     Arrived,
     ContactReport,
@@ -31,8 +27,12 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.imc import ImcDialect
+from drivers.vehicle.imc_contact import contact_of
+from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
+from drivers.vehicle.imc_wire import ImcGrammar, packed
+from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
-from sim_replay.fakes.vehicles.seam import FakeController
 
 US, OTHER = 0x6000, 0x2F
 UTC_S = 1_700_000_000.0

@@ -1,0 +1,597 @@
+"""The running service: a source -> a bounded queue -> perception in its own process -> a journal, then the console.
+
+The event loop does input and output only, a thread what may wait for the disk. A contact is on disk before anybody hears of it. SIGINT or
+SIGTERM stops the source; what is queued is still worked off and everything is written. A second signal ends at once; the journal is
+complete even then. What was found lies on disk until the end: the memory of a mission does not grow with its length.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import importlib
+import json
+import logging
+import os
+import signal
+import sys
+from collections import Counter, deque
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from auv_mcm import __version__, kernels
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.contacts.export import contacts_geojson, iso_time
+from auv_mcm.contacts.found import Found
+from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
+from auv_mcm.shell.results import (
+    Journal,
+    Snippets,
+    Tally,
+    area_totals,
+    contact_totals,
+    make_directory,
+    plan_waypoints,
+    search_totals,
+    write_clearance,
+    write_json,
+    write_results,
+)
+from auv_mcm.shell.vehicle_link import Liaison, VehicleEnd
+
+if TYPE_CHECKING:
+    from drivers.stamps import Stamp
+
+log = logging.getLogger(__name__)
+
+# Who opens a source, by the scheme of its URI: module and function, imported when asked for.
+SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
+RECORDER: Final = "drivers.recording.start_recording:start_recording"
+RECORDING: Final = "recording"
+"""The folder, among the results, for what live ports received and were sent."""
+
+_STOP_S: Final = 2.0  # for a live source to close its ports
+_LAG_PROBE_S: Final = 0.25
+_ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
+_SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
+_OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
+_CLUTTER: Final = 1
+_NO_CLUTTER: Final = 2
+
+
+class SourceUri(NamedTuple):
+    """A parsed service.source, e.g. replay:///data/mission.xtf?speed=1."""
+
+    text: str
+    scheme: str
+    path: str
+    options: dict[str, str]
+
+
+class Source(Protocol):
+    """Where pings and navigation come from. A lossless one can wait for the service; the others lose what is not taken in time."""
+
+    @property
+    def lossless(self) -> bool: ...
+
+    def events(self) -> AsyncGenerator[SourceEvent, None]: ...
+
+    def counters(self) -> Counter[str]:
+        """What it skipped or mended so far."""
+
+
+Record: TypeAlias = "Callable[[str, Literal['in', 'out'], Stamp, bytes], None]"
+"""Takes bytes of a port, by its name, that were received or sent; neither waits nor raises."""
+
+
+@runtime_checkable
+class LiveSource(Source, Protocol):
+    """Ports, which never end by themselves."""
+
+    def record_with(self, record: Record) -> None:
+        """Hand every byte to `record`. Called once, before `events`."""
+
+    def stop(self) -> None:
+        """Let go of the ports; `events` then ends with what was held back."""
+
+    def health(self) -> str:
+        """How each port is, for the health line."""
+
+    def faults(self) -> list[str]:
+        """What is wrong with ports, in a few words each."""
+
+    @property
+    def vehicle(self) -> VehicleEnd | None:
+        """The vehicle's end, if there is one."""
+
+    async def serve_vehicle(self) -> None:
+        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
+
+
+class Recorder(Protocol):
+    """Keeps what live ports received and were sent."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def record(self, port: str, direction: Literal["in", "out"], stamp: Stamp, data: bytes) -> None: ...
+
+    def take_notices(self) -> list[Notice]: ...
+
+    def close(self) -> None: ...
+
+
+OpenSource = Callable[[SourceUri, Config, Clock], Source]
+StartRecording = Callable[[Path, Config, Clock], Recorder]
+
+
+def parse_source_uri(text: str) -> SourceUri:
+    """Raises UsageError for anything but `ports` and scheme:path?option=value&..."""
+    known = "ports, " + ", ".join(f"{scheme}:" for scheme in sorted(SOURCES) if scheme != "ports")
+    if not text:
+        raise UsageError("service.source is empty: say where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
+    if text == "ports":
+        return SourceUri(text, text, "", {})
+    try:
+        parts = urlsplit(text)
+        options = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+    except ValueError as error:
+        raise UsageError(f"service.source '{text}' is not a URI: {error}") from error
+    if parts.scheme not in SOURCES:
+        raise UsageError(f"service.source '{text}': unknown scheme '{parts.scheme}'. Known: {known}")
+    if parts.netloc:
+        raise UsageError(f"service.source '{text}': '{parts.netloc}' is read as a host. A path has three slashes: {parts.scheme}:///path")
+    if len(dict(options)) < len(options):
+        raise UsageError(f"service.source '{text}': an option is given twice")
+    return SourceUri(text, parts.scheme, unquote(parts.path), dict(options))
+
+
+def open_source(uri: SourceUri, config: Config, clock: Clock) -> Source:
+    """The source `uri` names. Raises UsageError, BadInputError or HardwareError."""
+    opener: OpenSource = _imported(SOURCES[uri.scheme])
+    return opener(uri, config, clock)
+
+
+def _imported(place: str) -> Any:
+    """What stands at module:name."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+class EventQueue:
+    """Events on their way from the source to perception: at most `max_pings` pings and a proportionate number of others.
+
+    A lossless source waits for room. Otherwise the oldest ping goes, counted as `service.ping_dropped`: what comes in now says
+    where the vehicle is now.
+    """
+
+    def __init__(self, max_pings: int, lossless: bool, counters: Counter[str]) -> None:
+        self._max_pings = max_pings
+        self._max_events = max_pings * (1 + _OTHERS_PER_PING)
+        self._lossless = lossless
+        self._counters = counters
+        self._events: deque[SourceEvent] = deque()
+        self._pings = 0
+        self._closed = False
+        self._changed = asyncio.Condition()
+
+    @property
+    def pings(self) -> int:
+        return self._pings
+
+    async def put(self, event: SourceEvent) -> None:
+        async with self._changed:
+            is_ping = isinstance(event, Ping)
+            if self._lossless:
+                await self._changed.wait_for(lambda: not self._is_full(is_ping))
+            elif self._is_full(is_ping):
+                self._drop(is_ping)
+            self._events.append(event)
+            self._pings += is_ping
+            self._changed.notify_all()
+
+    async def get(self) -> SourceEvent | None:
+        """The next event; None once the queue is closed and empty."""
+        async with self._changed:
+            await self._changed.wait_for(lambda: bool(self._events) or self._closed)
+            if not self._events:
+                return None
+            event = self._events.popleft()
+            self._pings -= isinstance(event, Ping)
+            self._changed.notify_all()
+            return event
+
+    async def close(self) -> None:
+        """No event follows."""
+        async with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _is_full(self, is_ping: bool) -> bool:
+        return len(self._events) >= self._max_events or (is_ping and self._pings >= self._max_pings)
+
+    def _drop(self, is_ping: bool) -> None:
+        oldest = next((i for i, event in enumerate(self._events) if isinstance(event, Ping) == is_ping), 0)
+        dropped_ping = isinstance(self._events[oldest], Ping)
+        self._counters["service.ping_dropped" if dropped_ping else "service.event_dropped"] += 1
+        self._pings -= dropped_ping
+        del self._events[oldest]
+
+
+class Service:
+    """One mission, from opening the source to the last file. `console` takes a line per notice and per contact that is not clutter."""
+
+    def __init__(
+        self,
+        config: Config,
+        source: Source,
+        *,
+        clock: Clock | None = None,
+        console: Callable[[str], None] = print,
+        make_pipeline: MakePipeline = standard_pipeline,
+    ) -> None:
+        self._config = config
+        self._source = source
+        self._clock: Clock = clock or SystemClock()
+        self._console = console
+        self._make_pipeline = make_pipeline
+        self._counters: Counter[str] = Counter()
+        self._tally = Tally()
+        self._told = bytearray()  # by number of a contact: what it was announced as
+        self._notices: list[Notice] = []
+        self._stop = asyncio.Event()
+        self._source_failure: AuvMcmError | None = None
+        self._lag_s = 0.0
+        self._pipeline_counters: Counter[str] = Counter()
+        self._clearance: Clearance | None = None
+        self._clearance_png = b""
+        self._recorder: Recorder | None = None
+        self._liaison: Liaison | None = None
+        self._n_dropped_told = 0
+        self._disk = ThreadPoolExecutor(1, "disk")
+
+    def stop(self) -> None:
+        """Stop the source; `run` then works off the queue, writes everything and returns."""
+        self._stop.set()
+
+    async def run(self) -> Path:
+        """Serve until the source ends or `stop` is called. Returns the folder with the results.
+
+        Raises AuvMcmError; a failure of the source or of perception only after what is known has been written.
+        """
+        self._folder = _session_folder(Path(self._config.service.output_directory), self._clock)
+        self._started_s = self._clock.monotonic_s()
+        journal = Journal(self._folder / "contacts.jsonl")
+        self._snippets = Snippets(self._folder)
+        self._found = Found(self._folder)
+        queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
+        perception = Perception(self._config, self._make_pipeline, folder=self._folder)
+        failure: AuvMcmError | None = None
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                starting = tasks.create_task(perception.start())
+                await asyncio.to_thread(self._start_recording)
+                self._start_liaison()
+                tasks.create_task(self._take_in(queue))  # what comes in while perception starts is not lost
+                await starting
+                gc.collect()
+                gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
+                log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
+                health = [tasks.create_task(self._watch_lag()), tasks.create_task(self._report_health(queue, perception))]
+                if self._liaison is not None:
+                    health.append(tasks.create_task(self._attend_vehicle(self._liaison, queue, perception)))
+                tasks.create_task(self._feed(queue, perception))
+                await tasks.create_task(self._publish(perception, journal))
+                for task in health:
+                    task.cancel()
+                log.info("health %s", self._health(queue, perception))  # as it ended, however short it was
+        except* AuvMcmError as group:
+            failure = _first(group)
+        finally:
+            try:
+                await self._part_from_vehicle(failure or self._source_failure)
+            finally:
+                self._close(perception, journal)
+        if failure := failure or self._source_failure:
+            raise failure
+        return self._folder
+
+    def _close(self, perception: Perception, journal: Journal) -> None:
+        perception.close()
+        if self._recorder is not None:
+            self._recorder.close()
+            self._tell_of_recording()
+        self._disk.shutdown()
+        for what, write in (
+            ("contacts are missing from the journal", journal.close),
+            ("pictures of contacts are missing", self._snippets.write),
+        ):
+            try:
+                write()
+            except OSError as error:  # as on a full disk; what is known is still worth writing
+                log.error("%s: %s", what, error)
+        try:
+            self._write()
+        finally:
+            self._found.close()
+
+    def _start_liaison(self) -> None:
+        if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
+            self._liaison = Liaison(self._config, self._source.vehicle, self._clock)
+            self._liaison.start(self._source.serve_vehicle())
+
+    async def _attend_vehicle(self, liaison: Liaison, queue: EventQueue, perception: Perception) -> None:
+        while True:
+            for notice in liaison.attend(self._faults(queue), perception.ask):
+                self._announce(notice)
+            await asyncio.sleep(_ATTEND_S)
+
+    def _faults(self, queue: EventQueue) -> list[str]:
+        """What the vehicle should know of the payload's troubles."""
+        faults = self._source.faults() if isinstance(self._source, LiveSource) else []
+        n_dropped, self._n_dropped_told = self._n_dropped_told, self._counters["service.ping_dropped"]
+        if self._n_dropped_told > n_dropped or 2 * queue.pings > self._config.service.queue_pings:
+            faults.append("perception is behind")
+        return faults
+
+    async def _part_from_vehicle(self, failure: AuvMcmError | None) -> None:
+        if self._liaison is not None:
+            for notice in await self._liaison.part("the service ends" if failure is None else f"the service ends: {failure}"):
+                self._announce(notice)
+
+    def _start_recording(self) -> None:
+        if not isinstance(self._source, LiveSource) or not self._config.service.record:
+            return
+        start: StartRecording = _imported(RECORDER)
+        self._recorder = start(self._folder / RECORDING, self._config, self._clock)
+        self._source.record_with(self._recorder.record)
+
+    def _tell_of_recording(self) -> None:
+        if self._recorder is not None:
+            for notice in self._recorder.take_notices():
+                self._announce(notice)
+
+    async def _take_in(self, queue: EventQueue) -> None:
+        """Source to queue, until the source ends or the service is told to stop."""
+        reading = asyncio.ensure_future(self._read(queue))
+        stopping = asyncio.ensure_future(self._stop.wait())
+        try:
+            await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            if not reading.done():
+                log.info("stopping: %d pings still queued", queue.pings)
+                if self._liaison is not None:
+                    self._liaison.release("the service is being stopped")
+                if isinstance(self._source, LiveSource):
+                    self._source.stop()
+                    await asyncio.wait({reading}, timeout=_STOP_S)
+                reading.cancel()
+                await asyncio.wait({reading})
+            if not reading.cancelled() and (error := reading.exception()) is not None:
+                # What came in before is worth working off; the failure is raised at the end.
+                log.error("the source failed: %s", error, exc_info=None if isinstance(error, AuvMcmError) else error)
+                self._source_failure = error if isinstance(error, AuvMcmError) else HardwareError(f"the source failed: {error!r}")
+        finally:
+            reading.cancel()
+            stopping.cancel()
+            await queue.close()
+
+    async def _read(self, queue: EventQueue) -> None:
+        async with contextlib.aclosing(self._source.events()) as events:
+            async for event in events:
+                if self._liaison is not None:
+                    self._liaison.see(event)
+                await queue.put(event)
+
+    async def _feed(self, queue: EventQueue, perception: Perception) -> None:
+        try:
+            while (event := await queue.get()) is not None:
+                try:
+                    await perception.feed(event)
+                except ValueError as error:
+                    self._counters["service.ping_too_large"] += 1
+                    log.error("ping skipped: %s", error)
+                    continue
+                self._tally.add(event)
+                if self._tally.pings == 1 and isinstance(event, Ping):
+                    log.info("first ping: %s", event.place or event.number)
+            await perception.finish()
+        except AuvMcmError:
+            return  # what perception answered before it failed comes first; _publish meets the failure in its turn
+
+    async def _publish(self, perception: Perception, journal: Journal) -> None:
+        """Answers of perception to the journal, then to the console."""
+        while not isinstance(answer := await perception.answer(), Finished):
+            if isinstance(answer, Planned):
+                if self._liaison is not None:
+                    self._liaison.take(answer.proposal)
+                continue
+            contacts = [event for event in answer.events if isinstance(event, Contact)]
+            if contacts:
+                await self._make_durable(contacts, answer.snippets, journal)
+                if self._liaison is not None:
+                    self._liaison.tell(contacts)
+            if patches := [event for event in answer.events if isinstance(event, CoveragePatch)]:
+                await self._on_disk(partial(self._found.keep, coverage=patches))
+            for event in answer.events:
+                self._announce(event)
+        self._pipeline_counters = answer.counters
+        self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
+
+    async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
+        now = iso_time(self._clock.utc_s())
+        records = [{"time": now, "contact": json.loads(contacts_geojson([contact]))["features"][0]} for contact in contacts]
+        try:
+            await self._on_disk(partial(journal.append, records))
+        except OSError as error:
+            # A full disk is no reason to keep a mine to oneself.
+            self._counters["service.journal_failed"] += 1
+            log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
+        try:
+            await self._on_disk(partial(self._snippets.write, snippets))
+        except OSError as error:
+            self._counters["service.snippets_failed"] += 1
+            log.error("pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror)
+        await self._on_disk(partial(self._found.keep, contacts))
+
+    async def _on_disk(self, write: Callable[[], None]) -> None:
+        """A slow disk must not hold up the ports."""
+        await asyncio.get_running_loop().run_in_executor(self._disk, write)
+
+    def _say(self, line: str) -> None:
+        """A console that went away, with its terminal or its disk, must not take the mission with it."""
+        try:
+            self._console(line)
+        except (OSError, ValueError) as error:
+            self._counters["service.console_failed"] += 1
+            if self._counters["service.console_failed"] == 1:
+                log.error("the console takes no more lines (%s); the results go on", error)
+
+    def _announce(self, event: PipelineEvent) -> None:
+        match event:
+            case Contact():
+                number, now = contact_number(event.id), _CLUTTER if event.classification == "clutter" else _NO_CLUTTER
+                self._told.extend(bytes(max(number + 1 - len(self._told), 0)))
+                before, self._told[number] = self._told[number], now
+                if _NO_CLUTTER not in (before, now):
+                    return  # in the journal and the results; a person watching needs the others
+                word = "updated" if before else "new"
+                self._say(
+                    f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
+                    f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
+                )
+            case Notice():
+                self._notices.append(event)
+                self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
+
+    async def _watch_lag(self) -> None:
+        """How late the loop wakes up: what a byte at a port waits."""
+        while True:
+            asked_s = self._clock.monotonic_s()
+            await asyncio.sleep(_LAG_PROBE_S)
+            self._lag_s = max(self._lag_s, self._clock.monotonic_s() - asked_s - _LAG_PROBE_S)
+
+    async def _report_health(self, queue: EventQueue, perception: Perception) -> None:
+        pings = 0
+        while True:
+            await asyncio.sleep(self._config.service.health_period_s)
+            self._tell_of_recording()
+            log.info("health %s", self._health(queue, perception))
+            if self._tally.pings == pings and perception.in_flight and queue.pings:
+                log.warning("perception has taken no ping for %g s although pings wait", self._config.service.health_period_s)
+            pings, self._lag_s = self._tally.pings, 0.0
+
+    def _health(self, queue: EventQueue, perception: Perception) -> str:
+        contacts, clutter = self._told.count(_NO_CLUTTER), self._told.count(_CLUTTER)
+        return (
+            f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
+            f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} lag_ms={self._lag_s * 1e3:.1f}"
+            + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
+            + (f" {self._liaison.health()}" if self._liaison is not None else "")
+        )
+
+    def _write(self) -> None:
+        contacts, coverage = self._found.contacts, self._found.coverage
+        proposed = None if self._liaison is None else self._liaison.plan
+        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
+        write_results(self._folder, contacts, coverage, waypoints, self._config.mission)
+        write_clearance(self._folder, self._clearance, self._clearance_png)
+        summary: dict[str, Any] = {
+            "version": __version__,
+            "kernels": kernels.backend(),
+            "source": self._config.service.source,
+            **self._tally.totals(),
+            **contact_totals(contacts, coverage),
+            **search_totals(self._clearance, contacts),
+            **area_totals(self._clearance, self._config.plan, "" if self._liaison is None else self._liaison.verdict),
+            "waypoints": len(waypoints),
+            **({} if self._liaison is None else {"vehicle": self._liaison.health()}),
+            "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
+            "counters": dict(sorted(self._all_counters().items())),
+            "notices": [{"code": notice.code, "text": notice.text, "place": notice.place} for notice in self._notices],
+        }
+        write_json(self._folder / "summary.json", summary)
+
+    def _all_counters(self) -> Counter[str]:
+        of_disk = Counter({"service.kept_in_memory": self._found.n_in_memory, "service.unreadable": self._found.n_unreadable})
+        counters = self._counters + self._source.counters() + self._pipeline_counters + of_disk
+        return counters if self._recorder is None else counters + self._recorder.counters
+
+
+def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipeline = standard_pipeline) -> Path:
+    """Run the service in this process until its source ends or a signal stops it; returns the folder with the results.
+
+    clock: this computer's own if None.
+
+    Raises AuvMcmError, or KeyboardInterrupt after a second signal.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+    clock = clock or SystemClock()
+    source = open_source(parse_source_uri(config.service.source), config, clock)
+
+    async def main() -> Path:
+        service = Service(config, source, clock=clock, make_pipeline=make_pipeline)
+        loop = asyncio.get_running_loop()
+        serving = asyncio.ensure_future(service.run())
+        signals = 0
+
+        def on_signal(number: signal.Signals) -> None:
+            nonlocal signals
+            signals += 1
+            if signals == 1:
+                log.info("%s: finishing; once more to end at once", number.name)
+                service.stop()
+            else:
+                log.warning("%s again: ending at once", number.name)
+                serving.cancel()
+
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # SIGHUP: the terminal is gone
+            loop.add_signal_handler(number, on_signal, number)
+        try:
+            return await serving
+        except asyncio.CancelledError:
+            raise KeyboardInterrupt from None
+
+    return asyncio.run(main())
+
+
+def _session_folder(parent: Path, clock: Clock) -> Path:
+    """A new folder per run, so that a restart never overwrites what an earlier run found; `latest` points to it."""
+    make_directory(parent)
+    stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
+    for attempt in range(1, 1000):
+        folder = parent / (f"session-{stamp}" if attempt == 1 else f"session-{stamp}-{attempt}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        _point_latest_to(folder)
+        return folder
+    raise UsageError(f"{parent} holds a thousand sessions of {stamp}: the computer's clock does not run")
+
+
+def _point_latest_to(folder: Path) -> None:
+    link = folder.with_name(".latest.new")
+    try:
+        link.unlink(missing_ok=True)
+        link.symlink_to(folder.name)
+        os.replace(link, folder.with_name("latest"))
+    except OSError as error:  # a file system without links, such as FAT on a memory card
+        log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
+
+
+def _first(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, AuvMcmError)
+    return error

@@ -1,0 +1,212 @@
+"""A recorded mission, one or several logs, as one stream of events: at once for the bench, or paced as a source of the service."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import AsyncGenerator, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Final, Protocol
+
+import msgspec
+
+from auv_mcm.clock import Clock
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.shell.service import SourceUri
+from sim_replay.logs.xtf import XtfLog
+
+CHUNK_BYTES: Final = 1 << 18
+MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
+_BATCH: Final = 32  # events read at once off the event loop
+
+
+class Mission(Protocol):
+    """What can be replayed."""
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each file in use, in order of time."""
+        ...
+
+    @property
+    def fraction_done(self) -> float:
+        """How much of the files `events` has read, 0..1."""
+        ...
+
+    def counters(self) -> Counter[str]:
+        """What reading skipped or mended so far."""
+        ...
+
+    def events(self) -> Iterator[SourceEvent]: ...
+
+
+def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> Mission:
+    """Logs of pings, or one recorded session of ports, whose bytes then go through their decoders.
+
+    The session is decoded as `config` says about its ports, where it says nothing as it was recorded. Raises UsageError or BadInputError.
+    """
+    from sim_replay.logs.session_mission import SessionMission, is_session, recorded_config
+    from sim_replay.logs.session_reader import Session
+
+    sessions = [path for path in paths if is_session(path)]
+    if not sessions:
+        return RecordedMission(paths, config.sonar, chunk_bytes)
+    if len(paths) > 1:
+        raise UsageError(f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart.")
+
+    from drivers.port_intake import PortIntake
+
+    session = Session(sessions[0])
+    if not config.ports:
+        config = msgspec.structs.replace(config, ports=recorded_config(session).ports)
+    return SessionMission(session, PortIntake(config))
+
+
+def session_config(paths: Sequence[Path]) -> Config | None:
+    """The configuration that the recorded session among `paths` was recorded with, None if there is no session. Raises BadInputError."""
+    from sim_replay.logs.session_mission import is_session, recorded_config
+    from sim_replay.logs.session_reader import Session
+
+    return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
+
+
+class RecordedMission:
+    """The logs of one mission in the order of their first pings, whatever order they are named in."""
+
+    def __init__(self, paths: Sequence[Path], sonar: SonarConfig, chunk_bytes: int = CHUNK_BYTES) -> None:
+        """Open every log and look for its first ping.
+
+        A log without anything usable is left out with a notice if others are usable. Raises UsageError for a log named twice,
+        BadInputError for one that is not there, or if no log is usable.
+        """
+        _refuse_repeated(paths)
+        self._notices: list[Notice] = []
+        self._counters: Counter[str] = Counter()
+        found: list[tuple[float, int, Path, XtfLog]] = []
+        for place, path in enumerate(paths):
+            try:
+                log = XtfLog(path, sonar, chunk_bytes=chunk_bytes)
+                found.append((_first_time_s(log), place, path, log))
+            except BadInputError as error:
+                if len(paths) == 1:
+                    raise
+                self._counters["replay.log_unusable"] += 1
+                self._notices.append(Notice(code="log_unusable", text=f"log left out: {error}", place=str(path)))
+        if not found:
+            raise BadInputError("none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices))
+        found.sort(key=lambda item: item[:2])
+        self._logs = [(path, log) for _, _, path, log in found]
+        self._done_bytes = 0
+        self._reading: XtfLog | None = None
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each log in use, in order of time."""
+        return {path: log.size_bytes for path, log in self._logs}
+
+    @property
+    def fraction_done(self) -> float:
+        """How much of the logs `events` has read, 0..1."""
+        reading_bytes = 0 if self._reading is None else self._reading.bytes_read
+        return min(1.0, (self._done_bytes + reading_bytes) / sum(self.sizes_bytes.values()))
+
+    def counters(self) -> Counter[str]:
+        """What the readers skipped or mended so far."""
+        return sum((log.counters for _, log in self._logs), self._counters)
+
+    def events(self) -> Iterator[SourceEvent]:
+        yield from self._notices
+        self._done_bytes = 0
+        for _, log in self._logs:
+            self._reading = log
+            yield from log
+            self._done_bytes += log.size_bytes
+            self._reading = None
+
+
+class Pace:
+    """When events are due at `speed` times real time; inf: at once."""
+
+    def __init__(self, speed: float, clock: Clock) -> None:
+        self._speed = speed
+        self._clock = clock
+        self._due_s = -math.inf
+        self._last_s = math.nan
+
+    def wait_s(self, event: SourceEvent) -> float:
+        """Seconds until `event` is due. Times that step back or leap do not make up or cost waiting time."""
+        if math.isinf(self._speed) or not isinstance(event, Ping | NavSample) or not math.isfinite(event.time_s):
+            return 0.0
+        now_s = self._clock.monotonic_s()
+        if math.isnan(self._last_s):
+            self._due_s, self._last_s = now_s, event.time_s
+        step_s = min(event.time_s - self._last_s, MAX_WAIT_S)
+        if step_s > 0.0 or step_s < -MAX_WAIT_S:
+            self._last_s = event.time_s
+        self._due_s += max(step_s, 0.0) / self._speed
+        return max(self._due_s - now_s, 0.0)
+
+
+class ReplaySource:
+    """A recorded mission as the service's source; it waits for the service, so that nothing is lost however slow the computer is."""
+
+    lossless = True
+
+    def __init__(self, mission: Mission, pace: Pace) -> None:
+        self._mission = mission
+        self._pace = pace
+
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+        stream = self._mission.events()
+        while batch := await asyncio.to_thread(lambda: list(islice(stream, _BATCH))):
+            for event in batch:
+                if (wait_s := self._pace.wait_s(event)) > 0.0:
+                    await asyncio.sleep(wait_s)
+                yield event
+
+    def counters(self) -> Counter[str]:
+        return self._mission.counters()
+
+
+def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
+    """replay:///path/to/mission.xtf?speed=1, or the folder of a recorded session; speed: times real time, or max.
+
+    Raises UsageError or BadInputError.
+    """
+    unknown = sorted(set(uri.options) - {"speed"})
+    if unknown:
+        raise UsageError(f"service.source '{uri.text}': unknown option '{unknown[0]}'. Known: speed")
+    if not uri.path:
+        raise UsageError(f"service.source '{uri.text}' names no log. Example: replay:///data/mission.xtf?speed=1")
+    speed = parse_speed(uri.options.get("speed", "1"), f"service.source '{uri.text}'")
+    return ReplaySource(open_mission([Path(uri.path)], config), Pace(speed, clock))
+
+
+def parse_speed(text: str, place: str) -> float:
+    """`real` (1), `max` (inf) or a number of times real time. Raises UsageError."""
+    try:
+        speed = {"real": 1.0, "max": math.inf}.get(text) or float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0.0:
+        raise UsageError(f"{place}: speed '{text}' is neither real, max nor a number above 0")
+    return speed
+
+
+def _refuse_repeated(paths: Sequence[Path]) -> None:
+    seen: set[Path] = set()
+    for path in paths:
+        if not path.exists():
+            raise BadInputError(f"{path} does not exist. Check the path.")
+        if path.resolve() in seen:
+            raise UsageError(f"{path} is given twice: its pings would count as two passes. Name each log once.")
+        seen.add(path.resolve())
+
+
+def _first_time_s(log: XtfLog) -> float:
+    """Time of the first ping. Raises BadInputError if there is none."""
+    return next((event.time_s for event in log if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
