@@ -206,7 +206,7 @@ class _SonarReader:
     def __init__(self, port: Port, sonar: SonarConfig, utc: UtcAnchor) -> None:
         device = sonar_named(port.device)
         self._port, self._sonar = port, sonar
-        self._decoder = device.decoder()
+        self._decoder = device.decoder(sonar)
         self._device_clock = DeviceClock(f"port '{port.name}'", wrap_s=device.counter_period_s)
         self._clock = SourceClock(self._device_clock, utc)
         self._own: Counter[str] = Counter()
@@ -244,11 +244,12 @@ class _SonarReader:
         name = self._port.name
         traces = [trace for trace in (frame.port, frame.starboard) if trace is not None]
         far_m: float = max(trace.first_range_m + trace.spacing_m * (trace.samples.shape[0] - 0.5) for trace in traces)
-        delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + 2.0 * far_m / frame.sound_speed_mps
+        echo_s = 2.0 * far_m / frame.sound_speed_mps
+        delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + echo_s
         time = self._clock.time(frame.device_time_s, frame.received, delay_s=delay_s, number=frame.number)
         told: list[Told] = [] if time.notice is None else [time.notice]
         if frame.navigation is not None and self._port.unit is not None:
-            told.append(_fix(name, frame, frame.navigation))
+            told.append(_fix(name, frame, frame.navigation, echo_s))
         sound_speed_mps = self._sonar.sound_speed_mps or frame.sound_speed_mps
         port, starboard = (_rescaled(trace, sound_speed_mps / frame.sound_speed_mps) for trace in self._sides(frame))
         told.append(
@@ -284,12 +285,14 @@ def _rescaled(trace: EchoTrace | None, factor: float) -> EchoTrace | None:
     return structs.replace(trace, first_range_m=factor * trace.first_range_m, spacing_m=factor * trace.spacing_m)
 
 
-def _fix(source: str, frame: SonarFrame, told: NavSample) -> NavFix:
+def _fix(source: str, frame: SonarFrame, told: NavSample, echo_s: float) -> NavFix:
+    """The navigation of a sonar's message, which is that of the transmission: its echoes took echo_s to come back."""
     return NavFix(
         source=source,
         received=frame.received,
         n_bytes=frame.n_bytes,
         time_utc_s=frame.device_time_s if frame.device_time_is_utc else None,
+        age_s=echo_s,
         latitude_deg=told.latitude_deg,
         longitude_deg=told.longitude_deg,
         heading_rad=told.heading_rad,

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 from msgspec import structs
 
 from auv_mcm.errors import UsageError
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
 from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, parse_link_uri
@@ -55,7 +55,7 @@ def read_ports(config: Config) -> tuple[Port, ...]:
     Raises UsageError, with the key's path, for a link or setting that its device cannot have, and for a fence that is no area.
     """
     Guard(config.vehicle)
-    return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]"))
+    return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]", config.sonar))
 
 
 def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
@@ -68,8 +68,8 @@ def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
     )
 
 
-def _ports(port: PortConfig, key: str) -> tuple[Port, ...]:
-    served = _port(port, key)
+def _ports(port: PortConfig, key: str, sonar: SonarConfig) -> tuple[Port, ...]:
+    served = _port(port, key, sonar.subsystem)
     if served.unit is not None and served.unit.pulse_link is not None:
         return served, _pulse(served, served.unit.pulse_link, f"{key}.navigation.pulse_link")
     if port.sonar is None or port.sonar.command_link is None:
@@ -79,7 +79,7 @@ def _ports(port: PortConfig, key: str) -> tuple[Port, ...]:
     return served._replace(commands=(), ask_every_s=None), commander
 
 
-def _port(port: PortConfig, key: str) -> Port:
+def _port(port: PortConfig, key: str, subsystem: int | None) -> Port:
     address = _address(port.link, f"{key}.link", port.device)
     baud = _baud(address)
     is_sonar = port.device in SONAR_NAMES
@@ -88,7 +88,7 @@ def _port(port: PortConfig, key: str) -> Port:
     if unit is not None and unit.baud is None:
         unit = structs.replace(unit, baud=baud)
     sonar = port.sonar or SonarPortConfig()
-    commands, asked = _commands(port, sonar, key) if is_sonar else ((), False)
+    commands, asked = _commands(port, sonar, key, subsystem) if is_sonar else ((), False)
     return Port(
         name=port.name,
         device=port.device,
@@ -124,7 +124,7 @@ def _baud(address: LinkAddress) -> int | None:
     return address.baud if isinstance(address, SerialAddress) else None
 
 
-def _commands(port: PortConfig, sonar: SonarPortConfig, key: str) -> tuple[tuple[bytes, ...], bool]:
+def _commands(port: PortConfig, sonar: SonarPortConfig, key: str, subsystem: int | None) -> tuple[tuple[bytes, ...], bool]:
     """What to send, and whether for each ping anew."""
     device = sonar_named(port.device)
     if sonar.range_m is None:
@@ -137,6 +137,7 @@ def _commands(port: PortConfig, sonar: SonarPortConfig, key: str) -> tuple[tuple
         gain=sonar.gain,
         n_samples=sonar.n_samples,
         sound_speed_mps=sonar.sound_speed_mps,
+        subsystem=subsystem,
     )
     try:
         return device.commands(settings), device.asked_per_ping

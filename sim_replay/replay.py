@@ -36,7 +36,8 @@ from auv_mcm.shell.results import (
     write_results,
     write_snippets,
 )
-from sim_replay.logs.recorded import CHUNK_BYTES, Pace, open_mission
+from sim_replay.logs.open_log import CHUNK_BYTES
+from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, render_report
 
 MAX_TRACK_POINTS: Final = 4000

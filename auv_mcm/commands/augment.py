@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
             "auv-mcm score results/contacts.geojson augmented/truth.json",
         ],
     )
-    parser.add_argument("log", metavar="LOG", type=Path, help="XTF file with side-scan pings")
+    parser.add_argument("log", metavar="LOG", type=Path, help="XTF file with side-scan pings; other formats are not written")
     parser.add_argument("--targets", metavar="SPEC", type=Path, required=True, help="YAML file: what to put where, or how much of it")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
     parser.add_argument("--seabed", metavar="NAME", help="what the sea floor is, as the truth and scores should name it")

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from auv_mcm.commands import Commands, add_config_option, command, read_config
+from auv_mcm.errors import AuvMcmError
+
+if TYPE_CHECKING:
+    from auv_mcm.settings.config import Config
+    from auv_mcm.shell.check import Finding
 
 
 def add(commands: Commands) -> None:
@@ -13,9 +23,11 @@ def add(commands: Commands) -> None:
         "check",
         "check that this installation does what it should",
         "Looks at Python, packages, the C kernels against numpy, shared memory, the perception process, the output\n"
-        "directory and the configuration. Changes nothing. Exit code 5 if something failed; a warning is no failure.",
-        ["auv-mcm check", "auv-mcm check --config vehicle.yaml"],
+        "directory, the configuration, and whether logs can be replayed: those named, and the one that service.source plays.\n"
+        "Changes nothing. Exit code 5 if something failed; a warning is no failure.",
+        ["auv-mcm check", "auv-mcm check --config vehicle.yaml", "auv-mcm check survey.jsf"],
     )
+    parser.add_argument("logs", metavar="LOG", nargs="*", type=Path, help="log to look into: XTF, JSF, svlog or a recorded session")
     add_config_option(parser)
     parser.set_defaults(command=_run)
 
@@ -23,4 +35,41 @@ def add(commands: Commands) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     from auv_mcm.shell.check import run_checks
 
-    return run_checks(lambda: read_config(arguments.config), print)
+    return run_checks(lambda: read_config(arguments.config), print, lambda config: _check_logs(arguments.logs, config))
+
+
+def _check_logs(paths: Sequence[Path], config: Config) -> Iterator[Finding]:
+    """Whether each log, and the one that the configured source plays, holds pings that can be replayed."""
+    for path in [*paths, *_source_log(config)]:
+        yield _check_log(path, config)
+
+
+def _check_log(path: Path, config: Config) -> Finding:
+    from auv_mcm.shell.check import Finding
+    from sim_replay.logs.open_log import FORMAT_NAMES, log_format, open_log
+
+    name = f"log {path.name}"
+    try:
+        log = open_log(path, config)
+        first_s = log.first_time_s()
+        n_bytes = sum(log.sizes_bytes.values())
+        if not math.isfinite(first_s):
+            return Finding(name, "FAILED", "it holds no ping")
+        when = datetime.fromtimestamp(first_s, UTC).isoformat(" ", "seconds")
+        return Finding(name, "ok", f"{FORMAT_NAMES[log_format(path)]}, {n_bytes / 1e6:.1f} MB, first ping {when}")
+    except AuvMcmError as error:
+        return Finding(name, "FAILED", str(error))
+    except ImportError as error:
+        return Finding(name, "FAILED", f"{error}: python -m pip install 'auv-mcm[bench]'")
+
+
+def _source_log(config: Config) -> list[Path]:
+    from auv_mcm.shell.service import parse_source_uri
+
+    if not config.service.source:
+        return []
+    try:
+        source = parse_source_uri(config.service.source)
+    except AuvMcmError:
+        return []  # a finding about the configuration
+    return [Path(source.path)] if source.scheme == "replay" and source.path else []

@@ -15,16 +15,24 @@ def add(commands: Commands) -> None:
         "replay recorded missions and write contacts, maps and a report",
         "Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,\n"
         "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
-        "in the same directory are replaced. Several logs are one mission, taken in order of time. A session that\n"
+        "in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) and\n"
+        "SonarView (.svlog) logs go through the decoders of the live ports. A session that\n"
         "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with unless\n"
         "another is given.",
         [
             "auv-mcm replay mission.xtf --out results",
             "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
+            "auv-mcm replay survey.jsf --out results",
             "auv-mcm replay auv-mcm-out/latest/recording --out results",
         ],
     )
-    parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF file with side-scan pings, or folder of a recorded session")
+    parser.add_argument(
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        type=Path,
+        help="XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; what it is goes by its content",
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
     add_config_option(parser)
     parser.add_argument(
@@ -47,7 +55,8 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.logs.recorded import parse_speed, session_config
+    from sim_replay.logs.open_log import session_config
+    from sim_replay.logs.recorded import parse_speed
     from sim_replay.replay import replay
 
     recorded = session_config(arguments.logs) if arguments.config is None else None

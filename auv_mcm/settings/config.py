@@ -49,6 +49,13 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     ] = None
     blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
     max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="range used at most, slant or ground, m")] = 200.0
+    subsystem: Annotated[
+        Literal[20, 21, 22] | None,
+        Meta(
+            description="EdgeTech (jsf) only: which frequency is used, 20 low, 21 high, 22 very high; empty: the only one that a log "
+            "holds, live 21"
+        ),
+    ] = None
     beam_width_deg: Annotated[float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")] = 0.5
     lever_arm_m: Annotated[
         tuple[ArmLength, ArmLength, ArmLength],

@@ -39,20 +39,24 @@ class Finding(NamedTuple):
     detail: str
 
 
-def run_checks(read_config: Callable[[], Config], write: Callable[[str], None]) -> int:
+def run_checks(
+    read_config: Callable[[], Config],
+    write: Callable[[str], None],
+    check_logs: Callable[[Config], Iterator[Finding]] = lambda config: iter(()),
+) -> int:
     """Look at everything, write a table line by line, and return the exit code: 0, or SelfCheckError's if anything failed.
 
-    A configuration that cannot be read is one of the findings.
+    A configuration that cannot be read is one of the findings. check_logs: findings about recorded logs.
     """
     failed = 0
-    for finding in _findings(read_config):
+    for finding in _findings(read_config, check_logs):
         write(f"{finding.verdict:8}{finding.name:32}{finding.detail}")
         failed += finding.verdict == "FAILED"
     write(f"{failed} failed" if failed else "all good")
     return SelfCheckError.exit_code if failed else 0
 
 
-def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
+def _findings(read_config: Callable[[], Config], check_logs: Callable[[Config], Iterator[Finding]]) -> Iterator[Finding]:
     yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parent}")
     yield Finding("python", "ok" if sys.version_info >= (3, 11) else "FAILED", f"{platform.python_version()} on {platform.machine()}")
     for package, module in _PACKAGES.items():
@@ -70,6 +74,7 @@ def _findings(read_config: Callable[[], Config]) -> Iterator[Finding]:
         yield Finding("configuration", "ok", "valid")
     except AuvMcmError as error:
         yield Finding("configuration", "FAILED", str(error))
+    yield from check_logs(config)
     yield _detector(config)
     yield _output(Path(config.service.output_directory))
     yield _perception(config)

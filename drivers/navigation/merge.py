@@ -209,7 +209,7 @@ class NavMerge:
         clock = self._clocks.get(fix.source)
         if clock is None:
             clock = self._clocks[fix.source] = DeviceClock(f"navigation unit '{fix.source}'")
-        told = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s)
+        told = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s + fix.age_s)
         if told.notice is not None:
             self.counters[f"nav.clock_anchored_anew.{fix.source}"] += 1
             events.append(told.notice)

@@ -39,6 +39,7 @@ from drivers.sonar.sonar_settings import check_settings
 from drivers.stamps import Stamp
 
 HIGH_FREQUENCY: Final = 21  # subsystem
+SIDE_SCAN_SUBSYSTEMS: Final = (20, 21, 22)  # low, high, very high frequency
 MAX_RANGE_M: Final = 500.0
 MAX_GAIN: Final = 100
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
@@ -49,7 +50,6 @@ _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
 _TOLD_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
 _MAX_WEIGHTING: Final = 40
 _MAX_RANGE_TOLD_M: Final = 2000.0
-_SIDE_SCANS: Final = (20, 21, 22)
 _NAVIGATION: Final = Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
 _KNOT_MPS: Final = 1852.0 / 3600.0
 _SAME_SPEED_MPS: Final = 0.5
@@ -138,7 +138,7 @@ class JsfDecoder:
             elif message.message_type != SIDE_SCAN:
                 self.counters["jsf.other_messages"] += 1
             elif message.subsystem != self._subsystem or message.channel not in (PORT, STARBOARD):
-                name = f"subsystem_{message.subsystem}" if message.subsystem in _SIDE_SCANS else "other_subsystem"
+                name = f"subsystem_{message.subsystem}" if message.subsystem in SIDE_SCAN_SUBSYSTEMS else "other_subsystem"
                 self.counters[f"jsf.not_used.{name}"] += 1
             else:
                 found += self._frames(arrived)
@@ -182,12 +182,13 @@ class JsfDecoder:
         return self._sound_speed_mps
 
 
-def commands(settings: SonarSettings, subsystem: int = HIGH_FREQUENCY) -> tuple[bytes, ...]:
+def commands(settings: SonarSettings) -> tuple[bytes, ...]:
     """What to send on the command link so that the subsystem pings like this; without a gain, its own is kept.
 
     The number of samples and the sound speed are the sonar's own affair. Raises UsageError for what it cannot do.
     """
     check_settings(settings, "jsf", max_range_m=MAX_RANGE_M, max_gain=MAX_GAIN)
+    subsystem = settings.subsystem or HIGH_FREQUENCY
     parts = [set_value(PING_RANGE, round(1e3 * settings.range_m), subsystem)]
     if settings.gain is not None:
         parts.append(set_value(PING_GAIN, settings.gain, subsystem))

@@ -49,13 +49,17 @@ class SonarReply(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SonarSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """How to ping. range_m: slant range. gain: the device's own index or percentage, None: automatic. sound_speed_mps: for its ranges."""
+    """How to ping. range_m: slant range. gain: the device's own index or percentage, None: automatic. sound_speed_mps: for its ranges.
+
+    subsystem: which frequency of an EdgeTech sonar, 20, 21 or 22; None: the high one, 21.
+    """
 
     range_m: float
     enabled: bool = True
     gain: int | None = None
     n_samples: int = 1200
     sound_speed_mps: float = 1500.0
+    subsystem: int | None = None
 
 
 class SonarDecoder(Protocol):

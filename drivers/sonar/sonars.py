@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import SonarConfig
 from drivers.clocks import MILLISECOND_COUNTER_S
 from drivers.sonar import imagenex, jsf, ping_protocol
 from drivers.sonar.sonar_decoder import SonarDecoder, SonarSettings
@@ -17,26 +18,25 @@ class SonarDevice(NamedTuple):
 
     decoder: makes a decoder for one link or log. commands: what to send so that it pings as told. sets_range, sets_gain, sets_enable: what
     of the settings reaches the device. asked_per_ping: it pings only when the commands are sent, once for each time. counter_period_s:
-    after which its counter of time starts again at 0; None if it has none. log_suffix: of files that hold the same stream, None if none.
+    after which its counter of time starts again at 0; None if it has none.
     """
 
-    decoder: Callable[[], SonarDecoder]
+    decoder: Callable[[SonarConfig], SonarDecoder]
     commands: Callable[[SonarSettings], tuple[bytes, ...]]
     sets_range: bool = True
     sets_gain: bool = True
     sets_enable: bool = True
     asked_per_ping: bool = False
     counter_period_s: float | None = None
-    log_suffix: str | None = None
 
 
 SONARS: Final[Mapping[str, SonarDevice]] = MappingProxyType(
     {
         "ping_protocol": SonarDevice(
-            ping_protocol.PingDecoder, ping_protocol.commands, counter_period_s=MILLISECOND_COUNTER_S, log_suffix=".svlog"
+            lambda sonar: ping_protocol.PingDecoder(), ping_protocol.commands, counter_period_s=MILLISECOND_COUNTER_S
         ),
-        "jsf": SonarDevice(jsf.JsfDecoder, jsf.commands, log_suffix=".jsf"),
-        "sportscan": SonarDevice(imagenex.SportScanDecoder, imagenex.commands, asked_per_ping=True),
+        "jsf": SonarDevice(lambda sonar: jsf.JsfDecoder(subsystem=sonar.subsystem or jsf.HIGH_FREQUENCY), jsf.commands),
+        "sportscan": SonarDevice(lambda sonar: imagenex.SportScanDecoder(), imagenex.commands, asked_per_ping=True),
     }
 )
 

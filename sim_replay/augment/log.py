@@ -25,6 +25,7 @@ from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.transfer import Transfer, resolve_transfer, to_intensity
+from sim_replay.logs.open_log import FORMAT_NAMES, log_format
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_header import SIDE_SCAN, channels
 from sim_replay.logs.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
@@ -93,6 +94,11 @@ def read_survey(path: Path, config: Config) -> Survey:
     pings: list[Ping] = []
     intake = Intake(config, Counter())
     released: list[PingBlock | SegmentEnd] = []
+    if (found := log_format(path)) != "xtf":
+        raise BadInputError(
+            f"{path} is a log of format {FORMAT_NAMES[found]}; objects are embedded in XTF logs alone, since every other byte is kept. "
+            "Export it as XTF."
+        )
     for event in XtfLog(path, config.sonar):
         if isinstance(event, NavSample):
             intake.add_navigation(event)

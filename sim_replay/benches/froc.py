@@ -176,7 +176,7 @@ def fly(line: Line) -> Flown:
         return _seen(line, config_for(scene), mission.events(), mission.truth)
     with tempfile.TemporaryDirectory() as folder:
         written = augment(line.log, _scattered(line.seed), Path(folder), Config())
-        recorded = RecordedMission([written.log], Config().sonar)
+        recorded = RecordedMission([written.log], Config())
         return _seen(line, Config(), recorded.events(), lambda: json.loads(written.truth.read_bytes()))
 
 

@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the counts to FILE")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing")
-    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="XTF log to draw; may be given again")
+    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="log to draw; may be given again")
     parser.add_argument("--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)")
 
 

@@ -13,7 +13,7 @@ from msgspec import structs
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from auv_mcm.settings.config import SonarConfig
+from auv_mcm.settings.config import Config
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.recording import complete
@@ -38,7 +38,7 @@ def mission_events(log: Path | None, scene: str | None) -> Iterator[SourceEvent]
     if (log is None) == (scene is None):
         raise UsageError("a fake device plays one mission: give either a log or a scene")
     if log is not None:
-        return RecordedMission([log], SonarConfig()).events()
+        return RecordedMission([log], Config()).events()
     assert scene is not None
     mission = Mission(read_scene(scene))
     samples = complete(mission.sea.recorder).samples

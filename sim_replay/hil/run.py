@@ -288,7 +288,7 @@ def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
     """The log to play, simulated where the scenario names a scene, and its targets as far as they are known."""
     if read.scenario.log is not None:
         log = read.folder / read.scenario.log
-        RecordedMission([log], Config().sonar)  # refuses what cannot be used
+        RecordedMission([log], Config())  # refuses what cannot be used
         return log, []
     simulated = simulate(read_scene(_scene_of(read)), folder)
     return simulated.log, targets_of(_read_json(simulated.truth))

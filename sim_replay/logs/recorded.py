@@ -8,76 +8,31 @@ from collections import Counter
 from collections.abc import AsyncGenerator, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Final, Protocol
-
-import msgspec
+from typing import Final
 
 from auv_mcm.clock import Clock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.settings.config import Config
 from auv_mcm.shell.service import SourceUri
-from sim_replay.logs.xtf import XtfLog
+from sim_replay.logs.open_log import CHUNK_BYTES, Log, is_session, open_log
 
-CHUNK_BYTES: Final = 1 << 18
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
 _BATCH: Final = 32  # events read at once off the event loop
 
 
-class Mission(Protocol):
-    """What can be replayed."""
-
-    @property
-    def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each file in use, in order of time."""
-        ...
-
-    @property
-    def fraction_done(self) -> float:
-        """How much of the files `events` has read, 0..1."""
-        ...
-
-    def counters(self) -> Counter[str]:
-        """What reading skipped or mended so far."""
-        ...
-
-    def events(self) -> Iterator[SourceEvent]: ...
-
-
-def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> Mission:
-    """Logs of pings, or one recorded session of ports, whose bytes then go through their decoders.
-
-    The session is decoded as `config` says about its ports, where it says nothing as it was recorded. Raises UsageError or BadInputError.
-    """
-    from sim_replay.logs.session_mission import SessionMission, is_session, recorded_config
-    from sim_replay.logs.session_reader import Session
-
+def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> RecordedMission:
+    """Open logs of pings, or one recorded session of ports, as one mission. Raises UsageError or BadInputError."""
     sessions = [path for path in paths if is_session(path)]
-    if not sessions:
-        return RecordedMission(paths, config.sonar, chunk_bytes)
-    if len(paths) > 1:
+    if sessions and len(paths) > 1:
         raise UsageError(f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart.")
-
-    from drivers.port_intake import PortIntake
-
-    session = Session(sessions[0])
-    if not config.ports:
-        config = msgspec.structs.replace(config, ports=recorded_config(session).ports)
-    return SessionMission(session, PortIntake(config))
-
-
-def session_config(paths: Sequence[Path]) -> Config | None:
-    """The configuration that the recorded session among `paths` was recorded with, None if there is no session. Raises BadInputError."""
-    from sim_replay.logs.session_mission import is_session, recorded_config
-    from sim_replay.logs.session_reader import Session
-
-    return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
+    return RecordedMission(paths, config, chunk_bytes)
 
 
 class RecordedMission:
-    """The logs of one mission in the order of their first pings, whatever order they are named in."""
+    """The logs of one mission in the order of their first pings, whatever order they are named in and whatever format each has."""
 
-    def __init__(self, paths: Sequence[Path], sonar: SonarConfig, chunk_bytes: int = CHUNK_BYTES) -> None:
+    def __init__(self, paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> None:
         """Open every log and look for its first ping.
 
         A log without anything usable is left out with a notice if others are usable. Raises UsageError for a log named twice,
@@ -86,11 +41,11 @@ class RecordedMission:
         _refuse_repeated(paths)
         self._notices: list[Notice] = []
         self._counters: Counter[str] = Counter()
-        found: list[tuple[float, int, Path, XtfLog]] = []
+        found: list[tuple[float, int, Log]] = []
         for place, path in enumerate(paths):
             try:
-                log = XtfLog(path, sonar, chunk_bytes=chunk_bytes)
-                found.append((_first_time_s(log), place, path, log))
+                log = open_log(path, config, chunk_bytes)
+                found.append((log.first_time_s(), place, log))
             except BadInputError as error:
                 if len(paths) == 1:
                     raise
@@ -99,32 +54,33 @@ class RecordedMission:
         if not found:
             raise BadInputError("none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices))
         found.sort(key=lambda item: item[:2])
-        self._logs = [(path, log) for _, _, path, log in found]
+        self._logs = [log for _, _, log in found]
         self._done_bytes = 0
-        self._reading: XtfLog | None = None
+        self._reading: Log | None = None
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each log in use, in order of time."""
-        return {path: log.size_bytes for path, log in self._logs}
+        """Size of each file in use, in order of time."""
+        return {path: size for log in self._logs for path, size in log.sizes_bytes.items()}
 
     @property
     def fraction_done(self) -> float:
-        """How much of the logs `events` has read, 0..1."""
+        """How much of the files `events` has read, 0..1."""
         reading_bytes = 0 if self._reading is None else self._reading.bytes_read
         return min(1.0, (self._done_bytes + reading_bytes) / sum(self.sizes_bytes.values()))
 
     def counters(self) -> Counter[str]:
         """What the readers skipped or mended so far."""
-        return sum((log.counters for _, log in self._logs), self._counters)
+        return sum((log.counters for log in self._logs), self._counters)
 
     def events(self) -> Iterator[SourceEvent]:
+        """Read every log once, in order of time."""
         yield from self._notices
         self._done_bytes = 0
-        for _, log in self._logs:
+        for log in self._logs:
             self._reading = log
             yield from log
-            self._done_bytes += log.size_bytes
+            self._done_bytes += sum(log.sizes_bytes.values())
             self._reading = None
 
 
@@ -156,7 +112,7 @@ class ReplaySource:
 
     lossless = True
 
-    def __init__(self, mission: Mission, pace: Pace) -> None:
+    def __init__(self, mission: RecordedMission, pace: Pace) -> None:
         self._mission = mission
         self._pace = pace
 
@@ -173,7 +129,7 @@ class ReplaySource:
 
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
-    """replay:///path/to/mission.xtf?speed=1, or the folder of a recorded session; speed: times real time, or max.
+    """replay:///path/to/mission.xtf?speed=1, or another log or the folder of a recorded session; speed: times real time, or max.
 
     Raises UsageError or BadInputError.
     """
@@ -205,8 +161,3 @@ def _refuse_repeated(paths: Sequence[Path]) -> None:
         if path.resolve() in seen:
             raise UsageError(f"{path} is given twice: its pings would count as two passes. Name each log once.")
         seen.add(path.resolve())
-
-
-def _first_time_s(log: XtfLog) -> float:
-    """Time of the first ping. Raises BadInputError if there is none."""
-    return next((event.time_s for event in log if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)

@@ -13,8 +13,9 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Header, McapRecord, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from auv_mcm.errors import BadInputError
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Notice
+from auv_mcm.settings.config import Config, parse_config
 from drivers.recording.session_layout import (
     FILE_PATTERN,
     LOST_TOPIC,
@@ -148,6 +149,16 @@ class Session:
             f"{(lost.last.mono_ns - lost.first.mono_ns) / 1e9:.1f} s. A replay differs from the mission there."
         )
         self.notices.append(Notice(code="session_bytes_lost", text=text, place=str(file.path)))
+
+
+def recorded_config(session: Session) -> Config:
+    """Parse the configuration that a session was recorded with. Raises BadInputError for one that this version does not know."""
+    try:
+        return parse_config(session.description.config_yaml, "the session's configuration")
+    except UsageError as error:
+        raise BadInputError(
+            f"{error}\nIt was recorded by version {session.description.version}; replay it with that, or give a configuration."
+        ) from error
 
 
 class _WholeReads:

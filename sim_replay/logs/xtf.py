@@ -107,6 +107,15 @@ class XtfLog:
             except _NoSideScanError as error:
                 raise BadInputError(f"{error} It holds {self._inventory(file)}. Give a log recorded with side scan switched on.") from error
 
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of the file."""
+        return {self._path: self.size_bytes}
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970. Raises BadInputError if there is none."""
+        return next((event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
+
     def __iter__(self) -> Iterator[SourceEvent]:
         """Raises BadInputError if there is no usable ping at all."""
         self.counters.clear()

@@ -230,7 +230,7 @@ def _simulated_rows(seeds: Sequence[int]) -> Iterator[Sequence[str]]:
 def _recorded_rows(log: Path) -> Iterator[Sequence[str]]:
     config = Config()
     for side in SIDES:
-        pictures = list(waterfall_pictures(RecordedMission([log], config.sonar).events(), config, side))
+        pictures = list(waterfall_pictures(RecordedMission([log], config).events(), config, side))
         if not pictures:
             continue
         for name, method in METHODS.items():

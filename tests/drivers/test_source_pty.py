@@ -18,7 +18,7 @@ from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.service import RECORDING, Service
 from drivers.source import PortSource
 from sim_replay.fakes.port import FakePort
-from sim_replay.logs.recorded import session_config
+from sim_replay.logs.open_log import session_config
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, Recorder, Scene, SceneObject, Seabed, Sonar, Track, World

@@ -184,7 +184,7 @@ def test_command_line_prints_figures_progress_and_where_the_report_is(
 
 
 def test_fraction_done_grows_to_one(logs: tuple[Path, Path]) -> None:
-    mission = RecordedMission(logs, Config().sonar)
+    mission = RecordedMission(logs, Config())
     fractions = [mission.fraction_done for _ in mission.events()]
     assert fractions == sorted(fractions)
     assert fractions[-1] > 0.9

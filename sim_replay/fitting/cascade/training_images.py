@@ -66,7 +66,7 @@ def render_line(line: SimulatedLine | AugmentedLine) -> Packed:
     if isinstance(line, SimulatedLine):
         return pack(simulated_tiles(line), line.split, line.background, "simulated")
     background, things = _augmented_truth(line.folder / TRUTH_NAME)
-    events = RecordedMission([line.folder / background], line.config.sonar).events()
+    events = RecordedMission([line.folder / background], line.config).events()
     return pack(_labelled(events, things, line.config, background, "augmented"), line.split, background, "augmented")
 
 

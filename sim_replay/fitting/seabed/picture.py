@@ -19,7 +19,7 @@ from auv_mcm.records import SEABED_TYPES, SeabedCells, Tile
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel
 from auv_mcm.settings.config import Config
-from sim_replay.logs.xtf import XtfLog
+from sim_replay.logs.open_log import open_log
 
 Canvas = NDArray[np.uint8]
 
@@ -57,7 +57,7 @@ def seabed_picture(logs: Sequence[Path], n_tiles: int, model: SeabedModel) -> Ca
 def _tiles(log: Path) -> list[Tile]:
     config = Config()
     pipeline = Pipeline(config, detect=lambda tile: TileDetections((), 0, 0))
-    told = [tile for event in XtfLog(log, config.sonar) for tile in pipeline.feed(event)] + pipeline.finish()
+    told = [tile for event in open_log(log, config) for tile in pipeline.feed(event)] + pipeline.finish()
     return [tile for tile in told if isinstance(tile, Tile)]
 
 

@@ -11,8 +11,9 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice, SourceEvent
 from drivers.recording.session_layout import Recorded, file_name
 from drivers.stamps import Stamp
-from sim_replay.logs.session_mission import SessionMission, is_session, recorded_config
-from sim_replay.logs.session_reader import Session
+from sim_replay.logs.open_log import is_session
+from sim_replay.logs.port_log import PortLog
+from sim_replay.logs.session_reader import Session, recorded_config
 from tests.drivers.recording.session_samples import description, traffic, write_session
 
 
@@ -38,10 +39,10 @@ def live(chunks: list[Recorded]) -> tuple[list[SourceEvent], Counter[str]]:
 
 def test_a_replay_feeds_the_same_bytes_with_the_same_stamps(tmp_path: Path) -> None:
     write_session(tmp_path, chunks := traffic(4, 300), per_flush=20, file_bytes=5000)
-    mission = SessionMission(Session(tmp_path), WholeStory())
-    events = list(mission.events())
-    assert (events, mission.counters()) == live(chunks)
-    assert mission.fraction_done == 1.0
+    log = PortLog(Session(tmp_path), WholeStory)
+    for _ in range(2):
+        assert (list(log), log.counters) == live(chunks)
+        assert log.bytes_read == sum(log.sizes_bytes.values())
 
 
 def test_a_cut_off_session_is_replayed_to_its_end_and_told(tmp_path: Path) -> None:
@@ -49,7 +50,7 @@ def test_a_cut_off_session_is_replayed_to_its_end_and_told(tmp_path: Path) -> No
     path = tmp_path / file_name(0)
     path.write_bytes(path.read_bytes()[:4000])
     n_read = len(list(Session(tmp_path)))
-    *events, notice, end = SessionMission(Session(tmp_path), WholeStory()).events()
+    *events, notice, end = PortLog(Session(tmp_path), WholeStory)
     assert [*events, end] == live(chunks[:n_read])[0]
     assert isinstance(notice, Notice)
     assert notice.code == "session_cut_off"

@@ -263,7 +263,7 @@ def test_a_number_of_samples_that_the_size_denies_is_refused() -> None:
 
 
 def test_commands_say_what_was_meant() -> None:
-    told = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40), subsystem=20)]
+    told = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40, subsystem=20))]
     assert [(m.message_type, m.command, m.subsystem, int.from_bytes(m.body, "little")) for m in told] == [
         (PING_RANGE, Command.SET, 20, 75_000),
         (PING_GAIN, Command.SET, 20, 40),

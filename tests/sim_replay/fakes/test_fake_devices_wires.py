@@ -18,6 +18,7 @@ import yaml
 
 from auv_mcm.clock import SystemClock
 from auv_mcm.records import EchoTrace, NavSample, Ping
+from auv_mcm.settings.config import SonarConfig
 from drivers.links.link import Link
 from drivers.links.open_link import byte_link, can_link
 from drivers.links.uri import parse_link_uri
@@ -59,7 +60,7 @@ class Bench:
         self._bus = N2kBus("unit")
         self._decoder: Any = None
         if device.is_sonar:
-            self._decoder = sonar_named(device.device).decoder()
+            self._decoder = sonar_named(device.device).decoder(SonarConfig())
         elif device.link != "slcan":
             self._decoder = text_decoder({"pixse": "nmea0183"}.get(device.device, device.device), "unit")
 

@@ -13,6 +13,7 @@ import pytest
 
 from auv_mcm.clock import SystemClock
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import SonarConfig
 from drivers.links.link import Link
 from drivers.links.open_link import byte_link
 from drivers.links.uri import parse_link_uri
@@ -57,7 +58,7 @@ class Host:
         }
         job = VehicleJob(devices=devices, folder=str(folder), scene=str(scene))
         self.vehicle = FakeVehicle(job, lambda device, what, details: self.reports.append((device, what, details)), lambda: self.controller)
-        self._sonar = sonar_named("ping_protocol").decoder()
+        self._sonar = sonar_named("ping_protocol").decoder(SonarConfig())
         self._nav = text_decoder("nmea0183", "nav")
         self._links: dict[str, Link[bytes]] = {}
 
