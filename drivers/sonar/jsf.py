@@ -53,6 +53,7 @@ _MAX_RANGE_TOLD_M: Final = 2000.0
 _NAVIGATION: Final = Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
 _KNOT_MPS: Final = 1852.0 / 3600.0
 _SAME_SPEED_MPS: Final = 0.5
+_REPEATED_S: Final = 1.25  # between the second of slow receivers and the 1.5 s after which a unit without a new position counts as lost
 
 # Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below _MAX_BODY_BYTES.
 _HEADER: Final = re.compile(
@@ -109,7 +110,8 @@ class JsfDecoder:
     """Data messages of one subsystem become frames of amplitude, both sides joined; answers become replies; others are counted.
 
     Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second, so that
-    consecutive pings keep one sample layout; 1500 m/s where it tells none.
+    consecutive pings keep one sample layout; 1500 m/s where it tells none. Messages repeat the position until the topside has a new one:
+    a repeated one is no fix for 1.25 s, so that the track runs between fixes and not in steps.
     """
 
     def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
@@ -118,6 +120,7 @@ class JsfDecoder:
         self._pairer = SidePairer(self._framer.counters)
         self._subsystem = subsystem
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
+        self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first told
 
     @property
     def counters(self) -> Counter[str]:
@@ -169,9 +172,18 @@ class JsfDecoder:
             altitude_m=altitude_m if altitude_m > 0.0 else NAN,
             device_time_s=time_s,
             device_time_is_utc=time_s is not None,
-            navigation=_navigation(header, NAN if time_s is None else time_s),
+            navigation=_navigation(header, NAN if time_s is None else time_s, is_fix=self._is_fix(header)),
         )
         return self._pairer.add(frame)
+
+    def _is_fix(self, header: SideScanHeader) -> bool:
+        """Whether a message's position is more than that of a message before repeated."""
+        place = header.longitude, header.latitude
+        if self._fix is not None and self._fix[:2] == place and 0.0 < header.utc_s - self._fix[2] < _REPEATED_S:
+            self.counters["jsf.repeated_position"] += 1
+            return False
+        self._fix = *place, header.utc_s
+        return True
 
     def _range_speed_mps(self, header: SideScanHeader) -> float:
         told = header.sound_speed_mps
@@ -217,12 +229,12 @@ def _valued(header: SideScanHeader, field: int, value: float) -> float:
     return value if header.validity & field else NAN
 
 
-def _navigation(header: SideScanHeader, time_s: float) -> NavSample | None:
-    """What the message tells about the vehicle; None if nothing. Pitch is bow up, roll port up."""
+def _navigation(header: SideScanHeader, time_s: float, *, is_fix: bool) -> NavSample | None:
+    """What the message tells about the vehicle; None if nothing. Pitch is bow up, roll port up. is_fix: its position is a new one."""
     if not header.validity & _NAVIGATION:
         return None
     latitude_deg = longitude_deg = NAN
-    if header.validity & Validity.POSITION and header.units == Units.ARC_MINUTES_1E_4:
+    if is_fix and header.validity & Validity.POSITION and header.units == Units.ARC_MINUTES_1E_4:
         latitude_deg, longitude_deg = header.latitude / 600_000.0, header.longitude / 600_000.0
         if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
             latitude_deg = longitude_deg = NAN

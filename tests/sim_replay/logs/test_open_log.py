@@ -24,7 +24,7 @@ from drivers.recording.session_layout import file_name
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import JsfMessage, SideScanData, Validity, decode_data, encode_data
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
-from drivers.sonar.ping_messages import NMEA_WRAPPER, PingMessage, decode, encode
+from drivers.sonar.ping_messages import NMEA_WRAPPER, OsMonoProfile, PingMessage, decode, encode
 from drivers.sonar.ping_messages import to_wire as ping_wire
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.logs.open_log import is_session, log_format, open_log
@@ -116,7 +116,7 @@ def test_a_link_that_was_late_costs_centimetres(kind: SonarKind, with_config: bo
         assert min(apart_m(one, other) for other in found) < 0.25
 
 
-def with_header_navigation(run: Run) -> Run:
+def with_header_navigation(run: Run, navigation: str = "{}") -> Run:
     """The same run, but the sonar's messages carry the navigation, as those of a topside do, and there is no compass."""
     samples = [event for event in mission() if isinstance(event, NavSample)]
     start_s = mission()[0].time_s
@@ -142,7 +142,7 @@ def with_header_navigation(run: Run) -> Run:
         message = framed.message
         wire = encode_data(SideScanData(header, data.values), message.subsystem, message.channel, message.sequence)
         changed.append(recorded._replace(data=wire))
-    text = "ports: [{name: sonar, link: 'tcp://192.168.2.92:1601', device: jsf, navigation: {}}]"
+    text = f"ports: [{{name: sonar, link: 'tcp://192.168.2.92:1601', device: jsf, navigation: {navigation}}}]"
     return Run(parse_config(text, "vehicle.yaml"), tuple(changed))
 
 
@@ -157,9 +157,10 @@ def test_navigation_in_the_sonars_messages_gives_the_contacts_of_the_live_run(tm
         assert max(apart_m(one, other) for one, other in zip(live, found, strict=True)) < 2e-3
 
 
-def test_the_navigation_of_a_sonars_message_is_of_the_transmission() -> None:
+@pytest.mark.parametrize("navigation", ["{}", "{use_unit_time: true}"])
+def test_the_navigation_of_a_sonars_message_is_of_the_transmission(navigation: str) -> None:
     """A message is sent when its last echo is back, ECHO_S later than what it says of the vehicle."""
-    run = with_header_navigation(run_of("jsf"))
+    run = with_header_navigation(run_of("jsf"), navigation)
     events = list(live_events(run))
     sample = next(event for event in events if isinstance(event, NavSample))
     ping = next(event for event in events if isinstance(event, Ping))
@@ -239,7 +240,7 @@ def test_of_several_subsystems_one_has_to_be_chosen(tmp_path: Path) -> None:
         open_log(both, Config())
     n_pings = len(pings(iter(open_log(tmp_path / "high", Config()))))
     for subsystem in (20, 21):
-        log = open_log(both, Config(sonar=SonarConfig(subsystem=subsystem)))  # type: ignore[arg-type]
+        log = open_log(both, Config(sonar=SonarConfig(subsystem=subsystem)))
         assert len(pings(iter(log))) == n_pings
         assert log.counters[f"reader.not_used.subsystem_{41 - subsystem}"] == 2 * n_pings
     with pytest.raises(UsageError, match=r"sonar\.subsystem is 22, but .*both holds side scan of subsystem 20 and 21"):
@@ -406,9 +407,8 @@ def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> Non
     parts = []
     for n, (message, _, _) in enumerate(framed):
         profile = decode(message)
-        if message.message_id == 2198 and n > middle:
-            profile = profile._replace(timestamp_ms=profile.timestamp_ms - 77_000)  # type: ignore[union-attr]
-            parts.append(encode(profile))
+        if isinstance(profile, OsMonoProfile) and n > middle:
+            parts.append(encode(profile._replace(timestamp_ms=profile.timestamp_ms - 77_000)))
         else:
             parts.append(ping_wire(message))
     path = tmp_path / "log"
