@@ -157,8 +157,10 @@ def test_a_full_disk_is_one_line_and_exit_code_4(monkeypatch: pytest.MonkeyPatch
     assert error_of(capsys) == "auv-mcm: /out/report.html: No space left on device"
 
 
-def test_without_the_bench_extra_replay_says_what_to_install() -> None:
-    code = "import sys; sys.modules['pyxtf'] = None; from auv_mcm.cli import main; sys.exit(main(['replay', 'a.xtf', '--out', 'o']))"
+def test_without_the_bench_extra_replay_says_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "a.xtf").write_bytes(b"\x7b" * 2048)
+    command = ["replay", str(tmp_path / "a.xtf"), "--out", str(tmp_path / "out")]
+    code = f"import sys; sys.modules['pyxtf'] = None; from auv_mcm.cli import main; sys.exit(main({command}))"
     done = run(code=code)
     assert done.returncode == 2
     assert done.stderr == "auv-mcm: this command needs the package pyxtf: python -m pip install 'auv-mcm[bench]'\n"
