@@ -1,8 +1,8 @@
 """An EdgeTech log (.jsf) as the ports that would have received it.
 
-Layouts are those of EdgeTech's "JSF Data File Description" (0023492). Side-scan messages (type 80) of one subsystem go to a port
-`sonar`, NMEA strings (type 2002) to a port `nmea`, pitch and roll (type 2020), put into NMEA 0183, to a port `motion`. Each is stamped with
-its own time in the log; a ping with the time at which its last echo was back.
+Layouts are those of EdgeTech's "JSF Data File Description" (0023492). Side-scan messages (type 80) of one subsystem go
+to a port `sonar`, NMEA strings (type 2002) to a port `nmea`, pitch and roll (type 2020), put into NMEA 0183, to a port
+`motion`. Each is stamped with its own time in the log; a ping with the time at which its last echo was back.
 """
 
 from __future__ import annotations
@@ -38,19 +38,20 @@ SONAR_PORT: Final = "sonar"
 NMEA_PORT: Final = "nmea"
 MOTION_PORT: Final = "motion"
 NO_NAVIGATION: Final = (
-    "neither its side-scan messages (type 80, validity bit 0) nor NMEA strings (type 2002) give one. Record with the navigation "
-    "connected to the sonar, or replay the session that 'auv-mcm run' recorded, which holds every port."
+    "neither its side-scan messages (type 80, validity bit 0, in minutes of arc: metres of an unknown projection do "
+    "not serve) nor NMEA strings (type 2002) give one. Record with the navigation connected to the sonar, or replay the "
+    "session that 'auv-mcm run' recorded, which holds every port."
 )
 
 NMEA_STRING, PITCH_ROLL = 2002, 2020
 _TIME: Final = Struct("<ii")  # seconds since 1970, milliseconds: the first fields of types 2002 and 2020
 _STRING_AT: Final = 12
-_ATTITUDE: Final = Struct("<24xhh6xHI")  # pitch, roll: 180 / 32768 degrees, bow up, port up; heading: 0.01 degrees; validity
+_ATTITUDE: Final = Struct("<24xhh6xHI")  # pitch, roll: 180 / 32768 deg, bow up, port up; heading: 0.01 deg; validity
 _PITCH_VALID, _ROLL_VALID, _HEADING_VALID = 1 << 6, 1 << 7, 1 << 9
 
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
 _PROBE_MESSAGES: Final = 400
-_STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another are damaged headers: there is no checksum
+_STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
 _DAY_S: Final = 86_400.0
 
@@ -58,14 +59,15 @@ _DAY_S: Final = 86_400.0
 class JsfRecording:
     """One JSF file as what its ports received. Every iteration starts anew.
 
-    Counts reader.not_used.subsystem_N, reader.other_messages, reader.time_invalid (side-scan or navigation without a time, left out),
-    reader.short (too short for their type), and those of `MessageFile` and `TimeOrder`.
+    Counts reader.not_used.subsystem_N, reader.other_messages, reader.time_invalid (side-scan or navigation without a
+    time, left out), reader.short (too short for their type), and those of `MessageFile` and `TimeOrder`.
     """
 
     def __init__(self, path: Path, subsystem: int | None, chunk_bytes: int) -> None:
         """subsystem: the one to use; None for the only one that the file holds.
 
-        Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there or has to be chosen.
+        Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there or has
+        to be chosen.
         """
         self._file = MessageFile(path, JsfGrammar(), chunk_bytes)
         self._own: Counter[str] = Counter()
@@ -114,7 +116,7 @@ class JsfRecording:
         return found[0] if wanted is None else wanted
 
     def _subsystems(self) -> list[int]:
-        """Side-scan subsystems at the beginning of the file, or up to the first one; without those of a few damaged headers."""
+        """List the side-scan subsystems at the beginning of the file, without those of a few damaged headers."""
         seen: Counter[int] = Counter()
         for framed in self._file:
             if _is_side_scan(framed.message):

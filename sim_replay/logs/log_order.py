@@ -9,7 +9,7 @@ from typing import Final
 from drivers.recording.session_layout import Recorded
 from drivers.stamps import Stamp
 
-PAUSE_S: Final = 10.0  # a longer one is a break in the recording: what was known of clocks and navigation no longer holds
+PAUSE_S: Final = 10.0  # a longer one is a break: what was known of clocks and navigation no longer holds
 _SLACK_NS: Final = 1_000_000_000  # recorders write what came within a second in any order
 _PAUSE_NS: Final = round(PAUSE_S * 1e9)
 _MAX_HELD: Final = 256  # messages; several seconds of a side-scan's, and the bound where a clock stands still
@@ -18,8 +18,9 @@ _MAX_HELD: Final = 256  # messages; several seconds of a side-scan's, and the bo
 class TimeOrder:
     """Sorts messages by their stamps within a second.
 
-    One whose time is far from those before it is believed only if the next one agrees: formats without a checksum hold damaged times.
-    Counts reader.time_outlier (left out), reader.time_backwards and reader.pause (where two agreed on another time).
+    One whose time is far from those before it is believed only if the next one agrees: formats without a checksum hold
+    damaged times. Counts reader.time_outlier (left out), reader.time_backwards and reader.pause (where two agreed on
+    another time).
     """
 
     def __init__(self, counters: Counter[str]) -> None:

@@ -30,7 +30,7 @@ _JSF_FIRST: Final = b"\x01\x16"
 _SVLOG_FIRST: Final = b"BR"
 _LOOK_BYTES: Final = 1 << 20  # in a damaged log the first whole message is looked for this far
 _NO_LINK: Final = "tcp://127.0.0.1:1"  # ports need one; those of a log are never opened
-# The sonar's own messages serve first; where they lack something, its motion sensor does, then the sentences of other units.
+# The sonar's own messages serve first; where they lack something, its motion sensor does, then sentences of others.
 _HEADER_PRIORITY, _MOTION_PRIORITY, _NMEA_PRIORITY = 1, 2, 3
 _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from other ports
 
@@ -61,8 +61,9 @@ class Log(Protocol):
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
     """Open an XTF, JSF or svlog file, or a recorded session: its folder, or one .mcap file of it.
 
-    Ports are decoded as `config` says, a session's as they were recorded where it says nothing. `chunk_bytes` sizes the read buffer and
-    nothing else. Raises BadInputError for what is none of these or holds no side scan, UsageError where the subsystem must be chosen.
+    Ports are decoded as `config` says, a session's as they were recorded where it says nothing. `chunk_bytes` sizes the
+    read buffer and nothing else. Raises BadInputError for what is none of these or holds no side scan, UsageError where
+    the subsystem must be chosen.
     """
     match log_format(path):
         case "xtf":
@@ -99,22 +100,25 @@ def log_format(path: Path) -> LogFormat:
     found = _format_of(head)
     if found is None:
         raise BadInputError(
-            f"{path} is no log that can be read: it begins with 0x{head[:4].hex()}, and no message of a known format is in its first "
-            f"{len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog (0x4252) and sessions that "
-            "'auv-mcm run' recorded (.mcap or their folder). Export the log as one of these."
+            f"{path} is no log that can be read: it begins with 0x{head[:4].hex()}, and no message of a known format is "
+            f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
+            "(0x4252) and sessions that 'auv-mcm run' recorded (.mcap or their folder). Export the log as one of these."
         )
     return found
 
 
 def session_config(paths: list[Path]) -> Config | None:
-    """The configuration that the recorded session among `paths` was recorded with, None if there is no session. Raises BadInputError."""
+    """Read the configuration that the session among `paths` was recorded with, None if there is no session.
+
+    Raises BadInputError.
+    """
     from sim_replay.logs.session_reader import Session, recorded_config
 
     return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
 
 
 def is_session(path: Path) -> bool:
-    """Whether `path` is a recorded session's folder or file; False for what cannot be read at all."""
+    """Tell whether `path` is a recorded session's folder or file; False for what cannot be read at all."""
     try:
         return log_format(path) == "session"
     except BadInputError:

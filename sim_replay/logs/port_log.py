@@ -1,7 +1,7 @@
 """What came in at the ports of a mission, through the same decoders and merging as live, with the recorded stamps.
 
-A session holds every port as it was read. A sonar's own log (JSF, svlog) is read as the ports that would have received it: see
-`jsf_recording` and `svlog_recording`.
+A session holds every port as it was read. A sonar's own log (JSF, svlog) is read as the ports that would have received
+it: see `jsf_recording` and `svlog_recording`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from drivers.stamps import Stamp
 
 
 class Intake(Protocol):
-    """Decoders and merging of all ports. Its events depend on the configuration and on what is fed alone: it reads no clock."""
+    """Decoders and merging of all ports.
+
+    Its events depend on the configuration and on what is fed alone: it reads no clock.
+    """
 
     @property
     def counters(self) -> Counter[str]: ...
@@ -34,7 +37,10 @@ class Intake(Protocol):
 
 
 class PortRecording(Protocol):
-    """What ports received. Iterate for it in the order of recording; every iteration starts anew, with new counters and notices."""
+    """What ports received.
+
+    Iterate for it in the order of recording; every iteration starts anew, with new counters and notices.
+    """
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -61,8 +67,8 @@ class PortLog:
     def __init__(self, recording: PortRecording, make_intake: Callable[[], Intake], *, pause_s: float = math.inf) -> None:
         """make_intake: a new intake, from the same configuration as the recorded one.
 
-        pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew; infinite for stamps
-        of one computer's monotonic clock.
+        pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
+        infinite for stamps of one computer's monotonic clock.
         """
         self._recording = recording
         self._make_intake = make_intake
@@ -107,18 +113,24 @@ class PortLog:
 
 
 class SonarLog(PortLog):
-    """A sonar's own log. Without pings, or without a position for any, it is refused before anything is done with it."""
+    """A sonar's own log.
+
+    Without pings, or without a position for any, it is refused before anything is done with it.
+    """
 
     def __init__(
         self, recording: PortRecording, make_intake: Callable[[], Intake], place: Path, no_navigation: str, pause_s: float
     ) -> None:
-        """no_navigation: where a log of this format would hold positions, and what to do where it does not, for the message."""
+        """no_navigation: for the message, where a log of this format would hold positions, and what to do."""
         super().__init__(recording, make_intake, pause_s=pause_s)
         self._place = place
         self._no_navigation = no_navigation
 
     def first_time_s(self) -> float:
-        """Find the time of the first ping, s since 1970. Raises BadInputError for a log without usable pings or without positions."""
+        """Find the time of the first ping, s since 1970.
+
+        Raises BadInputError for a log without usable pings or without positions.
+        """
         first_s: float | None = None
         has_position = False
         for event in self:

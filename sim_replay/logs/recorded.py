@@ -1,4 +1,4 @@
-"""A recorded mission, one or several logs, as one stream of events: at once for the bench, or paced as a source of the service."""
+"""Recorded logs as one mission: read at once by the bench, or paced as a source of the service."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK
 
 
 class RecordedMission:
-    """The logs of one mission in the order of their first pings, whatever order they are named in and whatever format each has."""
+    """The logs of one mission, of any formats, in the order of their first pings, whatever order they are named in."""
 
     def __init__(self, paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> None:
         """Open every log and look for its first ping.
 
-        A log without anything usable is left out with a notice if others are usable. Raises UsageError for a log named twice,
-        BadInputError for one that is not there, or if no log is usable.
+        A log without anything usable is left out with a notice if others are usable. Raises UsageError for a log named
+        twice, BadInputError for one that is not there, or if no log is usable.
         """
         _refuse_repeated(paths)
         self._notices: list[Notice] = []
@@ -129,7 +129,7 @@ class ReplaySource:
 
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
-    """replay:///path/to/mission.xtf?speed=1, or another log or the folder of a recorded session; speed: times real time, or max.
+    """Open replay:///path/to/mission.xtf?speed=1, of any log that `open_log` takes; speed: times real time, or max.
 
     Raises UsageError or BadInputError.
     """

@@ -1,13 +1,13 @@
 """A SonarView log (.svlog) as the ports that would have received it.
 
-The log is what the sonar sent, packet after packet, with what SonarView heard of the vehicle between (Cerulean, "Cerulean Ping Protocol",
-General Packet Definitions): JSON_WRAPPER (10, the log's head with its `timestamp`), NMEA_WRAPPER (109, a sentence), MAVLINK_WRAPPER (150, a
-message as JSON). Side-scan profiles (2198) go to a port `sonar`, sentences to a port `nmea`, positions and attitudes of MAVLink, put into
-NMEA 0183, to a port `mavlink`.
+The log is what the sonar sent, packet after packet, with what SonarView heard of the vehicle between (Cerulean,
+"Cerulean Ping Protocol", General Packet Definitions): JSON_WRAPPER (10, the log's head with its `timestamp`),
+NMEA_WRAPPER (109, a sentence), MAVLINK_WRAPPER (150, a message as JSON). Side-scan profiles (2198) go to a port
+`sonar`, sentences to a port `nmea`, positions and attitudes of MAVLink, put into NMEA 0183, to a port `mavlink`.
 
-No packet says when it was written. Pings have the sonar's counter of milliseconds, which starts at the head's time stamp; what stands
-between two pings is stamped with the later one, no more than one interval too late, which the times in the sentences take off again
-(`NavUnitSettings.use_unit_time`).
+No packet says when it was written. Pings have the sonar's counter of milliseconds, which starts at the head's time
+stamp; what stands between two pings is stamped with the later one, no more than one interval too late, which the times
+in the sentences take off again (`NavUnitSettings.use_unit_time`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ SONAR_PORT: Final = "sonar"
 NMEA_PORT: Final = "nmea"
 MAVLINK_PORT: Final = "mavlink"
 NO_NAVIGATION: Final = (
-    "there is none in NMEA sentences (packet 109: GGA, RMC or GLL) nor in MAVLink (packet 150: GLOBAL_POSITION_INT). Record with the "
-    "vehicle's navigation connected to SonarView, or replay the session that 'auv-mcm run' recorded, which holds every port."
+    "there is none in NMEA sentences (packet 109: GGA, RMC or GLL) nor in MAVLink (packet 150: GLOBAL_POSITION_INT). "
+    "Record with the vehicle's navigation connected to SonarView, or replay the session that 'auv-mcm run' recorded, "
+    "which holds every port."
 )
 
 _PROFILE: Final = Struct("<4xIII8xH")  # start_mm, length_mm, timestamp_ms, and behind 8 bytes the sound speed, dm/s
@@ -54,8 +55,8 @@ _NO_HEADING: Final = 65535  # cdeg, of GLOBAL_POSITION_INT
 class SvlogRecording:
     """One svlog file as what its ports received. Every iteration starts anew.
 
-    Counts reader.sonar_restarted, reader.navigation_dropped (more than 256 packets without a ping), reader.mavlink_malformed,
-    reader.other_messages, and those of `MessageFile`.
+    Counts reader.sonar_restarted, reader.navigation_dropped (more than 256 packets without a ping),
+    reader.mavlink_malformed, reader.other_messages, and those of `MessageFile`.
     """
 
     def __init__(self, path: Path, chunk_bytes: int) -> None:
@@ -106,7 +107,7 @@ class SvlogRecording:
             self.notices.append(damage)
 
     def _stamp(self, message: PingMessage, offset: int) -> Stamp:
-        """When the last echo of a profile was back."""
+        """Tell when the last echo of a profile was back."""
         start_mm, length_mm, counter_ms, sound_speed_dmps = _PROFILE.unpack_from(message.payload)
         echo_s = 2e-3 * (start_mm + length_mm) / (0.1 * sound_speed_dmps) if sound_speed_dmps else 0.0
         if not 0.0 < echo_s < _MAX_ECHO_S:
@@ -118,7 +119,7 @@ class SvlogRecording:
         time_ns = self._clock.time_ns(message.payload[_CHANNEL_AT], counter_ms, round(1e9 * echo_s))
         if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
             self._own["reader.sonar_restarted"] = self._clock.n_restarts
-            text = "the sonar's counter started anew: how long it was off is not in the log, so later times are too early by as much"
+            text = "the sonar's counter started anew: later times are too early by as long as it was off, which is not in the log"
             self.notices.append(Notice(code="reader.sonar_restarted", text=text, place=place))
         return Stamp(time_ns, time_ns)
 
@@ -141,7 +142,7 @@ class SvlogRecording:
             self._own["reader.other_messages"] += 1
 
     def _navigation(self, stamp: Stamp) -> Iterator[Recorded]:
-        """What waits for the next ping, stamped with it."""
+        """Release what waits for the next ping, stamped with it."""
         for packet in self._waiting:
             if isinstance(packet, bytes):
                 yield Recorded(NMEA_PORT, "in", stamp, packet)
@@ -157,9 +158,9 @@ class SvlogRecording:
 
     def _read_head(self, message: PingMessage) -> None:
         head = decode(message)
-        told = head.content.get("timestamp") if isinstance(head, JsonWrapper) and isinstance(head.content, dict) else None
+        text = head.content.get("timestamp") if isinstance(head, JsonWrapper) and isinstance(head.content, dict) else None
         try:
-            when = datetime.fromisoformat(told) if isinstance(told, str) else None
+            when = datetime.fromisoformat(text) if isinstance(text, str) else None
         except ValueError:
             when = None
         if when is None:
@@ -171,7 +172,7 @@ class SvlogRecording:
 
 
 class _SonarTime:
-    """UTC of profiles, from a log's start and the counters of its heads, which may have been powered up one after the other."""
+    """UTC of profiles, from a log's start and the counters of the sonar's heads, each powered up at its own time."""
 
     def __init__(self) -> None:
         self.is_known = False
@@ -190,7 +191,7 @@ class _SonarTime:
         self._counters.clear()
 
     def time_ns(self, channel: int, counter_ms: int, echo_ns: int) -> int:
-        """When the last echo was back of a ping that went out at a counter's time; never going back but where a new log begins."""
+        """Tell when the last echo of a ping was back; it never goes back but where a new log begins."""
         self.is_used = True
         known = self._counters.get(channel)
         if known is not None and (counter_ms - known[0]) % _COUNTER_MS < _COUNTER_MS // 2:
@@ -216,7 +217,10 @@ class _SonarTime:
 
 
 class _Mavlink:
-    """MAVLink as JSON, put into NMEA 0183. The vehicle's time since boot becomes a time of day by one offset for the whole log."""
+    """MAVLink as JSON, put into NMEA 0183.
+
+    The vehicle's time since boot becomes a time of day by one offset for the whole log.
+    """
 
     def __init__(self) -> None:
         self._boot_s: float | None = None

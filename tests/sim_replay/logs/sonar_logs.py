@@ -1,4 +1,4 @@
-"""One run of fake devices: what came in at its ports, and the logs that the sonar's own recorders made of the same messages."""
+"""One run of fake devices: what came in at its ports, and what the sonar's own recorders make of the same messages."""
 
 from __future__ import annotations
 
@@ -63,8 +63,9 @@ def mission() -> tuple[NavSample | Ping, ...]:
 def run_of(kind: SonarKind, late_s: float = 0.0) -> Run:
     """The mission with a fake sonar and a satellite compass at two ports; every message arrives up to late_s late.
 
-    Everything happens at full milliseconds, which is what the sonars' clocks tell. The compass needs as long as an echo for its sentences,
-    which come just before the ping of the same instant: SonarView's logs do not say when a sentence came.
+    Everything happens at full milliseconds, which is what the sonars' clocks tell. The compass needs as long as an echo
+    for its sentences, which come just before the ping of the same instant: SonarView's logs do not say when a sentence
+    came.
     """
     text = f"""
 ports:
@@ -134,7 +135,10 @@ def jsf_string(text: bytes, stamp: Stamp) -> bytes:
 
 
 def write_jsf(run: Run, path: Path) -> Path:
-    """What EdgeTech's topside records: the sonar's messages as they came, and the sentences with the times at which they did."""
+    """What EdgeTech's topside records.
+
+    The sonar's messages as they came, and the sentences with the times at which they did.
+    """
     parts = []
     for recorded in run.recorded:
         if recorded.port == "sonar":

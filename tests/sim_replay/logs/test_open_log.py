@@ -1,4 +1,7 @@
-"""Logs of every format through one door: the same contacts as live, whatever a file is called, and words for what cannot be read."""
+"""Logs of every format through one door.
+
+The same contacts as live, whatever a file is called, and words for what cannot be read.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +109,10 @@ def test_a_sonars_own_log_gives_the_contacts_of_the_live_run(kind: SonarKind, tm
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("with_config", [True, False])
 def test_a_link_that_was_late_costs_centimetres(kind: SonarKind, with_config: bool, tmp_path: Path) -> None:
-    """SonarView does not record when a sentence came: a ping interval and the compass's latency, 0.2 m of way, are not known."""
+    """SonarView does not record when a sentence came.
+
+    A ping interval and the compass's latency, 0.2 m of way, are not known.
+    """
     run = run_of(kind, 3e-3)
     path = WRITERS[kind](run, tmp_path / "log")
     live = [contact for contact in live_contacts(kind, 3e-3) if contact.p_mine > 0.3]
@@ -399,18 +405,42 @@ def test_an_svlog_without_a_time_counts_from_1970_and_says_so(tmp_path: Path) ->
     assert [event.code for event in events if isinstance(event, Notice)].count("reader.time_unknown") == 1
 
 
-def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> None:
-    whole = written("ping_protocol", tmp_path / "whole").read_bytes()
+def restamped(data: bytes, counter_of: Callable[[int, int], int]) -> list[bytes]:
+    """The packets of an svlog, the counters of its profiles changed by their number in the log and their value, ms."""
     framer = Framer(PingGrammar())
-    framed = framer.feed(whole) + framer.finish()
-    middle = len(framed) // 2
     parts = []
-    for n, (message, _, _) in enumerate(framed):
+    for n, (message, _, _) in enumerate(framer.feed(data) + framer.finish()):
         profile = decode(message)
-        if isinstance(profile, OsMonoProfile) and n > middle:
-            parts.append(encode(profile._replace(timestamp_ms=profile.timestamp_ms - 77_000)))
+        if isinstance(profile, OsMonoProfile):
+            parts.append(encode(profile._replace(timestamp_ms=counter_of(n, profile.timestamp_ms))))
         else:
             parts.append(ping_wire(message))
+    return parts
+
+
+def test_a_counter_that_starts_over_after_49_days_is_no_new_start(tmp_path: Path) -> None:
+    whole = written("ping_protocol", tmp_path / "whole").read_bytes()
+    path = tmp_path / "log"
+    path.write_bytes(b"".join(restamped(whole, lambda n, counter_ms: (counter_ms - 77_000 - 5_000) % 2**32)))
+    log = open_log(path, Config())
+    found, expected = pings(iter(log)), pings(iter(open_log(tmp_path / "whole", Config())))
+    assert [ping.time_s for ping in found] == pytest.approx([ping.time_s for ping in expected], abs=1e-6)
+    assert log.counters["reader.sonar_restarted"] == 0
+
+
+def test_logs_joined_into_one_file_have_the_times_of_their_heads(tmp_path: Path) -> None:
+    whole = written("ping_protocol", tmp_path / "whole").read_bytes()
+    path = tmp_path / "log"
+    later = svlog_head(UTC_S + 1000.0) + whole[len(svlog_head(UTC_S)) :]
+    path.write_bytes(whole + later)
+    found = pings(iter(open_log(path, Config())))
+    assert len(found) == 2 * 212
+    assert found[212].time_s - found[0].time_s == pytest.approx(1000.0, abs=1e-3)
+
+
+def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> None:
+    whole = written("ping_protocol", tmp_path / "whole").read_bytes()
+    parts = restamped(whole, lambda n, counter_ms: counter_ms - 77_000 if n > 800 else counter_ms)
     path = tmp_path / "log"
     path.write_bytes(b"".join(parts))
     log = open_log(path, Config())
