@@ -83,9 +83,8 @@ def bytes_of(contact: Contact) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("late_s", [0.0, 3e-3])
-def test_a_recorded_session_gives_the_very_contacts_of_the_live_run(kind: SonarKind, late_s: float, tmp_path: Path) -> None:
-    run = run_of(kind, late_s)
+def test_a_recorded_session_gives_the_very_contacts_of_the_live_run(kind: SonarKind, tmp_path: Path) -> None:
+    run = run_of(kind, late_s := 3e-3)
     folder = write_session(run, tmp_path / "recording")
     live = [bytes_of(contact) for contact in live_contacts(kind, late_s)]
     assert len(live) > 5
@@ -469,7 +468,7 @@ def test_a_log_cut_off_at_any_byte_gives_what_was_whole(kind: SonarKind, tmp_pat
     expected = [ping.number for ping in pings(iter(open_log(tmp_path / "whole", Config())))]
     random = np.random.Generator(np.random.PCG64(5))
     path = tmp_path / "cut"
-    for n_bytes in [1, 2, 15, 17, 40, *random.integers(50, len(whole), 25).tolist()]:
+    for n_bytes in [1, 2, 15, 17, 40, *random.integers(50, len(whole), 12).tolist()]:
         path.write_bytes(whole[:n_bytes])
         found = numbers(path)
         if found is None:
@@ -522,16 +521,16 @@ def test_the_read_buffer_changes_nothing(kind: SonarKind, chunk_bytes: int, tmp_
 @pytest.mark.parametrize("kind", KINDS)
 def test_memory_does_not_grow_with_the_log(kind: SonarKind, tmp_path: Path) -> None:
     path = tmp_path / "long"
-    path.write_bytes(written(kind, tmp_path / "whole").read_bytes() * 5)
+    path.write_bytes(written(kind, tmp_path / "whole").read_bytes() * 2)
     log = open_log(path, Config(), chunk_bytes=1 << 14)
     tracemalloc.start()
     try:
-        assert sum(isinstance(event, Ping) for event in log) > 1000
+        assert sum(isinstance(event, Ping) for event in log) > 400
         peak_bytes = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert path.stat().st_size > 3 << 20
-    assert peak_bytes < 1 << 20
+    assert path.stat().st_size > 3 << 19
+    assert peak_bytes < 1 << 19
 
 
 # --- several logs ---
