@@ -144,7 +144,7 @@ ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge
 
 
 class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.classify.shapes`.
+    """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.solids.shapes`.
 
     highlight, shadow: (n, 2) float64 outlines (row, column) in pixels of the detection's snippet; (0, 2) where there is none.
     """

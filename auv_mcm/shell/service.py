@@ -50,7 +50,7 @@ from auv_mcm.shell.results import (
 from auv_mcm.shell.vehicle_link import Liaison, VehicleEnd
 
 if TYPE_CHECKING:
-    from drivers.stamps import Stamp
+    from auv_mcm.clock import Stamp
 
 log = logging.getLogger(__name__)
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarReply
-from drivers.stamps import Stamp
 
 NOT_RECEIVED: Final = Stamp(0, 0)
 """The stamp of what was read from a log: nobody noted when it arrived."""

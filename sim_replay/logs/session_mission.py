@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, parse_config
 from drivers.recording.session_layout import FILE_PATTERN, PROFILE
-from drivers.stamps import Stamp
 from sim_replay.logs.session_reader import Session
 
 

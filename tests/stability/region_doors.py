@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import Effort, fit_shapes
 from auv_mcm.classify.likelihood import labels_cost
-from auv_mcm.classify.shapes import TruncatedCone
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Start, converge
+from auv_mcm.solids.shapes import TruncatedCone
 from sim_replay.studies.paper_mrf import segment_as_paper
-from sim_replay.studies.shapes import closed_form_region
 from sim_replay.studies.snakes import box
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 Plane = NDArray[np.float64]
 

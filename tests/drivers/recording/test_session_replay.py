@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice, SourceEvent
 from drivers.recording.session_layout import Recorded, file_name
-from drivers.stamps import Stamp
 from sim_replay.logs.session_mission import SessionMission, is_session, recorded_config
 from sim_replay.logs.session_reader import Session
 from tests.drivers.recording.session_samples import description, traffic, write_session
