@@ -16,7 +16,7 @@ from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import Record, SourceUri
+from auv_mcm.source import Record, SourceUri
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.open_link import byte_link, can_link

@@ -16,7 +16,7 @@ from auv_mcm import __version__
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 from auv_mcm.records import Detector
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import parse_source_uri
+from auv_mcm.shell.sources import parse_source_uri
 
 _PACKAGES: Final = {
     "numpy": "numpy",

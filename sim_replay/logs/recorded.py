@@ -16,7 +16,7 @@ from auv_mcm.clock import Clock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig
-from auv_mcm.shell.service import SourceUri
+from auv_mcm.source import SourceUri
 from sim_replay.logs.xtf import XtfLog
 
 CHUNK_BYTES: Final = 1 << 18

@@ -14,7 +14,8 @@ from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import LiveSource, parse_source_uri
+from auv_mcm.shell.sources import parse_source_uri
+from auv_mcm.source import LiveSource
 from drivers.links.link import Link
 from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence

@@ -16,7 +16,7 @@ from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.port_settings import PortConfig
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
-from auv_mcm.shell.service import LiveSource
+from auv_mcm.source import LiveSource
 from drivers.links.link import Link
 from drivers.port_stream import pack_can
 from drivers.ports import Port, read_ports

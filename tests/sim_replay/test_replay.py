@@ -17,7 +17,8 @@ from auv_mcm.clock import SystemClock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample
 from auv_mcm.settings.config import Config, ServiceConfig
-from auv_mcm.shell.service import Service, open_source, parse_source_uri
+from auv_mcm.shell.service import Service
+from auv_mcm.shell.sources import open_source, parse_source_uri
 from sim_replay.logs.recorded import Pace, RecordedMission, parse_speed
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
