@@ -39,7 +39,7 @@ from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
 from drivers.vehicle.iver_sentences import IverGrammar
 from drivers.vehicle.recon_sentences import ReconGrammar
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
 FAULT_KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Ping
 from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
-from sim_replay.benches.arguments import count, duration_min
+from sim_replay.arguments import count, duration_min
 from sim_replay.simulator import backend, rays, scene
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import pack

@@ -25,7 +25,7 @@ from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import Plan, World, clearance_over, replan, unsearched
 from auv_mcm.plan.tour import richest_tour
 from auv_mcm.records import SEABED_TYPES, Contact
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 
 _CELL_M: Final = 4.0
 _SIDE_CELLS: Final = 45  # 2025 cells

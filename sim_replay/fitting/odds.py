@@ -33,9 +33,9 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector, LookStep
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.results import make_directory, write_file
-from sim_replay.benches.arguments import count
-from sim_replay.benches.scenes import HELD_OUT, SCENES, config_for, served_by
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade import trees
+from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission

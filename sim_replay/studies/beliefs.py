@@ -31,7 +31,7 @@ from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid
 from auv_mcm.records import ContactClass
 from auv_mcm.solids.box_search import Box, look_around, walk
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.simulator.scene import SceneObject
 from sim_replay.studies.hausdorff import Mask, contour_distance_m, shadow_mask

@@ -17,7 +17,7 @@ from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.confirmation import labels_near, look_closely, region_of
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import VALID, Detection, Tile
-from sim_replay.benches.overlap import overlap
+from sim_replay.scoring.overlap import overlap
 from sim_replay.studies.real_pictures import Mask, Picture, Plane
 from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of
 

@@ -20,7 +20,7 @@ from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFit, ShapeFits, fit_shapes
 from auv_mcm.classify.likelihood import beam_of, row_sums
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import Solid, shape_costs, shape_costs_numpy
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 from sim_replay.simulator.echo import absorption_db_per_km, bin_ranges_m, flat_floor_intensity, floor_tables
 from sim_replay.simulator.scene import STEADY, Lawnmower, Scene, SceneObject, Sonar, Track, World
 from sim_replay.simulator.sea import Sea

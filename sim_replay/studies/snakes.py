@@ -33,8 +33,8 @@ from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
 from auv_mcm.settings.config import Config
-from sim_replay.benches.overlap import overlap
-from sim_replay.benches.scenes import config_for
+from sim_replay.missions import config_for
+from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
