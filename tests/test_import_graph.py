@@ -86,7 +86,11 @@ def test_nobody_imports_benches_or_studies(package: str) -> None:
 
 def test_kernels_import_no_stage() -> None:
     allowed = {"auv_mcm", "auv_mcm.kernels", "auv_mcm.solids", "auv_mcm.errors", "auv_mcm.records"}
-    assert [(a, b) for a, b in edges("auv_mcm.kernels", "auv_mcm") + [e for e in EDGES if e[0].startswith("auv_mcm.kernels")] if part_of(b) not in allowed] == []
+    assert [
+        (a, b)
+        for a, b in edges("auv_mcm.kernels", "auv_mcm") + [e for e in EDGES if e[0].startswith("auv_mcm.kernels")]
+        if part_of(b) not in allowed
+    ] == []
 
 
 @pytest.mark.parametrize("stage", STAGES)

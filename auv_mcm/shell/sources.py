@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from auv_mcm.clock import Clock
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.registry import RECORDER, SOURCES, load
 from auv_mcm.source import Recorder, Source, SourceUri
-
-# Who opens a source, by the scheme of its URI: module and function, imported when asked for.
-SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
-RECORDER: Final = "drivers.recording.start_recording:start_recording"
 
 OpenSource = Callable[[SourceUri, Config, Clock], Source]
 StartRecording = Callable[[Path, Config, Clock], Recorder]
@@ -44,17 +39,11 @@ def parse_source_uri(text: str) -> SourceUri:
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> Source:
     """Open the source that `uri` names. Raises UsageError, BadInputError or HardwareError."""
-    opener: OpenSource = _imported(SOURCES[uri.scheme])
+    opener: OpenSource = load(SOURCES[uri.scheme])
     return opener(uri, config, clock)
 
 
 def start_recording(folder: Path, config: Config, clock: Clock) -> Recorder:
     """Start recording what live ports receive and send, in `folder`. Raises UsageError or OSError."""
-    start: StartRecording = _imported(RECORDER)
+    start: StartRecording = load(RECORDER)
     return start(folder, config, clock)
-
-
-def _imported(place: str) -> Any:
-    """Import the attribute that `module:name` names."""
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
