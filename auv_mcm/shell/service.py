@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import json
 import logging
 import os
 import signal
@@ -26,7 +25,7 @@ from typing import Any, Final
 from auv_mcm import __version__, kernels
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.contacts.export import contacts_geojson, iso_time
+from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.found import Found
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, contact_number
@@ -263,7 +262,7 @@ class Service:
 
     async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
         now = iso_time(self._clock.utc_s())
-        records = [{"time": now, "contact": json.loads(contacts_geojson([contact]))["features"][0]} for contact in contacts]
+        records = [{"time": now, "contact": contact_feature(contact)} for contact in contacts]
         try:
             await self._on_disk(partial(journal.append, records))
         except OSError as error:
