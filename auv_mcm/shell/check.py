@@ -129,9 +129,9 @@ def _odds() -> Finding:
 
     try:
         told = "; ".join(f"{detector}: {shipped_odds(detector).fitted_on}" for detector in get_args(Detector))
-        return Finding("odds of the close look", "ok", told)
+        return Finding("odds of confirmation", "ok", told)
     except (AuvMcmError, OSError) as error:
-        return Finding("odds of the close look", "FAILED", str(error))
+        return Finding("odds of confirmation", "FAILED", str(error))
 
 
 def _output(folder: Path) -> Finding:

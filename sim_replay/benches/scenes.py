@@ -18,7 +18,7 @@ import numpy as np
 
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.confirmation import look_closely
+from auv_mcm.confirmation import confirm_detection
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
@@ -71,9 +71,9 @@ _STEP_HEADER: Final = (
 
 
 class Flown(NamedTuple):
-    """One mission as all systems reported it. detector: contrasts alone, without a close look. steps: the chain as far as that step.
+    """One mission as all systems reported it. detector: contrasts alone, without confirmation. steps: the chain as far as that step.
 
-    n_looks: close looks that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
+    n_looks: confirmations that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
     that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
     """
 
@@ -162,7 +162,7 @@ def fly(name: str, seed: int, detector: Detector) -> Flown:
 
     def timed_look(detection: Detection) -> Detection:
         start = time.perf_counter()
-        looked_at = look_closely(detection, beam_width_rad, odds, config.confirm)
+        looked_at = confirm_detection(detection, beam_width_rad, odds, config.confirm)
         *_, last = looked_at.p_by_step
         looks_s[last].append(time.perf_counter() - start)
         return looked_at
