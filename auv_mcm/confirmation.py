@@ -1,8 +1,8 @@
-"""The stage between suppression and the ledger: detections that may be mines are looked at closely, one by one.
+"""Confirm detections that may be mines, one by one: the stage between suppression and the ledger.
 
     detector's odds -> contours -> Markov field, contours again from its labels -> solids -> evidence and belief
 
-Each step costs about ten times the one before it, and a detection whose odds have become too low to matter goes no further.
+Each step costs about ten times the one before it, and a detection whose odds have become too low goes no further.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _NONE: Final = np.empty((0, 2))
 _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
 
-class Look(NamedTuple):
-    """Everything one close look found. None for steps that were not taken.
+class Examination(NamedTuple):
+    """Hold the results of all steps for one detection; None for steps that were not taken.
 
-    contour_features: of the first contours; features: of the last step taken, and details: what of it only trees weigh. p_contours: p_mine
-    after the first contours.
+    contour_features: of the first contours. features: of the last step taken; details: those that only trees weigh.
+    p_contours: p_mine after the first contours.
     """
 
     region: Region
@@ -57,43 +57,45 @@ class Look(NamedTuple):
     p_contours: float
 
 
-def look_closely(detection: Detection, beam_width_rad: float, odds: MineOdds, config: ConfirmConfig) -> Detection:
-    """The detection with its p_mine from a close look, a Confirmation if its odds allowed one, and without its surroundings.
+def confirm_detection(detection: Detection, beam_width_rad: float, odds: MineOdds, config: ConfirmConfig) -> Detection:
+    """Return the detection with p_mine after confirmation, with a Confirmation if its odds allowed one, without surroundings.
 
-    p_by_step tells p_mine after each step. A detection that went no further than the detector carries in its reasons `not_looked_at`, or
-    `geometry_unknown` where altitude or range are none that a sonar can have, or `region_too_small`.
+    p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
+    `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
     """
     p_detector = odds.p_mine(_detector_ratio(detection, odds))
     if detection.surroundings is None or p_detector < config.min_p_mine:
-        return passed_over(detection, odds, "not_looked_at")
+        return without_confirmation(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
     if min(region.intensity.shape) < _LEAST_PIXELS:
-        return passed_over(detection, odds, "region_too_small")
+        return without_confirmation(detection, odds, "region_too_small")
     try:
         require_sound(region)
     except ValueError:
-        return passed_over(detection, odds, "geometry_unknown")
-    look = take(detection, region, odds, config.min_p_mine)
-    p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": look.p_contours}
-    log_ratio = _ratio("contours" if look.fits is None else "shape", look.features | look.details, look.contours, odds)
-    if look.fits is not None:
+        return without_confirmation(detection, odds, "geometry_unknown")
+    examination = examine(detection, region, odds, config.min_p_mine)
+    p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
+    log_ratio = _ratio(
+        "contours" if examination.fits is None else "shape", examination.features | examination.details, examination.contours, odds
+    )
+    if examination.fits is not None:
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
         detection,
         p_mine=odds.p_mine(log_ratio),
         p_by_step=p_by_step,
         surroundings=None,
-        confirmation=_confirmation(detection, detection.surroundings, look, log_ratio),
+        confirmation=_confirmation(detection, detection.surroundings, examination, log_ratio),
     )
 
 
-def is_worth_a_look(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:
-    """Whether what the detector measured leaves odds of a mine that matter."""
+def is_worth_confirming(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:
+    """Decide whether p_mine from the detector's measurements reaches the lowest that is confirmed."""
     return odds.p_mine(_detector_ratio(detection, odds)) >= config.min_p_mine
 
 
-def passed_over(detection: Detection, odds: MineOdds, reason: str) -> Detection:
-    """The detection with its p_mine from what the detector measured alone, for the reason told."""
+def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> Detection:
+    """Return the detection with p_mine from the detector's measurements alone, and the reason why."""
     p_detector = odds.p_mine(_detector_ratio(detection, odds))
     return msgspec.structs.replace(
         detection, p_mine=p_detector, p_by_step={"detector": p_detector}, reasons=(*detection.reasons, reason), surroundings=None
@@ -105,13 +107,13 @@ def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
 
 
 def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
-    """Evidence in nats; in the shadow of something else, where nothing can be seen, there is none for a mine."""
+    """Compute the evidence in nats; in the shadow of another object there is none for a mine, since nothing can be seen."""
     ratio = odds.log_ratio(step, features)
     return min(ratio, 0.0) if "in_shadow" in contours.reasons else ratio
 
 
 def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: float) -> Region:
-    """The region that confirmation and classification work on."""
+    """Cut out the region that confirmation works on."""
     return Region(
         intensity=unpack_snippet(surroundings.codes).astype(np.float64),
         valid=surroundings.codes > 0,
@@ -125,8 +127,8 @@ def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: 
     )
 
 
-def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Look:
-    """Go through the steps as far as the odds allow; without odds through all of them."""
+def examine(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Examination:
+    """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None."""
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
     contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
@@ -135,7 +137,7 @@ def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine
     seen = detection_details(detection)
     p_contours = math.nan if odds is None else odds.p_mine(_ratio("contours", first | seen, contours, odds))
     if p_contours < min_p_mine:
-        return Look(region, contours, None, None, first, first, seen, p_contours)
+        return Examination(region, contours, None, None, first, first, seen, p_contours)
     segmentation = segment(region)
     own = labels_near(segmentation.labels, region)
     if own is not None and not isinstance(ground, Contours):
@@ -147,7 +149,7 @@ def take(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
     details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
-    return Look(region, contours, segmentation, fits, first, features, details, p_contours)
+    return Examination(region, contours, segmentation, fits, first, features, details, p_contours)
 
 
 def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:
@@ -188,12 +190,12 @@ def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:
     return view_mass(evidence, _POOR_QUALITY if poor else _QUALITY) if evidence else vacuous()
 
 
-def _confirmation(detection: Detection, surroundings: Surroundings, look: Look, log_ratio: float) -> Confirmation:
-    contours, fits = look.contours, look.fits
+def _confirmation(detection: Detection, surroundings: Surroundings, examination: Examination, log_ratio: float) -> Confirmation:
+    contours, fits = examination.contours, examination.fits
     best = fits.fits[0] if fits is not None and fits.fits else None
     reasons = (*contours.reasons, *(() if fits is None else fits.flags), *(() if best is None else best.flags))
-    if look.segmentation is not None:
-        reasons = (*reasons, *look.segmentation.flags)
+    if examination.segmentation is not None:
+        reasons = (*reasons, *examination.segmentation.flags)
     told = frozenset((*detection.reasons, *reasons))
     mass = vacuous() if fits is None else shape_mass(fits, poor=not told.isdisjoint(_POOR))
     # Whole pixels lie between the two pictures.
@@ -202,8 +204,8 @@ def _confirmation(detection: Detection, surroundings: Surroundings, look: Look, 
     n_rows, n_columns = detection.snippet.shape
     corner = np.array([top, near], dtype=np.float64)
     labels = _NO_LABELS
-    if look.segmentation is not None:
-        labels = np.ascontiguousarray(look.segmentation.labels[top : top + n_rows, near : near + n_columns])
+    if examination.segmentation is not None:
+        labels = np.ascontiguousarray(examination.segmentation.labels[top : top + n_rows, near : near + n_columns])
     return Confirmation(
         log_ratio=log_ratio,
         shape_mass=mass,

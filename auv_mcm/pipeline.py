@@ -1,6 +1,6 @@
 """The one chain from pings and navigation to contacts: synchronous, deterministic, the same live and replayed.
 
-    events -> intake -> waterfall -> detection -> sea floor and coverage -> suppression -> close look -> ledger -> events
+    events -> intake -> waterfall -> detection -> sea floor and coverage -> suppression -> confirmation -> ledger -> events
 
 What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on threads,
 or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they cost.
@@ -21,7 +21,7 @@ import numpy as np
 
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.clearance.coverage import Grid, cover_tile, placed_rows
-from auv_mcm.confirmation import is_worth_a_look, look_closely, passed_over
+from auv_mcm.confirmation import confirm_detection, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
@@ -55,7 +55,7 @@ class Pipeline:
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
     when another view joins them. With `exhaustive`, nothing is skipped that could be skipped; the contacts are the same. `detect` and
-    `look` take the place of detection in a tile and of the close look at a detection, to compare with others or to learn from what is seen.
+    `look` take the place of detection in a tile and of confirmation of a detection, to compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
 
     The trained cascade that `config.detect.model` names is read here, once. Raises BadInputError if it cannot be.
@@ -88,7 +88,7 @@ class Pipeline:
         self._detect_in = detect or partial(detect_tile, config=config, model=model, exhaustive=exhaustive)
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
-        self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
+        self._look_closely = look or partial(confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         self._seabed = shipped_seabed_model()
         self._grid: Grid | None = None
@@ -269,7 +269,7 @@ class Pipeline:
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0
         # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
-        worthwhile = [config.min_p_mine <= 0.0 or is_worth_a_look(detection, self._odds, config) for detection in detections]
+        worthwhile = [config.min_p_mine <= 0.0 or is_worth_confirming(detection, self._odds, config) for detection in detections]
         best_first = sorted(
             (d for d, worth in zip(detections, worthwhile, strict=True) if worth), key=lambda d: (-d.p_mine, d.row, d.column)
         )
@@ -281,7 +281,7 @@ class Pipeline:
             found = detection.confirmation
             self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
             self._counts["confirm.rejected"] += found is not None and found.rejected
-        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest)
+        return looked_at + [without_confirmation(detection, self._odds, "over_budget") for detection in rest], len(rest)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
 
 M = TypeVar("M")
 M_co = TypeVar("M_co", covariant=True)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVarTuple
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from drivers.heads import HeadPairer
@@ -14,7 +15,6 @@ from drivers.navigation.merge import NavMerge
 from drivers.navigation.nav_decoder import NavFix
 from drivers.port_stream import PortStream, Told
 from drivers.ports import PULSE, merge_settings, read_ports
-from drivers.stamps import Stamp
 from drivers.utc import UtcReference
 
 log = logging.getLogger(__name__)

@@ -8,6 +8,7 @@ from typing import Final, Protocol, TypeAlias
 
 from msgspec import structs
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
 from auv_mcm.settings.config import SonarConfig
 from auv_mcm.settings.vehicle_settings import CanSettings
@@ -20,7 +21,6 @@ from drivers.ports import Port
 from drivers.reading_watch import ReadingWatch
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply
 from drivers.sonar.sonars import sonar_named
-from drivers.stamps import Stamp
 from drivers.vehicle.dialect import VehicleState
 from drivers.vehicle.vehicles import VehicleSettings, dialect_of
 

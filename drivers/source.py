@@ -12,18 +12,17 @@ from collections.abc import AsyncGenerator, Callable, Coroutine
 from functools import partial
 from typing import Any, Final
 
-from auv_mcm.clock import Clock
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import Record, SourceUri
+from auv_mcm.source import Record, SourceUri
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
 from drivers.links.open_link import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can, unpack_can
 from drivers.ports import Port, read_ports
-from drivers.stamps import Stamp
 from drivers.vehicle.end import VehicleEnd
 from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.vehicles import dialect_of

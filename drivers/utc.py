@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Notice
 from drivers.clocks import DeviceClock, PulseLabels, UtcAnchor, host_offset_ns, sentence_offset_ns, wire_delay_s
 from drivers.links.pulse import unpack_edge
 from drivers.navigation.nav_decoder import NavFix
 from drivers.ports import Port
-from drivers.stamps import Stamp
 
 _LOST_NS: Final = 10_000_000_000
 _AGREE_NS: Final = 200_000_000  # units send a sentence as late as that

@@ -18,7 +18,7 @@ from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.clearance.clearance_picture import clearance_png
 from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.contacts.export import best_view
+from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.picture import snippet_png
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile

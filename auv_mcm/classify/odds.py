@@ -1,4 +1,4 @@
-"""How likely a mine is after each step of a close look, and the belief mass that stands for it.
+"""How likely a mine is after each step of confirmation, and the belief mass that stands for it.
 
 Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), and boosted
 trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on simulated missions with seeds that nothing

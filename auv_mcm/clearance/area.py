@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clearance.clearance_map import Clearance, clearance_over, unsearched
+from auv_mcm.geometry.fence import circles_inside
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.fence import circles_inside
-from auv_mcm.plan.survey import clearance_over, unsearched
 
 
 class Area(NamedTuple):

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from auv_mcm.records import SEABED_TYPES, CoveragePatch, Side, SurveyedCells
+from auv_mcm.records import NAN, SEABED_TYPES, CoveragePatch, Side, SurveyedCells
 
 Array = NDArray[np.float64]
 
@@ -231,3 +231,39 @@ class ClearanceMap:
 
 def _plane(cells: SurveyedCells) -> tuple[float, float, float]:
     return cells.origin_latitude_deg, cells.origin_longitude_deg, cells.cell_m
+
+
+def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: float) -> Clearance:
+    """The clearance before anything was seen: no cells yet."""
+    return Clearance(
+        origin_latitude_deg=origin_latitude_deg,
+        origin_longitude_deg=origin_longitude_deg,
+        cell_m=cell_m,
+        first_east=0,
+        first_north=0,
+        exponent=np.zeros((0, 0)),
+        looks=np.zeros((0, 0), dtype=np.uint8),
+        towards=np.zeros((0, 0), dtype=np.uint64),
+        seabed=np.zeros((0, 0), dtype=np.uint8),
+        ripple_rad=np.zeros((0, 0), dtype=np.float32),
+        wavelength_m=np.zeros((0, 0), dtype=np.float32),
+        altitude_m=np.zeros((0, 0), dtype=np.float32),
+    )
+
+
+def clearance_over(clearance: Clearance, first_east: int, first_north: int, shape: tuple[int, int]) -> Clearance:
+    """The same over a box of (n_north, n_east) cells, of which the clearance may know some or none; what lies outside is left out."""
+    row, column = clearance.first_north - first_north, clearance.first_east - first_east
+    n_north, n_east = clearance.looks.shape
+    rows = slice(max(row, 0), max(min(row + n_north, shape[0]), 0))
+    columns = slice(max(column, 0), max(min(column + n_east, shape[1]), 0))
+
+    def laid(layer: NDArray[np.generic], outside: float) -> NDArray[np.generic]:
+        box = np.full(shape, outside, dtype=layer.dtype)
+        box[rows, columns] = layer[rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)]
+        return box
+
+    outside = {"exponent": 0.0, "looks": 0.0, "towards": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
+    outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
+    layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
+    return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)

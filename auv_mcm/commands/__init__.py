@@ -1,4 +1,4 @@
-"""The subcommands of auv-mcm, a module each, and what they share. Whatever is heavy they import when they run."""
+"""The subcommands of the payload, a module each, and what all subcommands share. Whatever is heavy they import when they run."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def read_config(path: Path | None) -> Config:
         return Config()
     config = parse_config(read_text(path, "configuration"), str(path))
     if config.ports:
-        from drivers.ports import read_ports
+        from auv_mcm.shell.registry import READ_PORTS, load
 
         try:
-            read_ports(config)
+            load(READ_PORTS)(config)
         except UsageError as error:
             raise UsageError(f"{path}: {error}") from error
     return config

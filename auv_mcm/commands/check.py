@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,17 +44,11 @@ def _check_logs(paths: Sequence[Path], config: Config) -> Iterator[Finding]:
 
 def _check_log(path: Path, config: Config) -> Finding:
     from auv_mcm.shell.check import Finding
-    from sim_replay.logs.open_log import FORMAT_NAMES, log_format, open_log
+    from auv_mcm.shell.registry import DESCRIBE_LOG, load
 
     name = f"log {path.name}"
     try:
-        log = open_log(path, config)
-        first_s = log.first_time_s()
-        n_bytes = sum(log.sizes_bytes.values())
-        if not math.isfinite(first_s):
-            return Finding(name, "FAILED", "it holds no ping")
-        when = datetime.fromtimestamp(first_s, UTC).isoformat(" ", "seconds")
-        return Finding(name, "ok", f"{FORMAT_NAMES[log_format(path)]}, {n_bytes / 1e6:.1f} MB, first ping {when}")
+        return Finding(name, "ok", load(DESCRIBE_LOG)(path, config))
     except AuvMcmError as error:
         return Finding(name, "FAILED", str(error))
     except ImportError as error:
@@ -64,7 +56,7 @@ def _check_log(path: Path, config: Config) -> Finding:
 
 
 def _source_log(config: Config) -> list[Path]:
-    from auv_mcm.shell.service import parse_source_uri
+    from auv_mcm.shell.sources import parse_source_uri
 
     if not config.service.source:
         return []

@@ -41,9 +41,9 @@ def add(commands: Commands) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.example or arguments.interface:
-        from drivers.describe import example_text, interface_text
+        from auv_mcm.shell.registry import PORTS_EXAMPLE, PORTS_INTERFACE, load
 
-        sys.stdout.write(example_text() if arguments.example else interface_text(read_config(arguments.config)))
+        sys.stdout.write(load(PORTS_EXAMPLE)() if arguments.example else load(PORTS_INTERFACE)(read_config(arguments.config)))
         return 0
 
     return run_service(read_config(arguments.config))

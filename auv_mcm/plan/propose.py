@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from auv_mcm.clearance.area import in_plane
+from auv_mcm.geometry.fence import Points, circles_inside, runs_inside
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.fence import Points, circles_inside, runs_inside
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact, Waypoint

@@ -154,7 +154,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 
 
 class ConfirmConfig(_Section, frozen=True, kw_only=True):
-    """The close look at detections: contours, Markov field, shapes."""
+    """Confirmation of detections: contours, Markov field, shapes."""
 
     enabled: Annotated[bool, Meta(description="without it contacts carry the detector's p_mine and no class")] = True
     min_p_mine: Annotated[

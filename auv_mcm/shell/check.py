@@ -16,7 +16,7 @@ from auv_mcm import __version__
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 from auv_mcm.records import Detector
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import parse_source_uri
+from auv_mcm.shell.sources import parse_source_uri
 
 _PACKAGES: Final = {
     "numpy": "numpy",
@@ -134,9 +134,9 @@ def _odds() -> Finding:
 
     try:
         told = "; ".join(f"{detector}: {shipped_odds(detector).fitted_on}" for detector in get_args(Detector))
-        return Finding("odds of the close look", "ok", told)
+        return Finding("odds of confirmation", "ok", told)
     except (AuvMcmError, OSError) as error:
-        return Finding("odds of the close look", "FAILED", str(error))
+        return Finding("odds of confirmation", "FAILED", str(error))
 
 
 def _output(folder: Path) -> Finding:

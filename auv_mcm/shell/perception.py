@@ -31,7 +31,7 @@ import numpy as np
 from auv_mcm import errors
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
 from auv_mcm.clearance.detection_performance import Performance, shipped_performance
-from auv_mcm.contacts.export import best_view
+from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.shelf import Shelf
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.records import Contact, CoveragePatch, Detection, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile

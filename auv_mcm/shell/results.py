@@ -19,6 +19,7 @@ from auv_mcm.clearance.area import area_state, over_area
 from auv_mcm.clearance.clearance_export import BANDS, clearance_geojson
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import remaining_mines
+from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.export import (
     contact_order,
     contacts_csv_parts,
@@ -26,7 +27,6 @@ from auv_mcm.contacts.export import (
     contacts_kml_parts,
     coverage_geojson_parts,
     coverage_order,
-    is_mine_like,
     waypoints_geojson,
 )
 from auv_mcm.errors import UsageError

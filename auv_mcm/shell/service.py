@@ -10,29 +10,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import importlib
-import json
 import logging
 import os
 import signal
 import sys
-from collections import Counter, deque
-from collections.abc import AsyncGenerator, Callable
+from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
-from urllib.parse import parse_qsl, unquote, urlsplit
+from typing import Any, Final
 
 from auv_mcm import __version__, kernels
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.contacts.export import contacts_geojson, iso_time
+from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.found import Found
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, contact_number
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
 from auv_mcm.shell.results import (
     Journal,
@@ -47,16 +45,12 @@ from auv_mcm.shell.results import (
     write_json,
     write_results,
 )
-from auv_mcm.shell.vehicle_link import Liaison, VehicleEnd
-
-if TYPE_CHECKING:
-    from drivers.stamps import Stamp
+from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
+from auv_mcm.shell.vehicle_link import Liaison
+from auv_mcm.source import LiveSource, Recorder, Source
 
 log = logging.getLogger(__name__)
 
-# Who opens a source, by the scheme of its URI: module and function, imported when asked for.
-SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
-RECORDER: Final = "drivers.recording.start_recording:start_recording"
 RECORDING: Final = "recording"
 """The folder, among the results, for what live ports received and were sent."""
 
@@ -64,168 +58,8 @@ _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
 _ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
 _SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
-_OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
 _CLUTTER: Final = 1
 _NO_CLUTTER: Final = 2
-
-
-class SourceUri(NamedTuple):
-    """A parsed service.source, e.g. replay:///data/mission.xtf?speed=1."""
-
-    text: str
-    scheme: str
-    path: str
-    options: dict[str, str]
-
-
-class Source(Protocol):
-    """Where pings and navigation come from. A lossless one can wait for the service; the others lose what is not taken in time."""
-
-    @property
-    def lossless(self) -> bool: ...
-
-    def events(self) -> AsyncGenerator[SourceEvent, None]: ...
-
-    def counters(self) -> Counter[str]:
-        """What it skipped or mended so far."""
-
-
-Record: TypeAlias = "Callable[[str, Literal['in', 'out'], Stamp, bytes], None]"
-"""Takes bytes of a port, by its name, that were received or sent; neither waits nor raises."""
-
-
-@runtime_checkable
-class LiveSource(Source, Protocol):
-    """Ports, which never end by themselves."""
-
-    def record_with(self, record: Record) -> None:
-        """Hand every byte to `record`. Called once, before `events`."""
-
-    def stop(self) -> None:
-        """Let go of the ports; `events` then ends with what was held back."""
-
-    def health(self) -> str:
-        """How each port is, for the health line."""
-
-    def faults(self) -> list[str]:
-        """What is wrong with ports, in a few words each."""
-
-    @property
-    def vehicle(self) -> VehicleEnd | None:
-        """The vehicle's end, if there is one."""
-
-    async def serve_vehicle(self) -> None:
-        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
-
-
-class Recorder(Protocol):
-    """Keeps what live ports received and were sent."""
-
-    @property
-    def counters(self) -> Counter[str]: ...
-
-    def record(self, port: str, direction: Literal["in", "out"], stamp: Stamp, data: bytes) -> None: ...
-
-    def take_notices(self) -> list[Notice]: ...
-
-    def close(self) -> None: ...
-
-
-OpenSource = Callable[[SourceUri, Config, Clock], Source]
-StartRecording = Callable[[Path, Config, Clock], Recorder]
-
-
-def parse_source_uri(text: str) -> SourceUri:
-    """Raises UsageError for anything but `ports` and scheme:path?option=value&..."""
-    known = "ports, " + ", ".join(f"{scheme}:" for scheme in sorted(SOURCES) if scheme != "ports")
-    if not text:
-        raise UsageError("service.source is empty: say where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
-    if text == "ports":
-        return SourceUri(text, text, "", {})
-    try:
-        parts = urlsplit(text)
-        options = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
-    except ValueError as error:
-        raise UsageError(f"service.source '{text}' is not a URI: {error}") from error
-    if parts.scheme not in SOURCES:
-        raise UsageError(f"service.source '{text}': unknown scheme '{parts.scheme}'. Known: {known}")
-    if parts.netloc:
-        raise UsageError(f"service.source '{text}': '{parts.netloc}' is read as a host. A path has three slashes: {parts.scheme}:///path")
-    if len(dict(options)) < len(options):
-        raise UsageError(f"service.source '{text}': an option is given twice")
-    return SourceUri(text, parts.scheme, unquote(parts.path), dict(options))
-
-
-def open_source(uri: SourceUri, config: Config, clock: Clock) -> Source:
-    """The source `uri` names. Raises UsageError, BadInputError or HardwareError."""
-    opener: OpenSource = _imported(SOURCES[uri.scheme])
-    return opener(uri, config, clock)
-
-
-def _imported(place: str) -> Any:
-    """What stands at module:name."""
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
-class EventQueue:
-    """Events on their way from the source to perception: at most `max_pings` pings and a proportionate number of others.
-
-    A lossless source waits for room. Otherwise the oldest ping goes, counted as `service.ping_dropped`: what comes in now says
-    where the vehicle is now.
-    """
-
-    def __init__(self, max_pings: int, lossless: bool, counters: Counter[str]) -> None:
-        self._max_pings = max_pings
-        self._max_events = max_pings * (1 + _OTHERS_PER_PING)
-        self._lossless = lossless
-        self._counters = counters
-        self._events: deque[SourceEvent] = deque()
-        self._pings = 0
-        self._closed = False
-        self._changed = asyncio.Condition()
-
-    @property
-    def pings(self) -> int:
-        return self._pings
-
-    async def put(self, event: SourceEvent) -> None:
-        async with self._changed:
-            is_ping = isinstance(event, Ping)
-            if self._lossless:
-                await self._changed.wait_for(lambda: not self._is_full(is_ping))
-            elif self._is_full(is_ping):
-                self._drop(is_ping)
-            self._events.append(event)
-            self._pings += is_ping
-            self._changed.notify_all()
-
-    async def get(self) -> SourceEvent | None:
-        """The next event; None once the queue is closed and empty."""
-        async with self._changed:
-            await self._changed.wait_for(lambda: bool(self._events) or self._closed)
-            if not self._events:
-                return None
-            event = self._events.popleft()
-            self._pings -= isinstance(event, Ping)
-            self._changed.notify_all()
-            return event
-
-    async def close(self) -> None:
-        """No event follows."""
-        async with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-
-    def _is_full(self, is_ping: bool) -> bool:
-        return len(self._events) >= self._max_events or (is_ping and self._pings >= self._max_pings)
-
-    def _drop(self, is_ping: bool) -> None:
-        oldest = next((i for i, event in enumerate(self._events) if isinstance(event, Ping) == is_ping), 0)
-        dropped_ping = isinstance(self._events[oldest], Ping)
-        self._counters["service.ping_dropped" if dropped_ping else "service.event_dropped"] += 1
-        self._pings -= dropped_ping
-        del self._events[oldest]
 
 
 class Service:
@@ -352,8 +186,7 @@ class Service:
     def _start_recording(self) -> None:
         if not isinstance(self._source, LiveSource) or not self._config.service.record:
             return
-        start: StartRecording = _imported(RECORDER)
-        self._recorder = start(self._folder / RECORDING, self._config, self._clock)
+        self._recorder = start_recording(self._folder / RECORDING, self._config, self._clock)
         self._source.record_with(self._recorder.record)
 
     def _tell_of_recording(self) -> None:
@@ -429,7 +262,7 @@ class Service:
 
     async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
         now = iso_time(self._clock.utc_s())
-        records = [{"time": now, "contact": json.loads(contacts_geojson([contact]))["features"][0]} for contact in contacts]
+        records = [{"time": now, "contact": contact_feature(contact)} for contact in contacts]
         try:
             await self._on_disk(partial(journal.append, records))
         except OSError as error:

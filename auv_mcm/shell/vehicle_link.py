@@ -7,45 +7,17 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Sequence
-from typing import Any, Final, Literal, Protocol, TypeAlias
+from typing import Any, Final
 
 from auv_mcm.clock import Clock
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
 from auv_mcm.records import NAN, Contact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
-
-Health: TypeAlias = Literal["starting", "normal", "fault", "failure"]
+from auv_mcm.source import Health, VehicleEnd
 
 _POSITION_LOST_S: Final = 3.0
 _LAST_WORDS_S: Final = 0.5  # what was said last goes out, and is said again where it was not acknowledged
-
-
-class VehicleEnd(Protocol):
-    """The pilot at its port; nothing here waits or raises."""
-
-    @property
-    def authority(self) -> str:
-        """down, listening, requested, granted or revoked."""
-
-    @property
-    def counters(self) -> Counter[str]: ...
-
-    def health(self) -> str:
-        """For the health line."""
-
-    def take_notices(self) -> list[Notice]: ...
-
-    def tell(self, contact: Contact) -> None: ...
-
-    def propose(self, plan: tuple[Waypoint, ...]) -> None:
-        """Takes the place of the plan before; () withdraws it."""
-
-    def tell_health(self, state: Health, text: str) -> None: ...
-
-    def release(self, reason: str) -> None:
-        """Give control back, for good."""
 
 
 class Liaison:

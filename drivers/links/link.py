@@ -9,9 +9,8 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
 
-from auv_mcm.clock import Clock
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import HardwareError
-from drivers.stamps import Stamp
 
 log = logging.getLogger(__name__)
 

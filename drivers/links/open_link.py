@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from functools import partial
 
-from auv_mcm.clock import Clock
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import UsageError
 from drivers.links.can_bus import open_can_bus
 from drivers.links.can_frame import CanFrame
@@ -17,7 +17,6 @@ from drivers.links.slcan import open_slcan
 from drivers.links.tcp import open_tcp
 from drivers.links.udp import open_udp
 from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, TcpAddress, UdpAddress
-from drivers.stamps import Stamp
 
 
 def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on_state: OnState, clock: Clock) -> Link[bytes]:

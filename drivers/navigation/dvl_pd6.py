@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Arrived, StampedFramer
 from drivers.navigation.nav_decoder import NavFix
-from drivers.stamps import Stamp
 
 _MAX_LINE_BYTES: Final = 128
 _LINE: Final = re.compile(rb":([A-Z]{2}),([\x20-\x39\x3b-\x7e]{0,%d})[\r\n]" % (_MAX_LINE_BYTES - 5))

@@ -10,10 +10,10 @@ import re
 from collections import Counter
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Arrived, StampedFramer
 from drivers.navigation.nav_decoder import NavFix
-from drivers.stamps import Stamp
 
 _MAX_MESSAGE_BYTES: Final = 384
 _BODY: Final = rb"[\x20-\x29\x2b-\x76\x78-\x7e]"

@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.clocks import DeviceClock, wire_delay_s
@@ -32,7 +33,6 @@ from drivers.navigation.health import Fallback, UnitHealth
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
-from drivers.stamps import Stamp
 
 Event: TypeAlias = NavSample | Notice
 

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import msgspec
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.stamps import Stamp
 
 
 class NavFix(msgspec.Struct, frozen=True, kw_only=True):

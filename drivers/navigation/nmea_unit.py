@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Arrived, StampedFramer
 from drivers.navigation.device_date import DeviceDate
@@ -13,7 +14,6 @@ from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.pixse import PIXSE_RECORDS, Burst
 from drivers.navigation.sentences import Dbt, Dpt, Gga, Gll, Hdt, Pashr, Prdid, Rmc, Vtg, Zda, parse
-from drivers.stamps import Stamp
 
 # How many sentences of other kinds may pass before a heading is taken not to belong to an inertial unit's bursts.
 _BURST_SENTENCES: Final = 32

@@ -11,7 +11,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
 
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
 
 Direction: TypeAlias = Literal["in", "out"]
 

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice
 from drivers.recording.session_layout import Direction, Lost, Recorded, SessionDescription
 from drivers.recording.session_writer import FILE_BYTES, RESERVE_BYTES, DurableFile, SessionWriter, free_bytes
-from drivers.stamps import Stamp
 
 log = logging.getLogger(__name__)
 

@@ -12,6 +12,7 @@ import msgspec
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from auv_mcm.clock import Stamp
 from drivers.recording.session_layout import (
     HEAD_TOPIC,
     LOST_TOPIC,
@@ -24,7 +25,6 @@ from drivers.recording.session_layout import (
     SessionDescription,
     file_name,
 )
-from drivers.stamps import Stamp
 
 FILE_BYTES: Final = 1 << 30
 FILE_FLUSHES: Final = 1200  # ten minutes of a recorder; until a file ends, the index of each of its chunks is kept in memory

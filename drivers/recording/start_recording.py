@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from auv_mcm import __version__
-from auv_mcm.clock import Clock
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.settings.config import Config, config_yaml
 from drivers.recording.session_layout import PortDescription, SessionDescription
 from drivers.recording.session_recorder import SessionRecorder
-from drivers.stamps import Stamp
 
 
 def start_recording(folder: Path, config: Config, clock: Clock) -> SessionRecorder:

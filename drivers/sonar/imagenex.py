@@ -12,12 +12,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
 from drivers.framing import Arrived, StampedFramer
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
-from drivers.stamps import Stamp
 
 COMMAND_BYTES: Final = 27
 RETURN_BYTES: Final = 413

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, EchoTrace, NavSample
 from drivers.framing import Arrived, StampedFramer
 from drivers.sonar.jsf_messages import (
@@ -36,7 +37,6 @@ from drivers.sonar.jsf_messages import (
 from drivers.sonar.pairing import SidePairer
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
-from drivers.stamps import Stamp
 
 HIGH_FREQUENCY: Final = 21  # subsystem
 SIDE_SCAN_SUBSYSTEMS: Final = (20, 21, 22)  # low, high, very high frequency

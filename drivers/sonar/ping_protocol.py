@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
 from drivers.framing import Arrived, StampedFramer
@@ -44,7 +45,6 @@ from drivers.sonar.ping_messages import (
 )
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
-from drivers.stamps import Stamp
 
 MAX_GAIN: Final = 7
 MAX_RANGE_M: Final = 200.0

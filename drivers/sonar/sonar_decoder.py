@@ -7,8 +7,8 @@ from typing import Literal, Protocol
 
 import msgspec
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, EchoTrace, NavSample
-from drivers.stamps import Stamp
 
 
 class SonarFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):

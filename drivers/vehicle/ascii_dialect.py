@@ -8,9 +8,9 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Grammar, StampedFramer
-from drivers.stamps import Stamp
 from drivers.vehicle.ascii_fields import Table, plain_text
 from drivers.vehicle.dialect import (
     Capability,

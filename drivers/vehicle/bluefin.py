@@ -13,11 +13,11 @@ from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.device_date import DAY_S
 from drivers.navigation.nmea0183 import sentence
-from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect, above_zero
 from drivers.vehicle.bluefin_sentences import (
     BluefinAnswer,

@@ -8,12 +8,12 @@ from typing import Final, Literal
 
 import msgspec
 
+from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.n2k_messages import identifier_of
 from drivers.navigation.nav_decoder import NavFix
-from drivers.stamps import Stamp
 from drivers.vehicle.can_messages import (
     ANSWERS,
     AUTHORITY_STATES,

@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, ContactClass
-from drivers.stamps import Stamp
 
 W = TypeVar("W")
 

@@ -8,9 +8,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final, Literal
 
-from auv_mcm.clock import Clock
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
-from drivers.stamps import Stamp
 from drivers.vehicle.dialect import PayloadHealth
 from drivers.vehicle.pilot import Pilot
 

@@ -18,11 +18,11 @@ import math
 from collections import Counter
 from typing import Final, Literal, NamedTuple
 
+from auv_mcm.clock import Stamp
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import StampedFramer
-from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import IverSettings
-from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect, FloorBelow, PacedReports, above_zero
 from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
 from drivers.vehicle.iver_sentences import (

@@ -12,9 +12,9 @@ import math
 from collections import Counter, deque
 from typing import Final, Generic, NamedTuple, TypeVar
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
 from auv_mcm.settings.vehicle_settings import VehicleConfig
-from drivers.stamps import Stamp
 from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
 from drivers.vehicle.dialect import (
     Acknowledged,

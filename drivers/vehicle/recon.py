@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect, FloorBelow, PacedReports, above_zero
 from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
 from drivers.vehicle.recon_sentences import (

@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from auv_mcm.records import Contact
+from auv_mcm.contacts.contact import sigma_m
+from auv_mcm.records import Contact, contact_number
 from drivers.vehicle.dialect import ContactReport
 
 MAX_CONTACTS: Final = 10_000
@@ -176,12 +177,12 @@ def report_of(contact: Contact, session: int) -> ContactReport:
     """
     return ContactReport(
         session=session,
-        number=int(contact.id.removeprefix("C")),
+        number=contact_number(contact.id),
         revision=0,
         time_s=contact.time_s,
         latitude_deg=contact.latitude_deg,
         longitude_deg=contact.longitude_deg,
-        sigma_m=_semi_major_m(contact),
+        sigma_m=sigma_m(contact),
         p_mine=contact.p_mine,
         classification=contact.classification,
         belief=dict(contact.belief),
@@ -193,11 +194,6 @@ def report_of(contact: Contact, session: int) -> ContactReport:
         width_sigma_m=contact.width_sigma_m,
         height_sigma_m=contact.height_sigma_m,
     )
-
-
-def _semi_major_m(contact: Contact) -> float:
-    (east2, both), (_, north2) = contact.covariance_m2.tolist()
-    return math.sqrt(max((east2 + north2) / 2.0 + math.hypot((east2 - north2) / 2.0, both), 0.0))
 
 
 def _revised(report: ContactReport, revision: int) -> ContactReport:

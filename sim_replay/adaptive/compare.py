@@ -21,7 +21,7 @@ from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
 from sim_replay.adaptive.ground import would_come_to
 from sim_replay.adaptive.lawnmower import Lawnmower, shortest_lawnmower, worst_seabed
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
-from sim_replay.benches.scenes import config_for
+from sim_replay.missions import config_for
 from sim_replay.scoring import Mission, parse_contacts, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact, Truth, TruthObject
 from sim_replay.simulator.plan import local_frame, planned_legs

@@ -22,9 +22,9 @@ from sim_replay.adaptive.compare import Compared, compare, fly_all
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
 from sim_replay.adaptive.picture import mission_png
 from sim_replay.adaptive.summary import HEADER, planned_words, rows
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import markdown
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.text_tables import markdown
 
 FIRST_SEED: Final = 9430  # on seeds from here on nothing was ever tuned
 

@@ -53,7 +53,7 @@ from auv_mcm.kernels.cascade import (
 )
 from auv_mcm.records import VALID, PoseTrack, Tile
 from auv_mcm.settings.config import DetectConfig
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.opencv_xml import opencv_cascade
 
 ROW_M: Final = 0.12

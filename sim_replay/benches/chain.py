@@ -25,7 +25,7 @@ import numpy as np
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.config import Config
-from sim_replay.benches.arguments import duration_min
+from sim_replay.arguments import duration_min
 from sim_replay.benches.log import add_log, given_or_flown
 from sim_replay.logs.open_log import open_log
 from sim_replay.logs.xtf_writer import write_xtf

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 
 _SCENE: Final = "demo"
 

@@ -27,13 +27,13 @@ from auv_mcm.seabed.seabed_cells import seabed_cells, smoothed
 from auv_mcm.seabed.seabed_model import SeabedModel, kind_indices, odds_of, shipped_seabed_model
 from auv_mcm.seabed.texture import measure_texture
 from auv_mcm.shell.results import write_file
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import columns, markdown
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, alike, regression
+from sim_replay.fitting.seabed.haralick import haralick_features
 from sim_replay.fitting.seabed.picture import seabed_picture
 from sim_replay.fitting.seabed.samples import MIXED, TrueTile, kind_of_covers, true_tiles
-from sim_replay.studies.haralick import haralick_features
+from sim_replay.text_tables import columns, markdown
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

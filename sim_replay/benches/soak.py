@@ -31,7 +31,7 @@ import numpy as np
 
 from auv_mcm.errors import HardwareError, SelfCheckError
 from auv_mcm.records import Ping
-from sim_replay.benches.arguments import count, duration_min
+from sim_replay.arguments import count, duration_min
 from sim_replay.fakes.job import Device
 from sim_replay.hil.run import RESULTS, SERVICE_LOG, run_scenario
 from sim_replay.hil.scenario import ExitCode, Expectation, Read, Scenario

@@ -1,4 +1,4 @@
-"""Fits the weights with which a close look turns what it measures into the odds of a mine: `python -m sim_replay.fitting.odds`.
+"""Fits the weights with which confirmation turns what it measures into the odds of a mine: `python -m sim_replay.fitting.odds`.
 
 Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector has
 weights of its own, those of the trained cascade without the scenes that are held out from its training. With --crowded the scenes are
@@ -26,16 +26,16 @@ from numpy.typing import NDArray
 from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Tree, Weights
-from auv_mcm.confirmation import region_of, take
+from auv_mcm.confirmation import examine, region_of
 from auv_mcm.errors import AuvMcmError, UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector, LookStep
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.results import make_directory, write_file
-from sim_replay.benches.arguments import count
-from sim_replay.benches.scenes import HELD_OUT, SCENES, config_for, served_by
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade import trees
+from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
@@ -107,14 +107,14 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     config = _looking_at_everything(served_by(detector, config_for(scene)))
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
-    passed_over: list[Detection] = []
+    not_confirmed: list[Detection] = []
 
     def look(detection: Detection) -> Detection:
         faint = detection.p_mine < _FAINT_P
         if detection.surroundings is None or (faint and detection.ping_number % _FAINT_KEPT):
-            passed_over.append(detection)
+            not_confirmed.append(detection)
             return detection
-        found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
+        found = examine(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
         weight = float(_FAINT_KEPT) if faint else 1.0
         seen.append(_Seen(detection, weight, found.contour_features, found.features, found.details))
         return detection
@@ -124,7 +124,7 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     for event in mission.events():
         pipeline.feed(event)
     pipeline.finish()
-    return _labelled(name, seed, crowd == 1, seen, passed_over, mission.truth()["objects"])
+    return _labelled(name, seed, crowd == 1, seen, not_confirmed, mission.truth()["objects"])
 
 
 def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
@@ -215,9 +215,9 @@ def _looking_at_everything(config: Config) -> Config:
 
 
 def _labelled(
-    scene: str, seed: int, usual: bool, seen: list[_Seen], passed_over: list[Detection], objects: Sequence[dict[str, Any]]
+    scene: str, seed: int, usual: bool, seen: list[_Seen], not_confirmed: list[Detection], objects: Sequence[dict[str, Any]]
 ) -> list[Example]:
-    detections = [*(item.detection for item in seen), *passed_over]
+    detections = [*(item.detection for item in seen), *not_confirmed]
     if not detections:
         return []
     frame = LocalFrame(latitude_deg=detections[0].latitude_deg, longitude_deg=detections[0].longitude_deg)

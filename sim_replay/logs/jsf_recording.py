@@ -14,6 +14,7 @@ from pathlib import Path
 from struct import Struct
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NAN, Notice
 from drivers.navigation.nmea0183 import sentence
@@ -30,7 +31,6 @@ from drivers.sonar.jsf_messages import (
     SideScanHeader,
     to_wire,
 )
-from drivers.stamps import Stamp
 from sim_replay.logs.log_order import TimeOrder
 from sim_replay.logs.message_file import MessageFile
 

@@ -6,8 +6,8 @@ import heapq
 from collections import Counter
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from drivers.recording.session_layout import Recorded
-from drivers.stamps import Stamp
 
 PAUSE_S: Final = 10.0  # a longer one is a break: what was known of clocks and navigation no longer holds
 _SLACK_NS: Final = 1_000_000_000  # recorders write what came within a second in any order

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Literal, Protocol, TypeAlias
 
@@ -105,6 +107,16 @@ def log_format(path: Path) -> LogFormat:
             "(0x4252) and sessions that 'auv-mcm run' recorded (.mcap or their folder). Export the log as one of these."
         )
     return found
+
+
+def describe_log(path: Path, config: Config) -> str:
+    """Say in a line what a log is and when its first ping was. Raises BadInputError or UsageError as a replay would."""
+    log = open_log(path, config)
+    first_s = log.first_time_s()
+    if not math.isfinite(first_s):
+        raise BadInputError(f"{path} holds no ping. Check that a sonar was connected.")
+    when = datetime.fromtimestamp(first_s, UTC).isoformat(" ", "seconds")
+    return f"{FORMAT_NAMES[log_format(path)]}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
 
 
 def session_config(paths: list[Path]) -> Config | None:

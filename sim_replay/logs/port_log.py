@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from drivers.recording.session_layout import Recorded
-from drivers.stamps import Stamp
 
 
 class Intake(Protocol):

@@ -14,7 +14,7 @@ from auv_mcm.clock import Clock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import SourceUri
+from auv_mcm.source import SourceUri
 from sim_replay.logs.open_log import CHUNK_BYTES, Log, is_session, open_log
 
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out

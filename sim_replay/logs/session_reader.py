@@ -13,6 +13,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Header, McapRecord, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import Config, parse_config
@@ -27,7 +28,6 @@ from drivers.recording.session_layout import (
     Recorded,
     SessionDescription,
 )
-from drivers.stamps import Stamp
 
 _MAX_RECORD_BYTES: Final = 64 << 20  # far more than a chunk has; a damaged length does not claim memory
 _UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError)  # what the MCAP reader raises on damage; a wrong CRC is a ValueError

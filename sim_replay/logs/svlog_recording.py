@@ -21,6 +21,7 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, Notice
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Gga, Pashr, Record, Vtg, body_of
@@ -28,7 +29,6 @@ from drivers.recording.session_layout import Recorded
 from drivers.sonar import ping_messages
 from drivers.sonar.ping_messages import JsonWrapper, PingMessage, decode, to_wire
 from drivers.sonar.ping_protocol import PingGrammar
-from drivers.stamps import Stamp
 from sim_replay.logs.message_file import MessageFile
 
 SONAR_PORT: Final = "sonar"

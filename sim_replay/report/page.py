@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.export import is_mine_like
+from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from sim_replay.report import words

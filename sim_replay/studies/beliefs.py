@@ -25,13 +25,13 @@ from auv_mcm.classify.beliefs import EVERYTHING, FRAME, N_CLASSES, Array, ViewMa
 from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, appriou_mass, view_mass
 from auv_mcm.classify.fit import SOLIDS, fit_shapes, hypotheses_of, plausibility
 from auv_mcm.classify.likelihood import labels_cost, row_sums
-from auv_mcm.classify.search import Box, look_around, walk
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Nodes, converge, start_from_detection
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid
 from auv_mcm.records import ContactClass
-from sim_replay.benches.arguments import count
+from auv_mcm.solids.box_search import Box, look_around, walk
+from sim_replay.arguments import count
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.simulator.scene import SceneObject
 from sim_replay.studies.hausdorff import Mask, contour_distance_m, shadow_mask

@@ -22,9 +22,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.settings.config import Config
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import columns
-from sim_replay.benches.scenes import FIRST_SEED, config_for
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.classical.candidates import find_candidates
 from sim_replay.fitting.cascade.classical.chips import reference_shadow_m
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family
@@ -34,8 +32,10 @@ from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import Kind, SeedRange, Seeds, SimulatedLine, Spec, Targets, lines_of
 from sim_replay.fitting.cascade.tiles import LabelledTile
 from sim_replay.fitting.cascade.training_images import simulated_tiles
+from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.simulator.scene import EXACT, Lawnmower, ObjectKind, Scatter, Scene, TargetKind
 from sim_replay.simulator.scene_file import read_scene
+from sim_replay.text_tables import columns
 
 TYPES: Final[Mapping[str, TargetKind]] = MappingProxyType({"A": "truncated_cone", "B": "wedge", "C": "cylinder"})
 FEATURES: Final[Mapping[str, tuple[Family, ...]]] = MappingProxyType({"central filters": ("central",), "all features": FAMILIES})

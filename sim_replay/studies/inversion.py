@@ -23,9 +23,9 @@ from scipy.ndimage import gaussian_filter
 
 from auv_mcm.records import SIDES
 from auv_mcm.settings.config import Config
+from sim_replay.arguments import count
 from sim_replay.augment.direct import invert, mean_spacing_m, multi_look
 from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render
-from sim_replay.benches.arguments import count
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.simulator.bedforms import RippleTrain
 from sim_replay.simulator.fields import Noise, Spectrum, gaussian, power_law

@@ -1,4 +1,4 @@
-"""What is called mine-like in recorded pictures, by the detector alone and after the close look."""
+"""What is called mine-like in recorded pictures, by the detector alone and after confirmation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from auv_mcm.classify.odds import MineOdds
-from auv_mcm.confirmation import look_closely
+from auv_mcm.confirmation import confirm_detection
 from auv_mcm.records import Detection
 from sim_replay.studies.real_pictures import Picture
 from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of
@@ -17,7 +17,7 @@ CALLED: Final = (0.5, 0.2)
 
 
 class Called(NamedTuple):
-    """One picture without the object: calls per threshold of CALLED, by the detector alone and after the close look."""
+    """One picture without the object: calls per threshold of CALLED, by the detector alone and after confirmation."""
 
     picture: Picture
     geometry: Geometry
@@ -36,7 +36,7 @@ def call(picture: Picture, geometry: Geometry, odds: MineOdds) -> Called:
     tile, config = tile_of(picture, geometry), config_of(geometry)
     detections = detections_of(tile, config)
     beam_width_rad = math.radians(geometry.beam_width_deg)
-    looked_at = tuple(look_closely(detection, beam_width_rad, odds, config.confirm) for detection in detections)
+    looked_at = tuple(confirm_detection(detection, beam_width_rad, odds, config.confirm) for detection in detections)
     return Called(picture, geometry, tuple(detections), looked_at)
 
 

@@ -100,7 +100,7 @@ def _print_quartiles(title: str, part: Sequence[Judged]) -> None:
     looked_at = [j.looked_at for j in part if j.looked_at is not None]
     for threshold in CALLED:
         alone, after = sum(one.p_mine >= threshold for one, _ in looked_at), sum(is_call(one, threshold) for _, one in looked_at)
-        print(f"  called at {threshold:g}: {alone} by the detector alone, {after} after the close look")
+        print(f"  called at {threshold:g}: {alone} by the detector alone, {after} after confirmation")
     rejected = sum(one.confirmation is not None and one.confirmation.rejected for _, one in looked_at)
     print(f"  {sum(one.confirmation is not None for _, one in looked_at)} looked at closely, contours of {rejected} rejected")
     rows = [
@@ -128,8 +128,8 @@ def _print_kept(judged: Sequence[Judged], called: Sequence[Called]) -> None:
     looked_at = [j.looked_at for j in judged if j.looked_at is not None]
     scores: dict[str, tuple[list[float], list[float]]] = {
         "detector alone": ([one.p_mine for one, _ in looked_at], [d.p_mine for c in called for d in c.detections]),
-        "close look": ([one.p_mine for _, one in looked_at], [d.p_mine for c in called for d in c.looked_at]),
-        "close look, rejected left out": (
+        "confirmation": ([one.p_mine for _, one in looked_at], [d.p_mine for c in called for d in c.looked_at]),
+        "confirmation, rejected left out": (
             [_unless_rejected(one) for _, one in looked_at],
             [_unless_rejected(d) for c in called for d in c.looked_at],
         ),

@@ -1,4 +1,4 @@
-"""Outlines of the object in a recorded picture, as the close look makes them, beside the mask drawn by hand."""
+"""Outlines of the object in a recorded picture, as confirmation makes them, beside the mask drawn by hand."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from auv_mcm.confirm.region import HIGHLIGHT, Region
 from auv_mcm.confirm.snake import FINE, Nodes, converge, start_from_detection, start_from_labels
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
-from auv_mcm.confirmation import labels_near, look_closely, region_of
+from auv_mcm.confirmation import confirm_detection, labels_near, region_of
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import VALID, Detection, Tile
-from sim_replay.benches.overlap import overlap
+from sim_replay.scoring.overlap import overlap
 from sim_replay.studies.real_pictures import Mask, Picture, Plane
 from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of
 
@@ -61,7 +61,7 @@ class Judged(NamedTuple):
 
     detected: some detection is near the mask. first: that is the one of highest p_mine. given, found: with the mask's centre and with
     the best detection near the mask as the place to look; found is None if there is none. looked_at: that detection before and after the
-    close look. best_threshold: of any threshold on smoothed intensity with the mask. one_pixel: of the mask with itself grown by a pixel.
+    confirmation. best_threshold: of any threshold on smoothed intensity with the mask. one_pixel: of the mask with itself grown by a pixel.
     few_nodes: with its outline by 16 nodes. contrast_db: mean intensity inside the mask over that around it.
     """
 
@@ -92,7 +92,7 @@ def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judged:
     if near and (surroundings := near[0].surroundings) is not None:
         corner = round(near[0].row - surroundings.row), round(near[0].column - surroundings.column)
         found = outline(Placed(region_of(near[0], surroundings, beam_width_rad), corner), mask)
-        looked_at = near[0], look_closely(near[0], beam_width_rad, odds, config.confirm)
+        looked_at = near[0], confirm_detection(near[0], beam_width_rad, odds, config.confirm)
     valid = (tile.mask & VALID) != 0
     intensity = tile.intensity.astype(np.float64)
     grown, around = (cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0 for side in (3, _AROUND_PX))
@@ -133,7 +133,7 @@ def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> 
 
 
 def outline(placed: Placed, mask: Mask) -> Outlined:
-    """Labels and contours of a region's object, as the close look makes them, beside a mask (n_rows, n_columns) of the whole tile."""
+    """Labels and contours of a region's object, as confirmation makes them, beside a mask (n_rows, n_columns) of the whole tile."""
     region = placed.region
     area = grain_area(region.intensity, region.valid)
     labels = segment(region).labels

@@ -47,7 +47,7 @@ def outlines_sheet(judged: Sequence[Judged]) -> Canvas:
 
 
 def calls_sheet(called: Sequence[Called]) -> Canvas:
-    """Snippets with what the detector alone would call (thin) and what is called after the close look (thick), by threshold."""
+    """Snippets with what the detector alone would call (thin) and what is called after confirmation (thick), by threshold."""
     return _grid([_called(one) for one in called], _SNIPPET_COLUMNS)
 
 

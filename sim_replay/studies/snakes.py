@@ -2,7 +2,7 @@
 
 auv-mcm bench snakes            contour error beside time, for schedules from coarse to fine
 auv-mcm bench snakes --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
-auv-mcm bench snakes --odds     also what the chain hands on to its close look, rejected by the odds after contours
+auv-mcm bench snakes --odds     also what the chain hands on to confirmation, rejected by the odds after contours
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from auv_mcm.classify.reasons import bearing
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import COARSE, FINE, Contours, Schedule, Start, converge, settings_of
-from auv_mcm.confirmation import passed_over, region_of, take
+from auv_mcm.confirmation import examine, region_of, without_confirmation
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
@@ -33,8 +33,8 @@ from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
 from auv_mcm.settings.config import Config
-from sim_replay.benches.overlap import overlap
-from sim_replay.benches.scenes import config_for
+from sim_replay.missions import config_for
+from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
@@ -98,7 +98,7 @@ class SceneRow(NamedTuple):
 
 
 class Handed(NamedTuple):
-    """A detection that the chain hands on to its close look. p_detector, p_contours: p_mine before and after its contours. told_against:
+    """A detection that the chain hands on to confirmation. p_detector, p_contours: p_mine before and after its contours. told_against:
     it carries a code that speaks against a mine."""
 
     label: Label
@@ -288,10 +288,10 @@ def _handed_on(name: str, seed: int) -> list[Handed]:
     looked: list[tuple[float, float, bool]] = []
 
     def look(detection: Detection) -> Detection:
-        p_detector = p_contours = passed_over(detection, odds, "").p_mine
+        p_detector = p_contours = without_confirmation(detection, odds, "").p_mine
         reasons = detection.reasons
         if detection.surroundings is not None:
-            found = take(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, math.inf)
+            found = examine(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, math.inf)
             p_contours, reasons = found.p_contours, (*reasons, *found.contours.reasons)
         detections.append(detection)
         looked.append((p_detector, p_contours, any(bearing(code) == "against" for code in reasons)))
@@ -325,7 +325,7 @@ def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     for detection, label in zip(detections, labels, strict=True):
         if label is not None and detection.surroundings is not None:
-            yield label, take(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, 0.0).contours
+            yield label, examine(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, 0.0).contours
 
 
 def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str, Any]], speed_mps: float) -> list[Label | None]:

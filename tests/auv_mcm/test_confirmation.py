@@ -1,4 +1,4 @@
-"""The close look: a mine among bare floor, and what becomes of detections that nothing can be said about."""
+"""Confirmation: a mine among bare floor, and what becomes of detections that nothing can be said about."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
-from auv_mcm.confirmation import labels_near, look_closely, passed_over, region_of
+from auv_mcm.confirmation import confirm_detection, labels_near, region_of, without_confirmation
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import pack_snippet
@@ -67,7 +67,7 @@ def bare_floor(seed: int) -> Region:
 
 
 def close_look(detection: Detection, config: ConfirmConfig = EVERYTHING) -> Detection:
-    return look_closely(detection, BEAM_RAD, shipped_odds("contrast"), config)
+    return confirm_detection(detection, BEAM_RAD, shipped_odds("contrast"), config)
 
 
 def confirmed(detection: Detection) -> Confirmation:
@@ -140,7 +140,7 @@ def found_last(detection: Detection) -> Any:
 
 
 def test_detections_passed_over_keep_the_detectors_odds_and_say_why(cylinder: Detection) -> None:
-    found = passed_over(cylinder, shipped_odds("contrast"), "over_budget")
+    found = without_confirmation(cylinder, shipped_odds("contrast"), "over_budget")
     assert found.reasons[-1] == "over_budget"
     assert found.confirmation is None
     assert found.surroundings is None

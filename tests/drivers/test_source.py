@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.service import LiveSource, parse_source_uri
+from auv_mcm.shell.sources import parse_source_uri
+from auv_mcm.source import LiveSource
 from drivers.links.link import Link
 from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence
@@ -22,7 +23,6 @@ from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import PortIntake
 from drivers.ports import Port, read_ports
 from drivers.source import OnBytes, OnState, PortSource, open_source
-from drivers.stamps import Stamp
 from tests.drivers.port_traffic import PORTS, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0

@@ -10,18 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
 from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.port_settings import PortConfig
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
-from auv_mcm.shell.service import LiveSource
+from auv_mcm.source import LiveSource
 from drivers.links.link import Link
 from drivers.port_stream import pack_can
 from drivers.ports import Port, read_ports
 from drivers.source import OnBytes, OnState, PortSource
-from drivers.stamps import Stamp
 from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.vehicles import VEHICLES
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin

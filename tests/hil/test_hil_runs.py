@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.commands import hil
 from auv_mcm.errors import HardwareError, SelfCheckError
+from sim_replay.commands import hil
 from tests.sim_replay.logs.xtf_logs import written
 
 SHORT = """

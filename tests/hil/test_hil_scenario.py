@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from auv_mcm.commands import hil
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
+from sim_replay.commands import hil
 from sim_replay.hil.scenario import SCENARIOS, parse_scenario, read_scenario, service_config, service_yaml, shipped
 
 SOUND = """

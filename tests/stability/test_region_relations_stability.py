@@ -19,7 +19,7 @@ from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Start, converge
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid, shape_costs
-from sim_replay.benches.overlap import overlap
+from sim_replay.scoring.overlap import overlap
 from sim_replay.studies.paper_mrf import segment_as_paper
 from tests.stability.region_doors import DOORS, HYPOTHESIS, RANGE_M, SMALL, START, cone_region, labels_of, plain, through
 

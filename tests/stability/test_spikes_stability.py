@@ -17,7 +17,7 @@ from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import converge
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.trws import energy_of, trws
-from sim_replay.benches.overlap import overlap
+from sim_replay.scoring.overlap import overlap
 from tests.stability.region_doors import DOORS, START, cone_region, through
 
 FLOORS = [1.0, 1e-300, 1e-310]

@@ -19,8 +19,7 @@ from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.results import write_file
-from sim_replay.benches.arguments import count
-from sim_replay.benches.scenes import untrained_alone
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.classical.model import format_model
 from sim_replay.fitting.cascade.classical.train import train_classical
 from sim_replay.fitting.cascade.farm import Farm
@@ -28,6 +27,7 @@ from sim_replay.fitting.cascade.spec import read_spec
 from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest, read_tiles
 from sim_replay.fitting.cascade.trainer import N_STUMPS, train
 from sim_replay.fitting.cascade.training_images import render_set, told_of
+from sim_replay.missions import untrained_alone
 
 _KINDS_HELP: Final = "soft cascade; to compare with: stages as in the source paper, or a discriminant on classical features (default soft)"
 

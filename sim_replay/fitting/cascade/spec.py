@@ -19,8 +19,8 @@ from msgspec import Meta
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.strict_yaml import keyed, load_mapping, read_text
-from sim_replay.benches.scenes import FIRST_SEED, config_for
 from sim_replay.fitting.cascade.tiles import Split
+from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.simulator.objects import USUAL
 from sim_replay.simulator.plan import swath_m
 from sim_replay.simulator.scene import EXACT, TARGET_KINDS, Scatter, Scene, SeabedType, SizeRange, Sonar, TargetKind

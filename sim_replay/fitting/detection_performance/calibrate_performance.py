@@ -11,10 +11,10 @@ import numpy as np
 
 from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance
 from auv_mcm.clearance.residual import sweep_width_m
-from sim_replay.benches.layout import columns
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.detection_performance.looks import Look, looks_of
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
+from sim_replay.text_tables import columns
 
 FIT_SEEDS: Final = range(800, 816)
 FLIGHTS: Final = 2

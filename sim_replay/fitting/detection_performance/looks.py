@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, SIDES, CoveragePatch, Detection, Side
-from sim_replay.benches.scenes import config_for
 from sim_replay.fitting.seabed.seabed_missions import KIND_OF
+from sim_replay.missions import config_for
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import local_frame

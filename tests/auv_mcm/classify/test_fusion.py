@@ -263,7 +263,7 @@ def test_a_contradiction_in_between_takes_a_little_off_the_better_view() -> None
     assert odds(verdict) == pytest.approx(PRIOR + 5.0 - 5.0 * NEWS, abs=0.1)
 
 
-# ---------------------------------------------------------------- no close look
+# ---------------------------------------------------------------- no confirmation
 
 
 @settings(max_examples=30)

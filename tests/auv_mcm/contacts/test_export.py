@@ -19,17 +19,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
-from auv_mcm.contacts.export import (
-    CSV_COLUMNS,
-    contacts_csv,
-    contacts_geojson,
-    contacts_kml,
-    coverage_geojson,
-    error_ellipse,
-    error_ellipse_ring_m,
-    iso_time,
-    waypoints_geojson,
-)
+from auv_mcm.contacts.contact import error_ellipse, error_ellipse_ring_m
+from auv_mcm.contacts.export import CSV_COLUMNS, contacts_csv, contacts_geojson, contacts_kml, coverage_geojson, iso_time, waypoints_geojson
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks

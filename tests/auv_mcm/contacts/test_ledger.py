@@ -332,7 +332,7 @@ def test_sizes_reasons_and_class_come_from_all_views() -> None:
 def confirmed(
     log_ratio: float, classification: ContactClass, sizes: dict[str, float], sigma: dict[str, float], certainty: float = 0.9
 ) -> Confirmation:
-    """What a close look found that shows one solid, as certain as told."""
+    """What confirmation found that shows one solid, as certain as told."""
     nowhere = drawn_looks.NOWHERE
     shape_mass = vacuous()
     shape_mass[EVERYTHING], shape_mass[subset(classification, "clutter")] = 1.0 - certainty, certainty

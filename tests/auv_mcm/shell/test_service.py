@@ -17,14 +17,16 @@ from typing import Any
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.records import NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.perception import MakePipeline, PerceptionError
-from auv_mcm.shell.service import RECORDING, EventQueue, Record, Service, parse_source_uri
-from auv_mcm.shell.vehicle_link import VehicleEnd
+from auv_mcm.shell.service import RECORDING, Service
+from auv_mcm.shell.sources import parse_source_uri
+from auv_mcm.source import Record, VehicleEnd
 from drivers.recording.session_recorder import SessionRecorder
-from drivers.stamps import Stamp
 from sim_replay.logs.session_reader import Session
 from tests.auv_mcm.shell import fake_pipelines as fake
 

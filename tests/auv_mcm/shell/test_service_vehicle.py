@@ -17,7 +17,8 @@ from auv_mcm.records import Contact, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config, PlanConfig, ServiceConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.shell.perception import MakePipeline
-from auv_mcm.shell.service import Record, Service
+from auv_mcm.shell.service import Service
+from auv_mcm.source import Record
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (43.01, 5.01), (43.01, 4.99)))

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from drivers.links.can_frame import CanFrame
 from drivers.links.gather import GATHER_S, PLENTY_BYTES, gather_s
 from drivers.links.link import Link, Port
 from drivers.links.slcan import SlcanPort, encode
 from drivers.links.stream import StreamPort
 from drivers.links.uri import BAUD_RATES
-from drivers.stamps import Stamp
 from tests.drivers.links.link_watch import Watch, running, until
 from tests.drivers.links.loop_time import LoopClock, LoopTime, run_in_loop_time
 

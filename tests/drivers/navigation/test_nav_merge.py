@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
+from auv_mcm.clock import Stamp
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.navigation import NavBuffer
 from auv_mcm.records import NavSample, Notice
@@ -22,7 +23,6 @@ from drivers.navigation.corrections import Readings, arm_north_east_down, moved,
 from drivers.navigation.merge import Event, NavMerge
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_settings import NavMergeSettings
-from drivers.stamps import Stamp
 from tests.drivers.navigation.nav_damage import T0, at
 
 HOME = (54.0, 10.0)

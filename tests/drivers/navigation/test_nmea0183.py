@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Framer
 from drivers.navigation.nav_decoder import NavFix
@@ -43,7 +44,6 @@ from drivers.navigation.sentences import (
     body_of,
     parse,
 )
-from drivers.stamps import Stamp
 from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
 
 

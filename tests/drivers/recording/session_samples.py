@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from auv_mcm.clock import Stamp
 from drivers.recording.session_layout import Direction, PortDescription, Recorded, SessionDescription
 from drivers.recording.session_writer import DurableFile, SessionWriter
-from drivers.stamps import Stamp
 
 MONO_NS = 77_000_000_000
 UTC_NS = 1_700_000_000_000_000_000

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from drivers.recording.session_layout import Recorded, file_name
 from drivers.recording.session_recorder import SessionRecorder
 from drivers.recording.session_writer import DurableFile, SessionWriter
-from drivers.stamps import Stamp
 from sim_replay.logs.session_reader import Session
 from tests.drivers.recording.session_samples import FullDisk, description, traffic
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice, SourceEvent
 from drivers.recording.session_layout import Recorded, file_name
-from drivers.stamps import Stamp
 from sim_replay.logs.open_log import is_session
 from sim_replay.logs.port_log import PortLog
 from sim_replay.logs.session_reader import Session, recorded_config

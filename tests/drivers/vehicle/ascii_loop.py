@@ -8,9 +8,9 @@ from typing import Any
 
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
-from drivers.stamps import Stamp
 from drivers.vehicle.ascii_dialect import AsciiDialect
 from drivers.vehicle.bluefin import BluefinDialect
 from drivers.vehicle.dialect import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.stamps import Stamp
 from drivers.vehicle import can_messages as can
 from drivers.vehicle.can_dbc import dbc_text
 from drivers.vehicle.can_receiver import CanReceiver

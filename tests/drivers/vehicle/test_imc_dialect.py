@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
-from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,

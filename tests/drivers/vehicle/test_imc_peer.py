@@ -13,8 +13,8 @@ from importlib.util import find_spec
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ImcSettings
-from drivers.stamps import Stamp
 from drivers.vehicle.dialect import (
     Arrived,
     ContactReport,

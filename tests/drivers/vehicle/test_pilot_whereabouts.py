@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.stamps import Stamp
 from drivers.vehicle.dialect import VehicleState
 from drivers.vehicle.whereabouts import Whereabouts
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TypeAlias
 
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
 from drivers.vehicle.dialect import Capability, Command, ContactReport, PayloadHealth, VehicleEvent
 
 Heard: TypeAlias = tuple[VehicleEvent, ...] | None

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.classify.shapes import Box, view_shape
 from auv_mcm.records import SIDES, Ping, Side
 from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.solids.shapes import Box, view_shape
 from auv_mcm.waterfall.transfer import Transfer, to_intensity
 from sim_replay.augment.embed import Augmented, embed
 from sim_replay.augment.line import Change, Line, mixed

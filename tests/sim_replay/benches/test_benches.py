@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.commands.bench import BENCHES
+from sim_replay.commands.bench import BENCHES
 from tests.sim_replay.logs.xtf_logs import written
 
 ROOT = Path(__file__).parents[3]

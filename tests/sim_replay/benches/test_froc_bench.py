@@ -12,7 +12,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
 from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd, outdone
-from sim_replay.benches.scenes import config_for
+from sim_replay.missions import config_for
 from sim_replay.scoring import Mission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
 from sim_replay.simulator import mission as simulated

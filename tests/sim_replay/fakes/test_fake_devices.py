@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import SonarConfig
@@ -20,7 +21,6 @@ from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_protocols import text_decoder
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonars import sonar_named
-from drivers.stamps import Stamp
 from sim_replay.fakes.feed import mission_events, time_line
 from sim_replay.fakes.job import Job, read_job
 from sim_replay.fakes.navigation import NAVIGATION_UNITS

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import SonarConfig
 from drivers.links.link import Link
@@ -27,7 +27,6 @@ from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_protocols import text_decoder
 from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
 from drivers.sonar.sonars import sonar_named
-from drivers.stamps import Stamp
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.faults import FaultRates
 from sim_replay.fakes.feed import Fed, read_ahead

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import SonarConfig
 from drivers.links.link import Link
@@ -21,7 +21,6 @@ from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_protocols import text_decoder
 from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
 from drivers.sonar.sonars import sonar_named
-from drivers.stamps import Stamp
 from sim_replay.fakes.job import Device, Fault, Nonsense, PowerOff, Revoke, Unplug, VehicleJob, read_job
 from sim_replay.fakes.vehicle_device import FakeVehicle, passes
 from sim_replay.simulator.objects import place_objects

@@ -19,10 +19,10 @@ from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
-from sim_replay.benches.scenes import HELD_OUT, SCENES
 from sim_replay.fitting import odds as calibrate
 from sim_replay.fitting.odds import CROWD, N_TREES, Example, crowded, examples_of, log_odds_of, main
 from sim_replay.fitting.odds import fit as fit_all
+from sim_replay.missions import HELD_OUT, SCENES
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 from tests.auv_mcm.classify import drawn_looks

@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from msgspec import structs
 
+from auv_mcm.clock import Stamp
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config, config_yaml, parse_config
@@ -24,7 +25,6 @@ from drivers.sonar.jsf_messages import JsfMessage
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
 from drivers.sonar.ping_messages import MAVLINK_WRAPPER, NMEA_WRAPPER, JsonWrapper, PingMessage, encode
 from drivers.sonar.ping_messages import to_wire as ping_wire
-from drivers.stamps import Stamp
 from sim_replay.fakes.device import SONARS
 from sim_replay.fakes.navigation import Nmea0183Unit
 from sim_replay.fakes.sonar import DeviceTime

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
-from drivers.stamps import Stamp
 from drivers.vehicle.can_dialect import CanDialect
 from drivers.vehicle.can_messages import COMMAND_VALID_S, DEMANDS, FIRST_COMMAND_S, PAYLOAD_SILENT_S, PayloadStatus, encode
 from drivers.vehicle.can_translation import command_message

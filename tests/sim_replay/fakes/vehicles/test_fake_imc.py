@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
-from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,

@@ -13,13 +13,13 @@ from scipy.ndimage import uniform_filter
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.shell.results import write_json
-from sim_replay.fitting.cascade.evaluate import Flight, fly_all, held_out
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_spec
 from sim_replay.fitting.cascade.store import read_manifest, read_shard, read_tiles
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 from sim_replay.fitting.cascade.training_images import OVERLAP_M, main, render_line, render_set, simulated_tiles
 from sim_replay.simulate import simulate
+from tests.sim_replay.fitting.cascade.held_out_flights import Flight, fly_all, held_out
 
 SCENE = """
 name: bay

@@ -15,10 +15,10 @@ from auv_mcm.seabed.seabed_model import kind_indices, odds_of, parse_seabed_mode
 from auv_mcm.seabed.texture import NAMES, measure_texture
 from sim_replay.fitting.seabed import samples as sampled
 from sim_replay.fitting.seabed.fit_seabed import WEIGHT_RIDGE, alike, fit_model, regression, told_of
+from sim_replay.fitting.seabed.haralick import haralick_features
 from sim_replay.fitting.seabed.samples import COVERS, Samples, kind_of_covers, pooled, samples_of
 from sim_replay.fitting.seabed.seabed_missions import KIND_OF, mission_scene
 from sim_replay.simulator.scene import Lawnmower, Scene, Seabed
-from sim_replay.studies.haralick import haralick_features
 
 Array = NDArray[np.float64]
 

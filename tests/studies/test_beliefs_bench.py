@@ -9,12 +9,12 @@ import pytest
 
 from auv_mcm.classify.beliefs import EVERYTHING, FRAME, N_SUBSETS, Array, subset, vacuous
 from auv_mcm.classify.evidence import ClassEvidence
-from auv_mcm.classify.shapes import Sphere
 from auv_mcm.cli import main
 from auv_mcm.confirm.region import SHADOW, Region
 from auv_mcm.confirm.snake import converge, settings_of, start_from_detection
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.records import ContactClass
+from auv_mcm.solids.shapes import Sphere
 from sim_replay.studies.beliefs import (
     HELD_OUT_SEED,
     Look,
@@ -35,7 +35,8 @@ from sim_replay.studies.beliefs import (
     reliability,
     shadow_evidence,
 )
-from sim_replay.studies.shapes import CORRELATION_AREA, closed_form_region
+from sim_replay.studies.shapes import CORRELATION_AREA
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 
 def sphere_region() -> Region:

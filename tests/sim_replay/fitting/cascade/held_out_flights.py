@@ -13,8 +13,8 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
 from sim_replay import scoring
-from sim_replay.benches.scenes import config_for
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.missions import config_for
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import read_scene

@@ -1,4 +1,4 @@
-"""The close look within the chain: what it adds to contacts, what it costs them when it is left out, and its budget."""
+"""Confirmation within the chain: what it adds to contacts, what it costs them when it is left out, and its budget."""
 
 from __future__ import annotations
 

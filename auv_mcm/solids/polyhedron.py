@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.slices import Array, Slice
+from auv_mcm.solids.slices import Array, Slice
 
 Faces: TypeAlias = tuple[tuple[int, ...], ...]
 

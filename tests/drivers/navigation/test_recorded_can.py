@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample
 from auv_mcm.settings.port_settings import NavUnitSettings
@@ -19,8 +20,7 @@ from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.n2k_messages import MESSAGES, decode, identifier_of
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_settings import NavMergeSettings
-from drivers.stamps import Stamp
-from sim_replay.recorded_can import RecordedMessage, read_can_log
+from tests.drivers.navigation.recorded_can import RecordedMessage, read_can_log
 
 Shared = Callable[[str], Path]
 # Messages and skipped lines of each log: a heading without a comment sign, and groups beyond 18 bits that a gateway made up.

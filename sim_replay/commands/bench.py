@@ -13,7 +13,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "waterfall": ("benches.chain", "the whole chain, cost per stage"),
     "detect": ("benches.detect", "the detector's cost per tile"),
     "simulate": ("benches.simulate", "the simulator's cost"),
-    "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of the close look adds"),
+    "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "froc": ("benches.froc", "every detector and each step after it, on missions held out from all training"),
     "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
     "snakes": ("studies.snakes", "contours, error beside time"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.classify.search import Box, Optima, apart, curvature_covariance, look_around, spread, walk
+from auv_mcm.solids.box_search import Box, Optima, apart, curvature_covariance, look_around, spread, walk
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.likelihood import row_sums
-from auv_mcm.classify.shapes import Cylinder
+from auv_mcm.solids.shapes import Cylinder
 from sim_replay.studies.hausdorff import contour_distance_m, shadow_mask
-from sim_replay.studies.shapes import closed_form_region
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 Mask = NDArray[np.bool_]
 ROW_M, COLUMN_M = 0.12, 0.06

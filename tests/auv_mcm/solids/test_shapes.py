@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from auv_mcm.classify.shapes import (
+from auv_mcm.solids.shapes import (
     Box,
     ConvexPolyhedron,
     Cylinder,

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.geometry.fence import circles_inside, runs_inside
 from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
-from auv_mcm.plan.fence import circles_inside, runs_inside
 from auv_mcm.plan.limits import turns_inside
 from tests.auv_mcm.plan.survey_worlds import LIMITS
 

@@ -20,8 +20,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from auv_mcm.classify.polyhedron import Faces, polyhedron_slice, require_convex
-from auv_mcm.classify.slices import Array, Slice, cone_slice, cylinder_slice, sphere_slice
+from auv_mcm.solids.polyhedron import Faces, polyhedron_slice, require_convex
+from auv_mcm.solids.slices import Array, Slice, cone_slice, cylinder_slice, sphere_slice
 
 Real: TypeAlias = float | NDArray[np.float64]
 
