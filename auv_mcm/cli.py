@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import io
 import os
 import sys
@@ -10,10 +11,10 @@ from collections.abc import Callable, Sequence
 
 from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
-from auv_mcm.commands import EXIT_CODES, Parser, augment, bench, calibrate, check, config, hil, replay, run, score, simulate, train
+from auv_mcm.commands import EXIT_CODES, Parser
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.shell.registry import COMMANDS, load
 
-_COMMANDS = (replay, run, simulate, augment, score, train, calibrate, check, config, hil, bench)
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
 _BENCH_EXTRA = {"pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed"}
 
@@ -81,8 +82,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"auv-mcm {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in _COMMANDS:
-        module.add(commands)
+    has_bench = importlib.util.find_spec("sim_replay") is not None
+    for name in COMMANDS.values():
+        if has_bench or not name.startswith("sim_replay."):
+            load(name)(commands)
     return parser
 
 

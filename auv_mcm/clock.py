@@ -1,9 +1,9 @@
-"""The only source of time. Live runs use the system's clocks; replay and tests advance theirs by hand."""
+"""The only source of time, and the time stamp of bytes."""
 
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class Clock(Protocol):
@@ -26,25 +26,11 @@ class SystemClock:
         return time.time()
 
 
-class ReplayClock:
-    """Time as a recorded mission tells it: `utc_s` is the last log time, `monotonic_s` the sum of its forward steps.
+class Stamp(NamedTuple):
+    """Time at which the last byte of a chunk was read, on both clocks of this computer.
 
-    A log whose time steps back sets UTC back, yet no measured duration becomes negative.
+    mono_ns: monotonic clock. utc_ns: nanoseconds since 1970, as this computer's clock showed them.
     """
 
-    def __init__(self, start_utc_s: float = 0.0) -> None:
-        self._utc_s = start_utc_s
-        self._monotonic_s = 0.0
-
-    def monotonic_s(self) -> float:
-        return self._monotonic_s
-
-    def utc_s(self) -> float:
-        return self._utc_s
-
-    def advance_to(self, utc_s: float) -> None:
-        """Set the clock to log time `utc_s`; a time that is not finite leaves it as it is."""
-        step_s = utc_s - self._utc_s
-        if -float("inf") < step_s < float("inf"):
-            self._utc_s = utc_s
-            self._monotonic_s += max(0.0, step_s)
+    mono_ns: int
+    utc_ns: int

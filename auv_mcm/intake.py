@@ -11,11 +11,10 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
-from auv_mcm.navigation import NavBuffer
-from auv_mcm.navigation_checks import AltitudeCheck
-from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
-from auv_mcm.waterfall.transfer import Transfer
+from auv_mcm.geometry.navigation import NavBuffer
+from auv_mcm.geometry.navigation_checks import AltitudeCheck
+from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack, Transfer
+from auv_mcm.settings.config import Config
 
 BLOCK_PINGS: Final = 32
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that

@@ -1,6 +1,6 @@
 """The one chain from pings and navigation to contacts: synchronous, deterministic, the same live and replayed.
 
-    events -> intake -> waterfall -> detection -> sea floor and coverage -> suppression -> close look -> ledger -> events
+    events -> intake -> waterfall -> detection -> sea floor and coverage -> suppression -> confirmation -> ledger -> events
 
 What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on threads,
 or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they cost.
@@ -19,16 +19,15 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.stage import is_worth_a_look, look_closely, passed_over
-from auv_mcm.config import Config
+from auv_mcm.clearance.coverage import Grid, cover_tile, placed_rows, uncovered
+from auv_mcm.confirmation import confirm_detection, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
-from auv_mcm.detect.stage import OVERLAP_M, TileDetections, detect_tile, worth_looking
+from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.suppress import Suppressor
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.plan.coverage import Grid, cover_tile, placed_rows, uncovered
 from auv_mcm.records import (
     SIDES,
     Contact,
@@ -44,11 +43,12 @@ from auv_mcm.records import (
     SourceEvent,
     Tile,
 )
-from auv_mcm.sample_checks import SampleCheck
-from auv_mcm.seabed.model import configured_seabed_model
-from auv_mcm.seabed.stage import seabed_cells
+from auv_mcm.seabed.seabed_cells import seabed_cells
+from auv_mcm.seabed.seabed_model import configured_seabed_model
+from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.law_watch import LawWatch, Verdict
-from auv_mcm.waterfall.stage import Waterfall
+from auv_mcm.waterfall.sample_checks import SampleCheck
+from auv_mcm.waterfall.waterfall import Waterfall
 
 
 class Pipeline:
@@ -56,7 +56,7 @@ class Pipeline:
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
     when another view joins them. With `exhaustive` the cascade has no budget, and tiles without a usable pixel are scored too. `detect`,
-    `look` and `seabed` take the place of detection in a tile, of the close look at a detection, and of the kinds of sea floor in a tile, to
+    `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the kinds of sea floor in a tile, to
     compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
 
@@ -90,7 +90,7 @@ class Pipeline:
         self._detect_in = detect or partial(detect_tile, config=config, model=model, exhaustive=exhaustive)
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
-        self._look_closely = look or partial(look_closely, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
+        self._look_closely = look or partial(confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
@@ -295,15 +295,15 @@ class Pipeline:
             return []
         detection, defect = defects[0]
         place = f"{detection.side}, ping {detection.ping_number}"
-        return [defect_notice(defect, "the close look", "That detection keeps the detector's p_mine; the mission goes on.", place)]
+        return [defect_notice(defect, "confirmation", "That detection keeps the detector's p_mine; the mission goes on.", place)]
 
     def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int, list[tuple[Detection, Defect]]]:
-        """The detections of one tile, looked at; how many more there were than may be; those on which the close look failed."""
+        """The detections of one tile, looked at; how many more there were than may be; those on which confirmation failed."""
         config = self._config.confirm
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
         # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
-        worthwhile = [config.min_p_mine <= 0.0 or is_worth_a_look(detection, self._odds, config) for detection in detections]
+        worthwhile = [config.min_p_mine <= 0.0 or is_worth_confirming(detection, self._odds, config) for detection in detections]
         best_first = sorted(
             (d for d, worth in zip(detections, worthwhile, strict=True) if worth), key=lambda d: (-d.p_mine, d.row, d.column)
         )
@@ -317,8 +317,8 @@ class Pipeline:
             found = detection.confirmation
             self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
             self._counts["confirm.rejected"] += found is not None and found.rejected
-        looked_at += [passed_over(detection, self._odds, "look_failed") for detection, _ in defects]
-        return looked_at + [passed_over(detection, self._odds, "over_budget") for detection in rest], len(rest), defects
+        looked_at += [without_confirmation(detection, self._odds, "look_failed") for detection, _ in defects]
+        return looked_at + [without_confirmation(detection, self._odds, "over_budget") for detection in rest], len(rest), defects
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

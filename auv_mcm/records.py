@@ -7,7 +7,7 @@ headings, bow up for positive pitch, starboard down for positive roll. An absent
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Literal, TypeAlias, get_args
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -37,6 +37,16 @@ class EchoTrace(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     samples: NDArray[Any]
     first_range_m: float
     spacing_m: float
+
+
+TransferKind: TypeAlias = Literal["amplitude", "intensity", "log"]
+
+
+class Transfer(NamedTuple):
+    """State how samples become intensity; `db_per_count` is NaN unless `kind` is "log"."""
+
+    kind: TransferKind
+    db_per_count: float = NAN
 
 
 class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -165,7 +175,7 @@ ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge
 
 
 class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.classify.shapes`.
+    """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.solids.shapes`.
 
     highlight, shadow: (n, 2) float64 outlines (row, column) in pixels of the detection's snippet; (0, 2) where there is none.
     """
@@ -178,7 +188,7 @@ class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What a close look at one detection found.
+    """What confirmation of one detection found.
 
     log_ratio: evidence for a mine against clutter, nats. shape_mass: (32,) float64 of `auv_mcm.classify.beliefs`, which kinds of
     mine it may be; mass: the same with log_ratio. half_turn_symmetric: the best solid looks alike from the opposite side. labels: (n, m)
@@ -217,8 +227,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
     codes of `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
     snippet_column: the centroid inside it.
-    covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone; p_by_step: after each step of the close look (`detector`,
-    `contours`, `shape`) that was taken. surroundings: until then. confirmation: None if there was no close look, which `reasons` tells.
+    covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone; p_by_step: after each step of confirmation (`detector`,
+    `contours`, `shape`) that was taken. surroundings: until then. confirmation: None if there was no confirmation, which `reasons` tells.
     """
 
     side: Side

@@ -14,8 +14,10 @@ say "ruff"
 .venv/bin/ruff format --check .
 say "mypy"
 .venv/bin/mypy
-say "pytest"
-.venv/bin/python -m pytest
+say "pytest, two files at a time"
+.venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 2 --dist loadfile
+say "pytest of the loop in hardware, which needs the computer to itself"
+.venv/bin/python -m pytest tests/hil
 say "auv-mcm check"
 .venv/bin/auv-mcm check
 

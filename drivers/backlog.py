@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
 
 TURN_S: Final = 0.01
 """Processor time for decoding in one turn of the event loop: signals, timers and other wires wait for no longer than this and one chunk."""

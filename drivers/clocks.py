@@ -13,8 +13,8 @@ import math
 from collections import Counter, deque
 from typing import Final, NamedTuple
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Notice
-from drivers.stamps import Stamp
 
 MILLISECOND_COUNTER_S: Final = 2**32 / 1000.0  # after which a 32-bit counter of milliseconds starts over
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from typing import Final, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
 
 M = TypeVar("M")
 M_co = TypeVar("M_co", covariant=True)
@@ -183,7 +183,7 @@ class Framer(Generic[M]):
         self._needed -= n_bytes
 
 
-class Arrived(NamedTuple, Generic[M]):
+class StampedMessage(NamedTuple, Generic[M]):
     """A message, when the chunk with its last byte was read, and the bytes on the wire from its first to the end of that chunk."""
 
     message: M
@@ -202,23 +202,23 @@ class StampedFramer(Generic[M]):
     def counters(self) -> Counter[str]:
         return self._framer.counters
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Arrived[M]]:
+    def feed(self, data: bytes, stamp: Stamp) -> list[StampedMessage[M]]:
         """The messages that a chunk completes, in order. stamp: when the chunk was read."""
         if not data:
             return []
         self._chunks.append((self._framer.n_fed + len(data), stamp))
         return self._stamped(self._framer.feed(data))
 
-    def finish(self) -> list[Arrived[M]]:
+    def finish(self) -> list[StampedMessage[M]]:
         """What the end of the stream leaves to be had."""
         return self._stamped(self._framer.finish())
 
-    def _stamped(self, found: list[Framed[M]]) -> list[Arrived[M]]:
+    def _stamped(self, found: list[Framed[M]]) -> list[StampedMessage[M]]:
         arrived = []
         for message, offset, n_bytes in found:
             self._forget_before(offset + n_bytes)
             chunk_end, stamp = self._chunks[0]
-            arrived.append(Arrived(message, stamp, chunk_end - offset))
+            arrived.append(StampedMessage(message, stamp, chunk_end - offset))
         self._forget_before(self._framer.held_from + 1)
         return arrived
 

@@ -12,20 +12,19 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from auv_mcm.check.finding import Finding, Verdict
-from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.config import Config, SonarConfig
-from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings
+from auv_mcm.clock import Clock, Stamp, SystemClock
+from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings
+from auv_mcm.shell.check.finding import Finding, Verdict
 from drivers.clocks import UtcAnchor
 from drivers.links.link import LinkState
 from drivers.links.tcp import CONNECT_S
 from drivers.links.uri import TcpAddress
-from drivers.navigation.registry import TEXT_PROTOCOLS
+from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
 from drivers.port_stream import PortStream
-from drivers.ports import PULSE, Port, open_to_all, read_ports
+from drivers.ports import PULSE, PortSettings, open_to_all, read_ports
 from drivers.source import open_link
-from drivers.stamps import Stamp
-from drivers.vehicle.registry import VEHICLES
+from drivers.vehicle.vehicles import VEHICLES
 
 LISTEN_S: Final = 4.0  # units send once a second and more, sonars ping every 2 s and more
 _OPEN_S: Final = CONNECT_S + 1.0
@@ -53,7 +52,7 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
 class _Listener:
     """Listens to one port and judges it."""
 
-    def __init__(self, port: Port, sonar: SonarConfig, clock: Clock) -> None:
+    def __init__(self, port: PortSettings, sonar: SonarConfig, clock: Clock) -> None:
         self._port = port
         self._sonar = sonar
         self._clock = clock
@@ -169,7 +168,7 @@ def _messages(stream: PortStream) -> int:
     return sum(count for name, count in stream.counters.items() if name.endswith(".messages"))
 
 
-def _others(port: Port) -> Iterable[str]:
+def _others(port: PortSettings) -> Iterable[str]:
     """The other devices that could be at such a link."""
     if port.is_bus:
         return [name for name, kind in VEHICLES.items() if kind.is_bus and name != port.device]

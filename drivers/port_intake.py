@@ -7,16 +7,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVarTuple
 
-from auv_mcm.config import Config
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Notice, Ping, SourceEvent
+from auv_mcm.settings.config import Config
 from drivers.heads import HeadPairer
 from drivers.navigation.merge import NavMerge
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.port_stream import PortStream, Told
 from drivers.ports import PULSE, merge_settings, read_ports
-from drivers.stamps import Stamp
 from drivers.utc import UtcReference
-from drivers.vehicle.seam import Said
+from drivers.vehicle.dialect import Said
 
 log = logging.getLogger(__name__)
 Ts = TypeVarTuple("Ts")

@@ -8,20 +8,20 @@ from typing import Final, Protocol, TypeAlias
 
 from msgspec import structs
 
-from auv_mcm.config import SonarConfig
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping
+from auv_mcm.settings.config import SonarConfig
 from drivers.clocks import DeviceClock, SourceClock, UtcAnchor, wire_delay_s
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.registry import CAN_PROTOCOL, text_decoder
-from drivers.navigation.seam import NavFix
-from drivers.ports import Port
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_protocols import CAN_PROTOCOL, text_decoder
+from drivers.ports import PortSettings
 from drivers.reading_watch import ReadingWatch
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarFrame, SonarReply
-from drivers.stamps import Stamp
-from drivers.vehicle.registry import VehicleSettings, decoder_of
-from drivers.vehicle.seam import Said
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply
+from drivers.sonar.sonars import sonar_named
+from drivers.vehicle.dialect import Said
+from drivers.vehicle.vehicles import VehicleSettings, decoder_of
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ class PortStream:
     counters: those of the device's decoder and clock, sonar.accepted, sonar.refused, sonar.second_side, decoder.failed.
     """
 
-    def __init__(self, port: Port, sonar: SonarConfig, utc: UtcAnchor) -> None:
+    def __init__(self, port: PortSettings, sonar: SonarConfig, utc: UtcAnchor) -> None:
         """utc: shared by all ports; followed before the bytes are fed."""
         self._port, self._sonar, self._utc = port, sonar, utc
         self._before: Counter[str] = Counter()  # of decoders that failed
@@ -136,7 +136,7 @@ class PortStream:
 
 
 class _UnitReader:
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: PortSettings) -> None:
         self._decoder = text_decoder(_SPOKEN.get(port.device, port.device), port.name)
 
     @property
@@ -181,7 +181,7 @@ class _BusReader:
 class _VehicleReader:
     """Where the vehicle says it is, if that is wanted, and on a bus what units say there. A talker takes what else it says from `heard`."""
 
-    def __init__(self, port: Port, settings: VehicleSettings) -> None:
+    def __init__(self, port: PortSettings, settings: VehicleSettings) -> None:
         self._port = port
         self.decoder = decoder_of(port.device, settings, port.name)
         self.heard: list[Said] = []
@@ -209,10 +209,10 @@ class _VehicleReader:
 
 
 class _SonarReader:
-    def __init__(self, port: Port, sonar: SonarConfig, utc: UtcAnchor) -> None:
+    def __init__(self, port: PortSettings, sonar: SonarConfig, utc: UtcAnchor) -> None:
         device = sonar_named(port.device)
         self._port, self._sonar = port, sonar
-        self._decoder = device.decoder()
+        self._decoder = device.decoder(sonar)
         self._device_clock = DeviceClock(f"port '{port.name}'", wrap_s=device.counter_period_s)
         self._clock = SourceClock(self._device_clock, utc)
         self._own: Counter[str] = Counter()
@@ -251,11 +251,12 @@ class _SonarReader:
         name = self._port.name
         traces = [trace for trace in (frame.port, frame.starboard) if trace is not None]
         far_m: float = max(trace.first_range_m + trace.spacing_m * (trace.samples.shape[0] - 0.5) for trace in traces)
-        delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + 2.0 * far_m / frame.sound_speed_mps
+        echo_s = 2.0 * far_m / frame.sound_speed_mps
+        delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + echo_s
         time = self._clock.time(frame.device_time_s, frame.received, delay_s=delay_s, number=frame.number)
         told: list[Told] = [] if time.notice is None else [time.notice]
         if frame.navigation is not None and self._port.unit is not None:
-            told.append(_fix(name, frame, frame.navigation))
+            told.append(_fix(name, frame, frame.navigation, echo_s))
         sound_speed_mps = self._sonar.sound_speed_mps or frame.sound_speed_mps
         port, starboard = (_rescaled(trace, sound_speed_mps / frame.sound_speed_mps) for trace in self._sides(frame))
         told.append(
@@ -291,12 +292,14 @@ def _rescaled(trace: EchoTrace | None, factor: float) -> EchoTrace | None:
     return structs.replace(trace, first_range_m=factor * trace.first_range_m, spacing_m=factor * trace.spacing_m)
 
 
-def _fix(source: str, frame: SonarFrame, told: NavSample) -> NavFix:
+def _fix(source: str, frame: SonarFrame, told: NavSample, echo_s: float) -> NavFix:
+    """The navigation of a sonar's message, which is that of the transmission: its echoes took echo_s to come back."""
     return NavFix(
         source=source,
         received=frame.received,
         n_bytes=frame.n_bytes,
         time_utc_s=frame.device_time_s if frame.device_time_is_utc else None,
+        age_s=echo_s,
         latitude_deg=told.latitude_deg,
         longitude_deg=told.longitude_deg,
         heading_rad=told.heading_rad,

@@ -7,18 +7,18 @@ from typing import Final, NamedTuple
 
 from msgspec import structs
 
-from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
-from auv_mcm.port_config import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
 from auv_mcm.records import Notice
-from auv_mcm.vehicle_config import VEHICLE_NAMES
+from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
 from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, UdpAddress, parse_link_uri
-from drivers.navigation.registry import CAN_PROTOCOL
-from drivers.navigation.settings import NavMergeSettings
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarSettings
+from drivers.navigation.nav_protocols import CAN_PROTOCOL
+from drivers.navigation.nav_settings import NavMergeSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from drivers.sonar.sonars import sonar_named
 from drivers.vehicle.guard import Guard
-from drivers.vehicle.registry import VEHICLES, VehicleSettings, settings_of
+from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, settings_of
 
 PULSE: Final = "pulse"
 """The device of a port that only says when a second begins."""
@@ -26,7 +26,7 @@ PULSE: Final = "pulse"
 _BUS_DEVICES: Final = {CAN_PROTOCOL, *(name for name, vehicle in VEHICLES.items() if vehicle.is_bus)}
 
 
-class Port(NamedTuple):
+class PortSettings(NamedTuple):
     """One wire and the device at its end.
 
     baud: of a serial line, None where bytes take no time. sides: what a sonar looks to. commands: what to send so that it pings as
@@ -51,16 +51,16 @@ class Port(NamedTuple):
         return isinstance(self.address, CanAddress | SlcanAddress)
 
 
-def read_ports(config: Config) -> tuple[Port, ...]:
+def read_ports(config: Config) -> tuple[PortSettings, ...]:
     """The ports of a configuration; a wire for commands is a port NAME.commands of its own, and one for pulses a port NAME.pulse.
 
     Raises UsageError, with the key's path, for a link or setting that its device cannot have, and for a fence that is no area.
     """
     Guard(config.vehicle)
-    return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]"))
+    return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]", config.sonar))
 
 
-def open_to_all(ports: Iterable[Port]) -> list[Notice]:
+def open_to_all(ports: Iterable[PortSettings]) -> list[Notice]:
     """Report the UDP ports that hear every sender, since no `peer` is named: none of the protocols says who speaks."""
     notices = []
     for port in ports:
@@ -75,7 +75,7 @@ def open_to_all(ports: Iterable[Port]) -> list[Notice]:
     return notices
 
 
-def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
+def merge_settings(config: Config, ports: tuple[PortSettings, ...]) -> NavMergeSettings:
     """How the navigation of all ports becomes one track."""
     return NavMergeSettings(
         units={port.name: port.unit for port in ports if port.unit is not None},
@@ -85,8 +85,8 @@ def merge_settings(config: Config, ports: tuple[Port, ...]) -> NavMergeSettings:
     )
 
 
-def _ports(port: PortConfig, key: str) -> tuple[Port, ...]:
-    served = _port(port, key)
+def _ports(port: PortConfig, key: str, sonar: SonarConfig) -> tuple[PortSettings, ...]:
+    served = _port(port, key, sonar.subsystem)
     if served.unit is not None and served.unit.pulse_link is not None:
         return served, _pulse(served, served.unit.pulse_link, f"{key}.navigation.pulse_link")
     if port.sonar is None or port.sonar.command_link is None:
@@ -96,7 +96,7 @@ def _ports(port: PortConfig, key: str) -> tuple[Port, ...]:
     return served._replace(commands=(), ask_every_s=None), commander
 
 
-def _port(port: PortConfig, key: str) -> Port:
+def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
     address = _address(port.link, f"{key}.link", port.device)
     baud = _baud(address)
     is_sonar = port.device in SONAR_NAMES
@@ -105,8 +105,8 @@ def _port(port: PortConfig, key: str) -> Port:
     if unit is not None and unit.baud is None:
         unit = structs.replace(unit, baud=baud)
     sonar = port.sonar or SonarPortConfig()
-    commands, asked = _commands(port, sonar, key) if is_sonar else ((), False)
-    return Port(
+    commands, asked = _commands(port, sonar, key, subsystem) if is_sonar else ((), False)
+    return PortSettings(
         name=port.name,
         device=port.device,
         address=address,
@@ -120,7 +120,7 @@ def _port(port: PortConfig, key: str) -> Port:
     )
 
 
-def _pulse(unit: Port, link: str, key: str) -> Port:
+def _pulse(unit: PortSettings, link: str, key: str) -> PortSettings:
     address = parse_link_uri(link, key)
     if not isinstance(address, PulseAddress):
         raise UsageError(f"{key} '{link}': that is no source of pulses; give it a pps:// link, e.g. pps:///dev/pps0")
@@ -141,7 +141,7 @@ def _baud(address: LinkAddress) -> int | None:
     return address.baud if isinstance(address, SerialAddress) else None
 
 
-def _commands(port: PortConfig, sonar: SonarPortConfig, key: str) -> tuple[tuple[bytes, ...], bool]:
+def _commands(port: PortConfig, sonar: SonarPortConfig, key: str, subsystem: int | None) -> tuple[tuple[bytes, ...], bool]:
     """What to send, and whether for each ping anew."""
     device = sonar_named(port.device)
     if sonar.range_m is None:
@@ -154,6 +154,7 @@ def _commands(port: PortConfig, sonar: SonarPortConfig, key: str) -> tuple[tuple
         gain=sonar.gain,
         n_samples=sonar.n_samples,
         sound_speed_mps=sonar.sound_speed_mps,
+        subsystem=subsystem,
     )
     try:
         return device.commands(settings), device.asked_per_ping

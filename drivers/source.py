@@ -14,29 +14,28 @@ from collections.abc import AsyncGenerator, Callable, Coroutine
 from functools import partial
 from typing import Any, Final
 
-from auv_mcm.clock import Clock
-from auv_mcm.config import Config
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, Ping, SourceEvent
-from auv_mcm.service import Record, SourceUri
+from auv_mcm.settings.config import Config
+from auv_mcm.source import Record, SourceUri
 from drivers.backlog import Backlog, Chunk
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
-from drivers.links.registry import byte_link, can_link
+from drivers.links.open_link import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can
-from drivers.ports import Port, open_to_all, read_ports
-from drivers.stamps import Stamp
-from drivers.vehicle.end import VehicleEnd
+from drivers.ports import PortSettings, open_to_all, read_ports
+from drivers.vehicle.dialect import Said
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.registry import talker_of
-from drivers.vehicle.seam import Said
+from drivers.vehicle.port_pilot import PortPilot
+from drivers.vehicle.vehicles import talker_of
 
 log = logging.getLogger(__name__)
 
 OnBytes = Callable[[bytes, Stamp], None]
 OnState = Callable[[LinkState, str], None]
-OpenLink = Callable[[Port, OnBytes, OnState, Clock], Link[bytes] | Link[CanFrame]]
+OpenLink = Callable[[PortSettings, OnBytes, OnState, Clock], Link[bytes] | Link[CanFrame]]
 
 _TICK_S: Final = 0.25
 _ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its settings with its supply
@@ -46,7 +45,7 @@ _RESTART_S: Final = 1.0
 _LAST_TURNS: Final = 50  # 0.5 s of decoding at the end
 
 
-def open_link(port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes] | Link[CanFrame]:
+def open_link(port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes] | Link[CanFrame]:
     """The link of a port; of a bus, each frame comes packed into bytes."""
     if port.is_bus:
         return can_link(port.address, lambda frame, stamp: on_bytes(pack_can(frame), stamp), on_state, clock)
@@ -70,7 +69,7 @@ class PortSource:
     counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent, port.NAME.commands_refused (by the wire),
     port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), port.NAME.bytes_undecoded (that found no room in a
     flood), source.ping_dropped and source.event_dropped. Of the vehicle's port, port.NAME.messages_sent and .messages_refused, and those
-    of `VehicleEnd` and of the vehicle's decoder.
+    of `PortPilot` and of the vehicle's decoder.
     """
 
     lossless = False
@@ -104,7 +103,7 @@ class PortSource:
         self._changed.set()
 
     @property
-    def vehicle(self) -> VehicleEnd | None:
+    def vehicle(self) -> PortPilot | None:
         """The vehicle's end, if one of the ports leads to it."""
         return None if self._vehicle_port is None else self._vehicle_port.vehicle
 
@@ -234,7 +233,7 @@ async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
 class _ServedPort:
     """One port while the source runs: its link kept up, its sonar told how to ping, its vehicle talked to, its states told to a person."""
 
-    def __init__(self, port: Port, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
+    def __init__(self, port: PortSettings, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
         self.name = port.name
         self._port = port
         self._source = source
@@ -245,12 +244,12 @@ class _ServedPort:
         self._links_before: Counter[str] = Counter()  # of links that failed
         self._is_open = False
         self._changed_ns = 0  # when the wire was opened or lost last
-        self.vehicle: VehicleEnd | None = None
+        self.vehicle: PortPilot | None = None
         if port.vehicle is not None:
             session = int(clock.utc_s()) & 0xFFFFFFFF
             talker = talker_of(port.device, port.vehicle, secrets.randbelow)
             pilot = Pilot(talker, config.vehicle, session=session, turn_radius_m=config.plan.turn_radius_m)
-            self.vehicle = VehicleEnd(port.name, pilot, self._send_to_vehicle, clock)
+            self.vehicle = PortPilot(port.name, pilot, self._send_to_vehicle, clock)
 
     @property
     def state(self) -> LinkState:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Notice
 from drivers.clocks import DeviceClock, PulseLabels, UtcAnchor, host_offset_ns, sentence_offset_ns, wire_delay_s
 from drivers.links.pulse import unpack_edge
-from drivers.navigation.seam import NavFix
-from drivers.ports import Port
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
+from drivers.ports import PortSettings
 
 _LOST_NS: Final = 10_000_000_000
 _AGREE_NS: Final = 200_000_000  # units send a sentence as late as that
@@ -26,7 +26,7 @@ class UtcReference:
     counters: utc.readings, utc.refused (in disagreement), utc.pulse.* of `PulseLabels`, utc.clock.* of `DeviceClock`.
     """
 
-    def __init__(self, unit: Port | None) -> None:
+    def __init__(self, unit: PortSettings | None) -> None:
         """unit: the port that gives UTC, None for this computer alone."""
         self.anchor = UtcAnchor("this computer")
         self._unit = unit
@@ -99,7 +99,7 @@ class UtcReference:
         self._agreed_ns = offset_ns
         return True
 
-    def _take(self, offset_ns: int, mono_ns: int, unit: Port) -> Notice:
+    def _take(self, offset_ns: int, mono_ns: int, unit: PortSettings) -> Notice:
         ahead_s = (mono_ns + offset_ns - self.anchor.utc_ns(mono_ns)) * 1e-9
         self._is_taken, self._is_lost = True, False
         self.anchor.take_over(f"port '{unit.name}'", offset_ns, mono_ns)
@@ -107,13 +107,13 @@ class UtcReference:
         text = f"UTC is that of the {what} of '{unit.name}' from now on, {ahead_s:+.3f} s from this computer's own"
         return Notice(code="utc_taken", text=text, place=unit.name, for_the_record=True)
 
-    def _back(self, unit: Port) -> Notice | None:
+    def _back(self, unit: PortSettings) -> Notice | None:
         if not self._is_lost:
             return None
         self._is_lost = False
         return Notice(code="utc_back", text=f"'{unit.name}' gives UTC again", place=unit.name)
 
-    def _lost(self, unit: Port) -> Notice:
+    def _lost(self, unit: PortSettings) -> Notice:
         what = "ZDA that names a pulse" if self._has_pulse else "ZDA with its date"
         goes_on = "goes on by this computer's crystal" if self._is_taken else "is this computer's own until it does"
         advice = "that it is set to send ZDA each second"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from auv_mcm.check.finding import Finding
+from auv_mcm.shell.check.finding import Finding
 from sim_replay.simulator import backend
 from sim_replay.simulator.speckle import gaussian_taps, row_keys, speckle_rows, speckle_rows_numpy
 

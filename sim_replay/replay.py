@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 
 from auv_mcm import __version__, kernels
 from auv_mcm.clean_text import clean
+from auv_mcm.clearance.clearance_map import ClearanceMap
+from auv_mcm.clearance.clearance_picture import clearance_png
+from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.config import Config, config_yaml
-from auv_mcm.contacts.export import best_view
+from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.picture import snippet_png
-from auv_mcm.outputs import (
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
+from auv_mcm.settings.config import Config, config_yaml
+from auv_mcm.shell.results import (
     Tally,
     area_totals,
     clearance_notices,
@@ -33,12 +38,8 @@ from auv_mcm.outputs import (
     write_results,
     write_snippets,
 )
-from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.clearance import ClearanceMap
-from auv_mcm.plan.clearance_picture import clearance_png
-from auv_mcm.plan.performance import configured_performance
-from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
-from sim_replay.recorded import CHUNK_BYTES, Pace, open_mission
+from sim_replay.logs.open_log import CHUNK_BYTES
+from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, write_report
 
 MAX_TRACK_POINTS: Final = 4000

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from auv_mcm.outputs import make_directory, write_json
 from auv_mcm.records import NavSample, Ping
+from auv_mcm.shell.results import make_directory, write_json
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import planned_legs
 from sim_replay.simulator.recording import sample_type
 from sim_replay.simulator.scene import Scene, Track
-from sim_replay.xtf_writer import write_xtf
 
 LOG_NAME: Final = "mission.xtf"
 TRUTH_NAME: Final = "truth.json"

@@ -1,4 +1,4 @@
-"""Plain measures of a close look that only trees weigh: as measured, in their units, unbounded, and told by themselves.
+"""Plain measures of confirmation that only trees weigh: as measured, in their units, unbounded, and told by themselves.
 
 A linear sum of them would let one outlier decide. Questions whether a measure is above a threshold take no harm from it.
 """

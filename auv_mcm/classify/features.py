@@ -1,4 +1,4 @@
-"""What the steps of a close look measure, as numbers of moderate size that log-odds can be weighed from.
+"""What the steps of confirmation measure, as numbers of moderate size that log-odds can be weighed from.
 
 Each step knows what those before it do. Evidence in nats is compressed, so that one very bright echo does not outvote all else.
 """

@@ -10,8 +10,6 @@ import numpy as np
 
 from auv_mcm.classify.evidence import size_plausibility
 from auv_mcm.classify.likelihood import beam_of, parameter_cost, row_sums
-from auv_mcm.classify.search import Array, Box, Optima, apart, curvature_covariance, look_around
-from auv_mcm.classify.shapes import Shape
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import (
     FIELDS,
@@ -28,6 +26,8 @@ from auv_mcm.kernels.shape import (
     up_to,
 )
 from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes
+from auv_mcm.solids.box_search import Array, Box, Optima, apart, curvature_covariance, look_around
+from auv_mcm.solids.shapes import Shape
 
 SOLIDS: Final = tuple(FIELDS)
 

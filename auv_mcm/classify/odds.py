@@ -1,4 +1,4 @@
-"""How likely a mine is after each step of a close look, and the belief mass that stands for it.
+"""How likely a mine is after each step of confirmation, and the belief mass that stands for it.
 
 Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), and boosted
 trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on simulated missions with seeds that nothing
@@ -105,7 +105,7 @@ def parse_odds(data: bytes, place: str) -> MineOdds:
     try:
         return msgspec.json.decode(data, type=MineOdds)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'python -m sim_replay.calibrate'") from error
+        raise BadInputError(f"{place}: {error}. Make the file anew with 'python -m sim_replay.fitting.odds'") from error
 
 
 def share_of_ratio(log_ratio: float) -> float:

@@ -1,4 +1,4 @@
-"""Words for the codes with which a close look at a detection says what it found, and on which side of the decision each stands.
+"""Words for the codes with which confirmation of a detection says what it found, and on which side of the decision each stands.
 
 The codes of detection itself have theirs in `auv_mcm.detect.belief`.
 """
@@ -14,9 +14,9 @@ Bearing: TypeAlias = Literal["for", "against", "note"]
 
 CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     # what was looked at
-    "not_looked_at": "the odds of a mine were too low for a close look",
+    "not_looked_at": "the odds of a mine were too low for confirmation",
     "over_budget": "there were more detections than may be looked at closely: this one keeps the detector's odds",
-    "look_failed": "the close look at it failed: this one keeps the detector's odds",
+    "look_failed": "confirmation at it failed: this one keeps the detector's odds",
     "views_contradict": "its views contradict each other so much that they may show two objects: the most mine-like one speaks for it",
     "region_too_small": "too few pixels around it to look at it closely",
     "geometry_unknown": "altitude or range is not known there, so that no height can be told",
@@ -56,7 +56,7 @@ _AGAINST: Final = REJECTING | {
 
 
 def in_words(code: str) -> str:
-    """What a code of detection or of a close look means; a code without an entry is told by its own name."""
+    """What a code of detection or of confirmation means; a code without an entry is told by its own name."""
     return REASONS.get(code) or CLOSE_LOOK_REASONS.get(code) or code.replace("_", " ")
 
 

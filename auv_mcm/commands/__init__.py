@@ -1,4 +1,4 @@
-"""The subcommands of auv-mcm, a module each, and what they share. Whatever is heavy they import when they run."""
+"""The subcommands of the payload, a module each, and what all subcommands share. Whatever is heavy they import when they run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 from auv_mcm.errors import UsageError
 
 if TYPE_CHECKING:
-    from auv_mcm.config import Config
+    from auv_mcm.settings.config import Config
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Namespace = TypeVar("Namespace")
@@ -68,17 +68,17 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 def read_config(path: Path | None) -> Config:
     """The configuration in a file, or the defaults. Raises UsageError for one that cannot be read or is not valid."""
-    from auv_mcm.config import Config, parse_config
-    from auv_mcm.strict_yaml import read_text
+    from auv_mcm.settings.config import Config, parse_config
+    from auv_mcm.settings.strict_yaml import read_text
 
     if path is None:
         return Config()
     config = parse_config(read_text(path, "configuration"), str(path))
     if config.ports:
-        from drivers.ports import read_ports
+        from auv_mcm.shell.registry import READ_PORTS, load
 
         try:
-            read_ports(config)
+            load(READ_PORTS)(config)
         except UsageError as error:
             raise UsageError(f"{path}: {error}") from error
     return config

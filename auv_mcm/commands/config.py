@@ -28,7 +28,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from auv_mcm.config import Config, config_schema, config_yaml
+    from auv_mcm.settings.config import Config, config_schema, config_yaml
 
     text = config_schema() if arguments.schema else config_yaml(Config())
     if arguments.schema or arguments.write == "-":

@@ -11,7 +11,7 @@ from auv_mcm.commands import Commands, add_config_option, command, read_config
 
 if TYPE_CHECKING:
     from auv_mcm.clock import Clock
-    from auv_mcm.config import Config
+    from auv_mcm.settings.config import Config
 
 
 def add(commands: Commands) -> None:
@@ -41,9 +41,9 @@ def add(commands: Commands) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.example or arguments.interface:
-        from drivers.interface import example_text, interface_text
+        from auv_mcm.shell.registry import PORTS_EXAMPLE, PORTS_INTERFACE, load
 
-        sys.stdout.write(example_text() if arguments.example else interface_text(read_config(arguments.config)))
+        sys.stdout.write(load(PORTS_EXAMPLE)() if arguments.example else load(PORTS_INTERFACE)(read_config(arguments.config)))
         return 0
 
     return run_service(read_config(arguments.config))
@@ -57,7 +57,7 @@ def run_service(config: Config, clock: Clock | None = None) -> int:
     import logging
 
     from auv_mcm.clean_text import CleanFormatter
-    from auv_mcm.service import serve
+    from auv_mcm.shell.service import serve
 
     formatter = CleanFormatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
     formatter.converter = time.gmtime

@@ -20,9 +20,10 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P, singleton_belief
+from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.antimeridian import split_line, split_ring
+from auv_mcm.contacts.contact import best_view, error_ellipse_ring_m, is_mine_like, sigma_m, view_reasons
 from auv_mcm.contacts.geojson import (
     DEGREE_DIGITS,
     METRE_DIGITS,
@@ -37,56 +38,15 @@ from auv_mcm.contacts.geojson import (
     rounded,
     rounded_longitude,
 )
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
 
-ELLIPSE_SIGMAS: Final = 2.0  # drawn error ellipses: 86 % of the probability of two normal axes lies inside
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-
-
-def is_mine_like(contact: Contact) -> bool:
-    return contact.p_mine >= MINE_LIKE_P
-
-
-def best_view(contact: Contact) -> Detection | None:
-    """The view with the greatest score, the earliest of equals: the one whose side, range and snippet stand for the contact."""
-    return max(contact.views, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=None)
 
 
 def snippet_path(contact: Contact) -> str:
     """Where a contact's picture lies, relative to the file that names it."""
     return f"snippets/{contact.id}.png"
-
-
-def sigma_m(contact: Contact) -> float:
-    """1-sigma horizontal position error: the semi-major axis of the 1-sigma error ellipse, NaN if the covariance is not known."""
-    return error_ellipse(contact)[0]
-
-
-def error_ellipse(contact: Contact) -> tuple[float, float, float]:
-    """1-sigma semi-major and semi-minor axis in metres and the major axis' direction in degrees clockwise from north, [0, 180)."""
-    covariance = np.asarray(contact.covariance_m2, dtype=np.float64)
-    if not np.isfinite(covariance).all():
-        return NAN, NAN, NAN
-    variances, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
-    minor_m, major_m = np.sqrt(np.maximum(variances, 0.0)).tolist()
-    return major_m, minor_m, math.degrees(math.atan2(axes[0, 1], axes[1, 1])) % 180.0
-
-
-def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_points: int = 36) -> NDArray[np.float64]:
-    """(n_points + 1, 2) east, north of a closed counter-clockwise error ellipse around the contact, in metres; NaN if not known."""
-    major_m, minor_m, direction_deg = error_ellipse(contact)
-    angle = np.linspace(0.0, 2.0 * np.pi, n_points + 1)
-    along, across = sigmas * major_m * np.cos(angle), -sigmas * minor_m * np.sin(angle)
-    sine, cosine = math.sin(math.radians(direction_deg)), math.cos(math.radians(direction_deg))
-    ring = np.column_stack([along * sine + across * cosine, along * cosine - across * sine])
-    ring[-1] = ring[0]
-    return ring
-
-
-def view_reasons(view: Detection) -> tuple[str, ...]:
-    """Codes of detection and of the close look, each once."""
-    return tuple(dict.fromkeys((*view.reasons, *(view.confirmation.reasons if view.confirmation else ()))))
 
 
 def iso_time(time_s: float) -> str | None:
@@ -109,7 +69,7 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
 
 
 def contacts_geojson_parts(contacts: Iterable[Contact]) -> Iterator[bytes]:
-    return collection_parts(map(_contact_feature, contacts))
+    return collection_parts(map(contact_feature, contacts))
 
 
 def coverage_geojson(patches: Iterable[CoveragePatch]) -> bytes:
@@ -200,7 +160,8 @@ def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterat
     yield "\n</Document>\n</kml>\n"
 
 
-def _contact_feature(contact: Contact) -> dict[str, Json]:
+def contact_feature(contact: Contact) -> dict[str, Json]:
+    """Describe a contact as a GeoJSON feature, with a null geometry where its position is not known."""
     view = best_view(contact)
     properties: dict[str, Json] = {
         "id": contact.id,

@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import wrap_longitude_deg
+from auv_mcm.geometry.geodesy import wrap_longitude_deg
 
 Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | int | None"
 

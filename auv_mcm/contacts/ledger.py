@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.dimensions import Dimensions, dimensions
 from auv_mcm.classify.fusion import fuse
-from auv_mcm.config import ContactsConfig
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, ContactClass, Detection, contact_id
+from auv_mcm.settings.config import ContactsConfig
 
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)

@@ -8,7 +8,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import DetectConfig
 from auv_mcm.detect.belief import contrast_odds
 from auv_mcm.detect.cascade.codes import Plane
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
@@ -17,6 +16,7 @@ from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
 from auv_mcm.detect.contrasts import Contrasts, contrasts
 from auv_mcm.detect.prescreen import NO_ECHO, Floor, Peak
 from auv_mcm.records import CONTRAST_SHARE, NAN, Tile
+from auv_mcm.settings.config import DetectConfig
 
 STEP_M: Final = 0.4
 """Peaks closer than this, along and across the track, are one candidate."""

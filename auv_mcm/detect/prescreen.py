@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.ftest import equivalent_looks, f_deviate
-from auv_mcm.integral import PaddedIntegral
+from auv_mcm.detect.integral import PaddedIntegral
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 
 # Along track, across track, metres.

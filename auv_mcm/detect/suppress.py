@@ -13,10 +13,10 @@ from typing import Final
 
 import msgspec
 
-from auv_mcm.config import DetectConfig
 from auv_mcm.detect.belief import crowding, odds_of, probability
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import Detection
+from auv_mcm.settings.config import DetectConfig
 
 _SURROUNDINGS_M: Final = 8.0
 _MAX_SHADOW_M: Final = 4.0

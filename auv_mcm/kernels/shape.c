@@ -1,6 +1,6 @@
 /* Costs of solids as explanations of an image, see shape.py for their definition.
  *
- * Slices are those of auv_mcm.classify.slices and polyhedron, one at a time instead of in arrays. Newton's methods start from simpler
+ * Slices are those of auv_mcm.solids.slices and polyhedron, one at a time instead of in arrays. Newton's methods start from simpler
  * bounds and go on until they stand still; as they close in from one side, that finds the same point.
  */
 

@@ -13,7 +13,7 @@ A beam of finite width sees several slices at once: then a row is cut wherever t
 is mu = sum of w_k mu_k over the shares w_k that slices of highlight, shadow and floor have in it. Fields of independent scatterers add
 in power, so echoes of a piece are Gamma distributed still. The means are improved by Fisher scoring of their logarithms.
 
-C and numpy agree to 1e-9 of the number of pixels; numpy asks auv_mcm.classify.shapes for the slices.
+C and numpy agree to 1e-9 of the number of pixels; numpy asks auv_mcm.solids.shapes for the slices.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
-from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
+from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 
 Array: TypeAlias = NDArray[np.float64]
 Solid: TypeAlias = Literal["sphere", "cylinder", "truncated_cone", "wedge"]

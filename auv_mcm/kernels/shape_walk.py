@@ -1,4 +1,4 @@
-"""Walks downhill over the parameters of a class of solids, as `auv_mcm.classify.search.walk` does over any cost.
+"""Walks downhill over the parameters of a class of solids, as `auv_mcm.solids.box_search.walk` does over any cost.
 
 A point holds a place along the slices, a ground range (m) and the class's own parameters. Each of the eight columns of the hypothesis it
 stands for is a product: a coefficient and two factors, out of 1, the point's values, and what its last value is above and below 0.
@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from auv_mcm import kernels
-from auv_mcm.classify.search import GROWTH, LEAST_STRIDE, SHRINKAGE, Box, Optima, best_first, directions, walk
 from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, RowSums, Solid, kind_of, shape_costs
+from auv_mcm.solids.box_search import GROWTH, LEAST_STRIDE, SHRINKAGE, Box, Optima, best_first, directions, walk
 
 ONE: Final = 0  # numbers of the factors; value k of a point is factor k + 1
 SUNK: Final = 7

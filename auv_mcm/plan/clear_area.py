@@ -15,10 +15,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.area import Area, area_state, in_plane, middles_m, over_area, plane_of
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel, look_bit
+from auv_mcm.clearance.area import Area, area_state, in_plane, middles_m, over_area, plane_of
+from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel, look_bit
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.limits import Limits, obstacle
 from auv_mcm.plan.look_again import LEAVES_LEG_M, PlanRequest, Proposal, Run
@@ -27,6 +26,7 @@ from auv_mcm.plan.reinspect import SETTLING_RADII, most_undecided
 from auv_mcm.plan.survey import Plan, World, replan
 from auv_mcm.plan.words import area_words
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
+from auv_mcm.settings.config import Config
 
 MOST_VAIN_PASSES: Final = 2
 TELLING_S: Final = 120.0  # after a leg, at most, until pings come that nothing of it is told after

@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel
+from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.tracks import RIGHT, enterable
 from auv_mcm.records import NAN, SEABED_TYPES, Contact

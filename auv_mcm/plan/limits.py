@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.geometry.fence import Flags, circles_inside
 from auv_mcm.plan.dubins import Pose
-from auv_mcm.plan.fence import Flags, circles_inside
 
 
 class Limits(NamedTuple):

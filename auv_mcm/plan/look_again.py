@@ -13,11 +13,11 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from auv_mcm.config import Config
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.area import AreaState
+from auv_mcm.clearance.area import AreaState
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.reinspect import Place, needs_second_look
 from auv_mcm.records import NAN, Contact, Notice, Waypoint
+from auv_mcm.settings.config import Config
 
 MOST_VAIN_LOOKS: Final = 2
 MOST_LOOKS: Final = 4

@@ -18,9 +18,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.plan.clearance import LookModel
+from auv_mcm.clearance.clearance_map import LookModel
+from auv_mcm.geometry.fence import runs_inside
 from auv_mcm.plan.dubins import DubinsPath, Flags, Pose, dubins_lengths, dubins_paths, sample_path
-from auv_mcm.plan.fence import runs_inside
 from auv_mcm.plan.limits import Limits, turns_inside
 from auv_mcm.plan.tour import richest_tour, short_tour, tour_length
 from auv_mcm.plan.tracks import Cells, Tracks, enterable, half_extent_m

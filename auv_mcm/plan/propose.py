@@ -6,14 +6,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from auv_mcm.config import PlanConfig
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.area import in_plane
-from auv_mcm.plan.fence import Points, circles_inside, runs_inside
+from auv_mcm.clearance.area import in_plane
+from auv_mcm.geometry.fence import Points, circles_inside, runs_inside
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 
 
 def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig, vehicle: VehicleConfig) -> Proposal:

@@ -15,12 +15,12 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import PlanConfig
 from auv_mcm.errors import BadInputError
-from auv_mcm.geodesy import LocalFrame, local_to_ecef_rotation
+from auv_mcm.geometry.geodesy import LocalFrame, local_to_ecef_rotation
 from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
 from auv_mcm.records import Contact, Waypoint
+from auv_mcm.settings.config import PlanConfig
 
 Place: TypeAlias = tuple[float, float]
 """Latitude and longitude, degrees."""

@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import Clearance, LookModel
+from auv_mcm.clearance.clearance_map import Clearance, LookModel
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
 from auv_mcm.plan.dubins import Pose, sample_path
 from auv_mcm.plan.limits import Limits, obstacle
@@ -36,7 +36,7 @@ from auv_mcm.plan.reinspect import on_the_globe
 from auv_mcm.plan.search import NEARLY_ALL, searched, wanting_m2_of
 from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
 from auv_mcm.plan.words import area_words, contact_words, survey_words
-from auv_mcm.records import NAN, SEABED_TYPES, Contact, Waypoint
+from auv_mcm.records import Contact, Waypoint
 
 HIGHEST_REQUIRED: Final = 0.999
 BETTER: Final = 1.1  # a new plan has to be to replace one that is being sailed
@@ -86,42 +86,6 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     verdict: str = ""
 
 
-def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: float) -> Clearance:
-    """The clearance before anything was seen: no cells yet."""
-    return Clearance(
-        origin_latitude_deg=origin_latitude_deg,
-        origin_longitude_deg=origin_longitude_deg,
-        cell_m=cell_m,
-        first_east=0,
-        first_north=0,
-        exponent=np.zeros((0, 0)),
-        looks=np.zeros((0, 0), dtype=np.uint8),
-        towards=np.zeros((0, 0), dtype=np.uint64),
-        seabed=np.zeros((0, 0), dtype=np.uint8),
-        ripple_rad=np.zeros((0, 0), dtype=np.float32),
-        wavelength_m=np.zeros((0, 0), dtype=np.float32),
-        altitude_m=np.zeros((0, 0), dtype=np.float32),
-    )
-
-
-def clearance_over(clearance: Clearance, first_east: int, first_north: int, shape: tuple[int, int]) -> Clearance:
-    """The same over a box of (n_north, n_east) cells, of which the clearance may know some or none; what lies outside is left out."""
-    row, column = clearance.first_north - first_north, clearance.first_east - first_east
-    n_north, n_east = clearance.looks.shape
-    rows = slice(max(row, 0), max(min(row + n_north, shape[0]), 0))
-    columns = slice(max(column, 0), max(min(column + n_east, shape[1]), 0))
-
-    def laid(layer: NDArray[np.generic], outside: float) -> NDArray[np.generic]:
-        box = np.full(shape, outside, dtype=layer.dtype)
-        box[rows, columns] = layer[rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)]
-        return box
-
-    outside = {"exponent": 0.0, "looks": 0.0, "towards": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
-    outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
-    layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
-    return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)
-
-
 def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
     """The plan from here. It gets better as long as `more_time` says so, asked first when the first legs are known; equal input and equal
     answers give equal plans.
@@ -130,7 +94,9 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
     Raises ValueError for an area whose shape is not the clearance's, or a required probability outside (0, HIGHEST_REQUIRED].
     """
     if world.area.shape != world.clearance.looks.shape:
-        raise ValueError(f"area {world.area.shape} and clearance {world.clearance.looks.shape} are not laid out alike: use clearance_over")
+        raise ValueError(
+            f"area {world.area.shape} and clearance {world.clearance.looks.shape} are not laid out alike: use clearance_map.clearance_over"
+        )
     if not 0.0 < world.required <= HIGHEST_REQUIRED:
         raise ValueError(f"required probability {world.required} is outside (0, {HIGHEST_REQUIRED}]")
     wanted = -math.log1p(-world.required)

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from auv_mcm.plan.clearance import HIGHEST_P, N_LOOKS, LookModel, look_bit
+from auv_mcm.clearance.clearance_map import HIGHEST_P, N_LOOKS, LookModel, look_bit
+from auv_mcm.geometry.fence import circles_inside, runs_inside
 from auv_mcm.plan.dubins import Pose
-from auv_mcm.plan.fence import circles_inside, runs_inside
 from auv_mcm.plan.limits import Limits, turns_inside
 
 Array = NDArray[np.float64]

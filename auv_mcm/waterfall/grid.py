@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.geometry.navigation import interpolate_track
 from auv_mcm.kernels.waterfall import average_rows
-from auv_mcm.navigation import interpolate_track
 from auv_mcm.records import PoseTrack, Side
 
 _MIN_ROW_COVER = 0.5

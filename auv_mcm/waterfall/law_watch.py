@@ -14,11 +14,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import SonarConfig
-from auv_mcm.records import NAN, EchoTrace, Notice, Ping
+from auv_mcm.records import NAN, EchoTrace, Notice, Ping, Transfer, TransferKind
+from auv_mcm.settings.config import SonarConfig
 from auv_mcm.waterfall.law import LAWS, USUAL_DB_PER_COUNT, Law, LawOdds, weigh_laws
 from auv_mcm.waterfall.speckle import BLOCK_PINGS, Regions, measure_regions, summarise
-from auv_mcm.waterfall.transfer import Transfer, TransferKind
 
 DECIDE_PINGS: Final = 256
 _MAX_PINGS: Final = 512  # where the first do not decide

@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.records import EchoTrace, Side
-from auv_mcm.waterfall.transfer import Transfer, to_intensity
+from auv_mcm.records import EchoTrace, Side, Transfer
+from auv_mcm.waterfall.transfer import to_intensity
 
 _SATURATION_FRACTION: Final = 0.98
 _FLAT_LOG_VARIANCE: Final = 0.02  # sixty-four looks of pure speckle still have 0.016, and a real trace a range profile on top

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import WaterfallConfig
 from auv_mcm.kernels.waterfall import normalise
 from auv_mcm.records import SATURATED, SIDES, VALID, Side, Tile
+from auv_mcm.settings.config import WaterfallConfig
 from auv_mcm.waterfall.grid import LEVEL_COLUMNS, SideImage, Swath, concatenate_swaths, slice_swath
 from auv_mcm.waterfall.radiometry import local_mean
 

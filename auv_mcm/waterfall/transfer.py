@@ -5,24 +5,15 @@ Which of them it is, where nobody says, `law` weighs and `law_watch` decides.
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.records import NAN
+from auv_mcm.records import Transfer
 
 _MAX_AMPLITUDE: Final = np.float64(1e19)  # in double precision, so that half-precision samples compare too
 _MAX_INTENSITY: Final = np.float64(1e38)
-
-TransferKind = Literal["amplitude", "intensity", "log"]
-
-
-class Transfer(NamedTuple):
-    """How samples become intensity; `db_per_count` is NaN unless `kind` is "log"."""
-
-    kind: TransferKind
-    db_per_count: float = NAN
 
 
 def to_intensity(samples: NDArray[Any], transfer: Transfer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

@@ -9,9 +9,8 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
 
-from auv_mcm.clock import Clock
+from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import HardwareError
-from drivers.stamps import Stamp
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +25,7 @@ _RETURN_POLL_S: Final = 0.02  # a look at whether a path is there costs microsec
 _LOOKS_PER_SILENCE: Final = 4
 
 
-class Port(Protocol[T]):
+class Wire(Protocol[T]):
     """An open wire that carries T: bytes or CAN frames. Nothing here blocks; what fails raises HardwareError and nothing else.
 
     note: what a person should know of how it opened, "" for nothing. pause_s: after a read that brought something, how long to let more
@@ -83,7 +82,7 @@ class Link(Generic[T]):
     def __init__(
         self,
         place: str,
-        open_port: Callable[[Counter[str]], Awaitable[Port[T]]],
+        open_port: Callable[[Counter[str]], Awaitable[Wire[T]]],
         on_data: Callable[[T, Stamp], None],
         on_state: OnState,
         clock: Clock,
@@ -99,7 +98,7 @@ class Link(Generic[T]):
         self._clock = clock
         self._silent_after_s = silent_after_s
         self._told: tuple[LinkState, str] = ("down", "")
-        self._port: Port[T] | None = None
+        self._port: Wire[T] | None = None
         self._gone = asyncio.Event()
         self._writer_waits = False
         self._next_read: asyncio.TimerHandle | None = None  # while bytes gather, else the port is listened to
@@ -166,7 +165,7 @@ class Link(Generic[T]):
             self._detach()
             port.close()
 
-    async def _watch(self, port: Port[T]) -> None:
+    async def _watch(self, port: Wire[T]) -> None:
         polled = port.fileno() < 0
         pause_s = _POLL_S if polled else self._silent_after_s / _LOOKS_PER_SILENCE
         gone = asyncio.ensure_future(self._gone.wait())
@@ -211,7 +210,7 @@ class Link(Generic[T]):
             self._next_read = None
             asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
 
-    def _read(self, port: Port[T]) -> bool:
+    def _read(self, port: Wire[T]) -> bool:
         """Hand on what has come; did anything?"""
         self.counters["link.reads"] += 1
         try:
@@ -241,7 +240,7 @@ class Link(Generic[T]):
         except HardwareError as error:
             self._lose(str(error))
 
-    def _follow_writer(self, port: Port[T]) -> None:
+    def _follow_writer(self, port: Wire[T]) -> None:
         """Wait for the wire to take more exactly while something waits."""
         if port is not self._port or port.has_unsent == self._writer_waits:
             return

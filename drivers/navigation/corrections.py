@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
-from auv_mcm.port_config import NavUnitSettings, Quantity
+from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 from auv_mcm.records import NAN
-from drivers.navigation.seam import NavFix
+from auv_mcm.settings.port_settings import NavUnitSettings, Quantity
+from drivers.navigation.nav_decoder import NavFix
 
 _TURN: Final = 2.0 * math.pi
 _MAX_DEPTH_M: Final = 12_000.0

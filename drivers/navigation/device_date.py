@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
 
 DAY_S: Final = 86_400.0
 

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.candidates import Candidates
-from drivers.framing import Arrived, Grammar, StampedFramer
-from drivers.navigation.seam import NavFix
-from drivers.stamps import Stamp
+from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.navigation.nav_decoder import NavFix
 
 _MAX_LINE_BYTES: Final = 128
 _BODY: Final = rb"[\x20-\x39\x3b-\x7e]"
@@ -132,7 +132,7 @@ class Pd6Unit:
         self._source = source
         self._framer = StampedFramer(LineGrammar())
         self._own: Counter[str] = Counter()
-        self._first: Arrived[tuple[str, str]] | None = None
+        self._first: StampedMessage[tuple[str, str]] | None = None
         self._group: dict[type, Any] = {}
 
     @property
@@ -147,7 +147,7 @@ class Pd6Unit:
         """What waits for more, at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._add(arrived)] + self._end()
 
-    def _add(self, arrived: Arrived[tuple[str, str]]) -> list[NavFix]:
+    def _add(self, arrived: StampedMessage[tuple[str, str]]) -> list[NavFix]:
         try:
             line = parse_line(*arrived.message)
         except ValueError:

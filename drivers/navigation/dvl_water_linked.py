@@ -10,11 +10,11 @@ import re
 from collections import Counter
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.candidates import Candidates
-from drivers.framing import Arrived, Grammar, StampedFramer
-from drivers.navigation.seam import NavFix
-from drivers.stamps import Stamp
+from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.navigation.nav_decoder import NavFix
 
 _MAX_MESSAGE_BYTES: Final = 384
 _BODY: Final = rb"[\x20-\x29\x2b-\x76\x78-\x7e]"
@@ -117,7 +117,7 @@ class WaterLinkedUnit:
         """What waits for more, at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)]
 
-    def _fixes(self, arrived: Arrived[str]) -> list[NavFix]:
+    def _fixes(self, arrived: StampedMessage[str]) -> list[NavFix]:
         try:
             record = parse(arrived.message)
         except ValueError:

@@ -14,9 +14,10 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from msgspec import structs
 
-from auv_mcm.fix_agreement import FixAgreement
-from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
+from auv_mcm.clock import Stamp
+from auv_mcm.geometry.fix_agreement import FixAgreement
 from auv_mcm.records import NAN, NavSample, Notice
+from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.clocks import DeviceClock, wire_delay_s
 from drivers.navigation.corrections import (
     Attitude,
@@ -31,10 +32,9 @@ from drivers.navigation.corrections import (
 )
 from drivers.navigation.gnss_watch import Doubt, GnssWatch
 from drivers.navigation.health import Fallback, UnitHealth
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
-from drivers.navigation.seam import NavFix
-from drivers.navigation.settings import NavMergeSettings
-from drivers.stamps import Stamp
 
 Event: TypeAlias = NavSample | Notice
 
@@ -244,7 +244,7 @@ class NavMerge:
         clock = self._clocks.get(fix.source)
         if clock is None:
             clock = self._clocks[fix.source] = DeviceClock(f"navigation unit '{fix.source}'")
-        told = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s)
+        told = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s + fix.age_s)
         if told.notice is not None:
             self.counters[f"nav.clock_anchored_anew.{fix.source}"] += 1
             events.append(told.notice)

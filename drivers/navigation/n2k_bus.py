@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.navigation.device_date import DAY_S
 from drivers.navigation.n2k_fast_packet import FastPackets
@@ -25,8 +26,7 @@ from drivers.navigation.n2k_messages import (
     decode,
     identifier_of,
 )
-from drivers.navigation.seam import NavFix
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
 
 _MAX_NAMES: Final = 512
 _NO_ADDRESS: Final = 254

@@ -6,14 +6,14 @@ import math
 from collections import Counter
 from typing import Any, Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.framing import Arrived, StampedFramer
+from drivers.framing import StampedFramer, StampedMessage
 from drivers.navigation.device_date import DeviceDate
+from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.pixse import PIXSE_RECORDS, Burst
-from drivers.navigation.seam import NavFix
 from drivers.navigation.sentences import Dbt, Dpt, Gga, Gll, Hdt, Pashr, Prdid, Rmc, Vtg, Zda, parse
-from drivers.stamps import Stamp
 
 # How many sentences of other kinds may pass before a heading is taken not to belong to an inertial unit's bursts.
 _BURST_SENTENCES: Final = 32
@@ -48,7 +48,7 @@ class NmeaUnit:
         """What waits for more, at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)] + self._burst.end()
 
-    def _fixes(self, arrived: Arrived[str]) -> list[NavFix]:
+    def _fixes(self, arrived: StampedMessage[str]) -> list[NavFix]:
         try:
             record = parse(arrived.message)
         except ValueError:

@@ -6,9 +6,9 @@ import math
 from typing import Any, Final
 
 from auv_mcm.records import NAN
-from drivers.framing import Arrived
+from drivers.framing import StampedMessage
 from drivers.navigation.device_date import DeviceDate
-from drivers.navigation.seam import NavFix
+from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.sentences import (
     Hdt,
     PixseAttitude,
@@ -43,11 +43,11 @@ class Burst:
     def __init__(self, source: str, date: DeviceDate) -> None:
         self._source = source
         self._date = date
-        self._first: Arrived[str] | None = None
+        self._first: StampedMessage[str] | None = None
         self._records: dict[type, Any] = {}
         self._sigma: dict[str, Any] = {}
 
-    def add(self, record: Any, arrived: Arrived[str]) -> list[NavFix]:
+    def add(self, record: Any, arrived: StampedMessage[str]) -> list[NavFix]:
         """Take one record of PIXSE_RECORDS or a heading; the fixes that became complete."""
         match record:
             case PixseAttitudeSigma():

@@ -12,13 +12,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
 from drivers.candidates import Candidates
-from drivers.framing import Arrived, Grammar, StampedFramer
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
-from drivers.sonar.settings import check_settings
-from drivers.stamps import Stamp
+from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonar_settings import check_settings
 
 COMMAND_BYTES: Final = 27
 RETURN_BYTES: Final = 413
@@ -161,7 +161,7 @@ class SportScanDecoder:
     def finish(self) -> list[SonarFrame | SonarReply]:
         return [self._frame(arrived) for arrived in self._framer.finish()]
 
-    def _frame(self, arrived: Arrived[IgxReturn]) -> SonarFrame:
+    def _frame(self, arrived: StampedMessage[IgxReturn]) -> SonarFrame:
         ping = arrived.message
         if ping.status & _OVERRUN:
             self.counters["sportscan.command_overrun"] += 1

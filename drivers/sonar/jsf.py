@@ -8,8 +8,9 @@ from collections import Counter
 from struct import Struct
 from typing import Final
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, EchoTrace, NavSample
-from drivers.framing import Arrived, Grammar, Refused, StampedFramer
+from drivers.framing import Grammar, Refused, StampedFramer, StampedMessage
 from drivers.sonar.jsf_messages import (
     DATA_HEADER_BYTES,
     HEADER,
@@ -35,11 +36,11 @@ from drivers.sonar.jsf_messages import (
     told_data_bytes,
 )
 from drivers.sonar.pairing import SidePairer
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
-from drivers.sonar.settings import check_settings
-from drivers.stamps import Stamp
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonar_settings import check_settings
 
 HIGH_FREQUENCY: Final = 21  # subsystem
+SIDE_SCAN_SUBSYSTEMS: Final = (20, 21, 22)  # low, high, very high frequency
 MAX_RANGE_M: Final = 500.0
 MAX_GAIN: Final = 100
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
@@ -50,10 +51,10 @@ _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
 _TOLD_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
 _MAX_WEIGHTING: Final = 40
 _MAX_RANGE_TOLD_M: Final = 2000.0
-_SIDE_SCANS: Final = (20, 21, 22)
 _NAVIGATION: Final = Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
 _KNOT_MPS: Final = 1852.0 / 3600.0
 _SAME_SPEED_MPS: Final = 0.5
+_REPEATED_S: Final = 1.25  # between the second of slow receivers and the 1.5 s after which a unit without a new position counts as lost
 
 # Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below _MAX_BODY_BYTES.
 _AFTER_SYNC: Final = (
@@ -142,7 +143,8 @@ class JsfDecoder:
     """Data messages of one subsystem become frames of amplitude, both sides joined; answers become replies; others are counted.
 
     Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second, so that
-    consecutive pings keep one sample layout; 1500 m/s where it tells none.
+    consecutive pings keep one sample layout; 1500 m/s where it tells none. Messages repeat the position until the topside has a new one:
+    a repeated one is no fix for 1.25 s, so that the track runs between fixes and not in steps.
     """
 
     def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
@@ -151,6 +153,7 @@ class JsfDecoder:
         self._pairer = SidePairer(self._framer.counters)
         self._subsystem = subsystem
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
+        self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first told
 
     @property
     def counters(self) -> Counter[str]:
@@ -162,7 +165,7 @@ class JsfDecoder:
     def finish(self) -> list[SonarFrame | SonarReply]:
         return [*self._decoded(self._framer.finish()), *self._pairer.finish()]
 
-    def _decoded(self, messages: list[Arrived[JsfMessage]]) -> list[SonarFrame | SonarReply]:
+    def _decoded(self, messages: list[StampedMessage[JsfMessage]]) -> list[SonarFrame | SonarReply]:
         found: list[SonarFrame | SonarReply] = []
         for arrived in messages:
             message = arrived.message
@@ -171,13 +174,13 @@ class JsfDecoder:
             elif message.message_type != SIDE_SCAN:
                 self.counters["jsf.other_messages"] += 1
             elif message.subsystem != self._subsystem or message.channel not in (PORT, STARBOARD):
-                name = f"subsystem_{message.subsystem}" if message.subsystem in _SIDE_SCANS else "other_subsystem"
+                name = f"subsystem_{message.subsystem}" if message.subsystem in SIDE_SCAN_SUBSYSTEMS else "other_subsystem"
                 self.counters[f"jsf.not_used.{name}"] += 1
             else:
                 found += self._frames(arrived)
         return found
 
-    def _frames(self, arrived: Arrived[JsfMessage]) -> list[SonarFrame]:
+    def _frames(self, arrived: StampedMessage[JsfMessage]) -> list[SonarFrame]:
         data = decode_data(arrived.message.body)
         assert data is not None, "the framer lets no shorter body pass"
         header = data.header
@@ -202,9 +205,18 @@ class JsfDecoder:
             altitude_m=altitude_m if altitude_m > 0.0 else NAN,
             device_time_s=time_s,
             device_time_is_utc=time_s is not None,
-            navigation=_navigation(header, NAN if time_s is None else time_s),
+            navigation=_navigation(header, NAN if time_s is None else time_s, is_fix=self._is_fix(header)),
         )
         return self._pairer.add(frame)
+
+    def _is_fix(self, header: SideScanHeader) -> bool:
+        """Whether a message's position is more than that of a message before repeated."""
+        place = header.longitude, header.latitude
+        if self._fix is not None and self._fix[:2] == place and 0.0 < header.utc_s - self._fix[2] < _REPEATED_S:
+            self.counters["jsf.repeated_position"] += 1
+            return False
+        self._fix = *place, header.utc_s
+        return True
 
     def _range_speed_mps(self, header: SideScanHeader) -> float:
         told = header.sound_speed_mps
@@ -215,12 +227,13 @@ class JsfDecoder:
         return self._sound_speed_mps
 
 
-def commands(settings: SonarSettings, subsystem: int = HIGH_FREQUENCY) -> tuple[bytes, ...]:
+def commands(settings: SonarSettings) -> tuple[bytes, ...]:
     """What to send on the command link so that the subsystem pings like this; without a gain, its own is kept.
 
     The number of samples and the sound speed are the sonar's own affair. Raises UsageError for what it cannot do.
     """
     check_settings(settings, "jsf", max_range_m=MAX_RANGE_M, max_gain=MAX_GAIN)
+    subsystem = settings.subsystem or HIGH_FREQUENCY
     parts = [set_value(PING_RANGE, round(1e3 * settings.range_m), subsystem)]
     if settings.gain is not None:
         parts.append(set_value(PING_GAIN, settings.gain, subsystem))
@@ -243,12 +256,12 @@ def _valued(header: SideScanHeader, field: int, value: float) -> float:
     return value if header.validity & field else NAN
 
 
-def _navigation(header: SideScanHeader, time_s: float) -> NavSample | None:
-    """What the message tells about the vehicle; None if nothing. Pitch is bow up, roll port up."""
+def _navigation(header: SideScanHeader, time_s: float, *, is_fix: bool) -> NavSample | None:
+    """What the message tells about the vehicle; None if nothing. Pitch is bow up, roll port up. is_fix: its position is a new one."""
     if not header.validity & _NAVIGATION:
         return None
     latitude_deg = longitude_deg = NAN
-    if header.validity & Validity.POSITION and header.units == Units.ARC_MINUTES_1E_4:
+    if is_fix and header.validity & Validity.POSITION and header.units == Units.ARC_MINUTES_1E_4:
         latitude_deg, longitude_deg = header.latitude / 600_000.0, header.longitude / 600_000.0
         if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
             latitude_deg = longitude_deg = NAN
@@ -265,7 +278,7 @@ def _navigation(header: SideScanHeader, time_s: float) -> NavSample | None:
     )
 
 
-def _reply(arrived: Arrived[JsfMessage]) -> SonarReply:
+def _reply(arrived: StampedMessage[JsfMessage]) -> SonarReply:
     message = arrived.message
     accepted = message.command == Command.REPLY
     return SonarReply(

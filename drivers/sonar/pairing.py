@@ -6,7 +6,7 @@ from collections import Counter
 
 from msgspec import structs
 
-from drivers.sonar.seam import SonarFrame
+from drivers.sonar.sonar_decoder import SonarFrame
 
 
 class SidePairer:

@@ -21,6 +21,7 @@ CHECKSUM_BYTES: Final = 2
 ACK, NACK, ASCII_TEXT, DEVICE_INFORMATION, PROTOCOL_VERSION, GENERAL_REQUEST, JSON_WRAPPER = 1, 2, 3, 4, 5, 6, 10
 SET_SPEED_OF_SOUND, OLD_SET_SPEED_OF_SOUND = 116, 1002  # devices made before the spring of 2026 know the old number
 OS_PING_PARAMS, OS_MONO_PROFILE = 2197, 2198
+NMEA_WRAPPER, MAVLINK_WRAPPER = 109, 150  # in logs of SonarView (Cerulean, "Cerulean Ping Protocol", General Packet Definitions)
 
 PROFILE_HEADER: Final = Struct("<5I3HBB6f")
 N_RESULTS_OFFSET: Final = 22  # of the profile's payload, u16

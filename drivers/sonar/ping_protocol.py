@@ -13,9 +13,10 @@ from typing import Final
 
 import numpy as np
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
-from drivers.framing import Arrived, Grammar, Refused, StampedFramer
+from drivers.framing import Grammar, Refused, StampedFramer, StampedMessage
 from drivers.running_sum import RunningSum
 from drivers.sonar.pairing import SidePairer
 from drivers.sonar.ping_messages import (
@@ -45,9 +46,8 @@ from drivers.sonar.ping_messages import (
     encode,
     linear_power,
 )
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
-from drivers.sonar.settings import check_settings
-from drivers.stamps import Stamp
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonar_settings import check_settings
 
 MAX_GAIN: Final = 7
 MAX_RANGE_M: Final = 200.0
@@ -149,7 +149,7 @@ class PingDecoder:
     def finish(self) -> list[SonarFrame | SonarReply]:
         return [*self._decoded(self._framer.finish()), *self._pairer.finish()]
 
-    def _decoded(self, messages: list[Arrived[PingMessage]]) -> list[SonarFrame | SonarReply]:
+    def _decoded(self, messages: list[StampedMessage[PingMessage]]) -> list[SonarFrame | SonarReply]:
         found: list[SonarFrame | SonarReply] = []
         for arrived in messages:
             message_id = arrived.message.message_id
@@ -161,7 +161,7 @@ class PingDecoder:
                 self.counters["ping_protocol.other_messages"] += 1
         return found
 
-    def _frames(self, arrived: Arrived[PingMessage]) -> list[SonarFrame]:
+    def _frames(self, arrived: StampedMessage[PingMessage]) -> list[SonarFrame]:
         profile = decode(arrived.message)
         assert isinstance(profile, OsMonoProfile), "the framer lets no other length pass"
         reason = _unusable(profile)
@@ -215,7 +215,7 @@ def _unusable(profile: OsMonoProfile) -> str | None:
     return None
 
 
-def _reply(arrived: Arrived[PingMessage]) -> SonarReply:
+def _reply(arrived: StampedMessage[PingMessage]) -> SonarReply:
     content = decode(arrived.message)
     request, text = arrived.message.message_id, ""
     if isinstance(content, Ack):

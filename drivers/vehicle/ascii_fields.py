@@ -14,7 +14,7 @@ from typing import Any, Final, get_args
 
 from auv_mcm.records import ContactClass
 from drivers.navigation.sentences import SENTENCES, Codec, Sentence
-from drivers.vehicle.seam import ContactReport
+from drivers.vehicle.dialect import ContactReport
 
 FOOT_M: Final = 0.3048
 DEGREE: Final = math.pi / 180.0

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from auv_mcm.vehicle_config import BluefinSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.sentences import Sentence
 from drivers.vehicle.ascii_fields import (
@@ -30,7 +30,7 @@ from drivers.vehicle.ascii_fields import (
     needed,
     one_of,
 )
-from drivers.vehicle.seam import ContactReport
+from drivers.vehicle.dialect import ContactReport
 
 
 class BluefinAnswer(NamedTuple):

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from typing import Final
 
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.vehicle import can_messages
 from drivers.vehicle.can_messages import CRC16_BYTES, CRC32_BYTES, FRAME_BYTES, MESSAGES, Message, Signal, can_id_of
 

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from drivers.vehicle.can_messages import CLASSES, REFERENCES, GoToMessage, HealthText, ReportMessage, SteerMessage
-from drivers.vehicle.seam import Command, ContactReport, GoTo, Steer, Vertical
+from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
 
 TEXT_BYTES: Final = 44
 _TEXT_PART_BYTES: Final = (6, 6, 6, 6, 6, 6, 6, 2)

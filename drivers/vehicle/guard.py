@@ -11,9 +11,9 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
+from drivers.vehicle.dialect import Command, GoTo, Steer, VehicleState, Vertical
 from drivers.vehicle.plane import Plane, Point, distance_m, distance_to_line_m
-from drivers.vehicle.seam import Command, GoTo, Steer, VehicleState, Vertical
 
 MAX_FENCE_RADIUS_M: Final = 50_000.0  # farther out a flat chart bends straight lines
 _ROUNDING_M: Final = 1e-3

@@ -6,8 +6,8 @@ import math
 from typing import Final, get_args
 
 from auv_mcm.records import ContactClass
+from drivers.vehicle.dialect import ContactReport
 from drivers.vehicle.imc_messages import MineContact, Target, ZUnits
-from drivers.vehicle.seam import ContactReport
 
 CLASSES: Final[tuple[ContactClass, ...]] = get_args(ContactClass)
 _U16, _U32 = 0xFFFF, 0xFFFFFFFF

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from typing import Any, Final, NamedTuple
 
-from auv_mcm.vehicle_config import IverSettings
+from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import NmeaGrammar, sentence
 from drivers.navigation.sentences import KNOT_MPS, Codec, Sentence
 from drivers.vehicle.ascii_fields import (
@@ -34,7 +34,7 @@ from drivers.vehicle.ascii_fields import (
     speed,
     within,
 )
-from drivers.vehicle.seam import ContactReport
+from drivers.vehicle.dialect import ContactReport
 
 _METRES_SINCE: Final = 5  # version of Remote Helm
 _COMPASS: Final = re.compile(r"C([\d.+-]+)P([\d.+-]+)R([\d.+-]+)T([\d.+-]+)D([\d.+-]+)")

@@ -13,23 +13,19 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from typing import Final, Generic, NamedTuple, TypeVar
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
-from drivers.stamps import Stamp
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.vehicle.authority import Action, Ask, Authority, AuthorityState, GiveBack
-from drivers.vehicle.guard import Guard, Refusal
-from drivers.vehicle.guidance import LineOfSight, Track
-from drivers.vehicle.outbox import Outbox
-from drivers.vehicle.runs import ON_LEG, with_points_on_legs
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
-    Arrived,
     Capability,
     Command,
     Doubted,
     GoTo,
     Granted,
     PayloadHealth,
+    PlaceReached,
     Rejected,
     Said,
     Steer,
@@ -38,6 +34,10 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.guard import Guard, Refusal
+from drivers.vehicle.guidance import LineOfSight, Track
+from drivers.vehicle.report_queue import Outbox
+from drivers.vehicle.runs import ON_LEG, with_points_on_legs
 from drivers.vehicle.whereabouts import Whereabouts
 
 log = logging.getLogger(__name__)
@@ -165,7 +165,7 @@ class Pilot(Generic[W]):
                     self._authority.granted(event.reason, now_s)
                 case Withheld():
                     self._authority.withheld(event.reason, now_s)
-                case Arrived():
+                case PlaceReached():
                     self._arrived()
                 case Acknowledged():
                     self._outbox.acknowledged(event.ticket)

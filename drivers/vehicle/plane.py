@@ -1,7 +1,8 @@
 """A flat chart around one place, for the few points a command is made of: plain floats, a hundred times faster than arrays of one.
 
-The same projection as `auv_mcm.geodesy.LocalFrame` without heights: Earth-centred coordinates seen along the vertical of the origin, so
-that poles and the antimeridian need no branch. Straight lines on the chart are great circles within 0.5 m up to 50 km from the origin.
+The same projection as `auv_mcm.geometry.geodesy.LocalFrame` without heights: Earth-centred coordinates seen along the
+vertical of the origin, so that poles and the antimeridian need no branch.
+Straight lines on the chart are great circles within 0.5 m up to 50 km from the origin.
 What lies on the far side of the Earth would fold onto the chart; so what is too far away has no place there.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple, TypeAlias
 
-from auv_mcm.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
+from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 from auv_mcm.records import NAN
 
 Vector: TypeAlias = tuple[float, float, float]

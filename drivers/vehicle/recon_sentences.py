@@ -12,7 +12,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from auv_mcm.vehicle_config import ReconSettings
+from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.candidates import Candidates
 from drivers.framing import Grammar
 from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES
@@ -36,7 +36,7 @@ from drivers.vehicle.ascii_fields import (
     scaled,
     within,
 )
-from drivers.vehicle.seam import ContactReport
+from drivers.vehicle.dialect import ContactReport
 
 _BODY: Final = rb"[\x20-\x22\x24-\x29\x2b-\x7e]"
 _FRAME: Final = re.compile(rb"#([A-Za-z](?:,%b{0,%d})?),\*([0-9A-F]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 9))

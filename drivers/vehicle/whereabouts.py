@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from auv_mcm.records import NAN
-from drivers.vehicle.seam import VehicleState
+from drivers.vehicle.dialect import VehicleState
 
 _QUANTITIES: Final = ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
 

@@ -9,19 +9,19 @@ from typing import Final, NamedTuple
 import msgspec
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clearance.detection_performance import Performance, shipped_performance
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import Clearance
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.orienteering import LEAST_ALIKE
-from auv_mcm.plan.performance import Performance, shipped_performance
 from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
 from sim_replay.adaptive.ground import would_come_to
 from sim_replay.adaptive.lawnmower import Lawnmower, shortest_lawnmower, worst_seabed
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
-from sim_replay.benches.scenes import config_for
+from sim_replay.missions import config_for
 from sim_replay.scoring import Mission, parse_contacts, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact, Truth, TruthObject
 from sim_replay.simulator.plan import local_frame, planned_legs

@@ -8,9 +8,9 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clearance.clearance_map import LookModel
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.clear_area import wished
-from auv_mcm.plan.clearance import LookModel
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.survey import Plan, World, replan
 from sim_replay.adaptive.flight import Decide, Decision, Situation

@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap, LookModel
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.clearance import Clearance, ClearanceMap, LookModel
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.limits import Limits
 from auv_mcm.records import SIDES, Contact, CoveragePatch, NavSample, Side
+from auv_mcm.settings.config import Config
 from sim_replay.adaptive.ground import over_area, with_expected
 from sim_replay.adaptive.order import Order
 from sim_replay.simulator.mission import Mission

@@ -10,10 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, LookModel, look_bit
+from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel, clearance_over, look_bit, unsearched
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import clearance_over, unsearched
 from auv_mcm.plan.tracks import bits_alike
 from auv_mcm.records import SIDES, Side
 from sim_replay.adaptive.order import Order

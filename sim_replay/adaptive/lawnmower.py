@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.plan.clearance import HIGHEST_P, LookModel
+from auv_mcm.clearance.clearance_map import HIGHEST_P, LookModel
 from auv_mcm.plan.dubins import Pose, dubins_lengths
 from auv_mcm.plan.limits import Limits
 from auv_mcm.records import NAN, SEABED_TYPES, SeabedType

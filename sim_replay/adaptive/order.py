@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config, WaterfallConfig
 from auv_mcm.errors import UsageError
 from auv_mcm.plan.limits import Limits
+from auv_mcm.settings.config import Config, WaterfallConfig
 from sim_replay.simulator.plan import swath_m
 from sim_replay.simulator.scene import (
     Lawnmower,

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clearance.clearance_picture import KIND_COLOURS, clearance_picture
 from auv_mcm.contacts.picture import encoded
-from auv_mcm.plan.clearance_picture import KIND_COLOURS, clearance_picture
 from sim_replay.adaptive.flight import Flight
 from sim_replay.adaptive.order import Order
-from sim_replay.seabed.missions import KIND_OF
+from sim_replay.fitting.seabed.seabed_missions import KIND_OF
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.sea import Sea
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from auv_mcm.config import Config
 from auv_mcm.errors import UsageError
-from auv_mcm.outputs import make_directory, write_file, write_json
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import make_directory, write_file, write_json
 from sim_replay.augment.embed import embed
 from sim_replay.augment.log import read_survey
 from sim_replay.augment.targets import TargetSpec, place_targets

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
-from auv_mcm.georeference import EchoGeometry, locate
+from auv_mcm.geometry.georeference import EchoGeometry, locate
 from auv_mcm.records import Side
+from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.grid import slice_pose
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.augment.direct import invert
+from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
 from sim_replay.augment.forward import SeafloorScene
 from sim_replay.augment.line import Change, Line, measure_line, mixed, spread
 from sim_replay.augment.log import SamplePlace, Stretch, Survey, overwrite, sample_places, to_samples
-from sim_replay.augment.render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
 from sim_replay.augment.shadows import Runs, shadow_runs
 from sim_replay.augment.targets import Placement
 from sim_replay.augment.track import SIGN, Track

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter, uniform_filter1d
 from scipy.special import polygamma
 
-from auv_mcm.records import Side
-from auv_mcm.waterfall.transfer import Transfer
+from auv_mcm.records import Side, Transfer
 from sim_replay.augment.log import Stretch, window_intensity
 from sim_replay.augment.shadows import shadow_runs
 from sim_replay.simulator.speckle import WHITE, Float32s, band_limited_rows, gaussian_taps

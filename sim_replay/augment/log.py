@@ -16,22 +16,23 @@ import numpy as np
 import pyxtf
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, PoseTrack, Side
+from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, PoseTrack, Side, Transfer
 from auv_mcm.safe_files import open_regular
+from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
 from auv_mcm.waterfall.law_watch import settled_transfer, weigh_pings
 from auv_mcm.waterfall.quality import TraceChecker
-from auv_mcm.waterfall.transfer import Transfer, to_intensity
+from auv_mcm.waterfall.transfer import to_intensity
+from sim_replay.logs.open_log import FORMAT_NAMES, log_format
+from sim_replay.logs.xtf import XtfLog
+from sim_replay.logs.xtf_header import SIDE_SCAN, channels
+from sim_replay.logs.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
 from sim_replay.simulator.echo import absorption_db_per_km
 from sim_replay.simulator.scene import Sonar
-from sim_replay.xtf import XtfLog
-from sim_replay.xtf_header import SIDE_SCAN, channels
-from sim_replay.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
 
 _SONAR_PACKET: Final = 0
 _PING_HEADER: Final = 256
@@ -94,6 +95,11 @@ def read_survey(path: Path, config: Config) -> Survey:
     pings: list[Ping] = []
     intake = Intake(config, Counter())
     released: list[PingBlock | SegmentEnd] = []
+    if (found := log_format(path)) != "xtf":
+        raise BadInputError(
+            f"{path} is a log of format {FORMAT_NAMES[found]}; objects are embedded in XTF logs alone, since every other byte is kept. "
+            "Export it as XTF."
+        )
     for event in XtfLog(path, config.sonar):
         if isinstance(event, NavSample):
             intake.add_navigation(event)

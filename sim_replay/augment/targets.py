@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
-from auv_mcm.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
 from sim_replay.augment.track import Track
 from sim_replay.simulator.objects import USUAL, Placed
 from sim_replay.simulator.scene import TARGET_KINDS

@@ -10,10 +10,10 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SIDES, Side
+from auv_mcm.settings.config import Config
 from sim_replay.augment.log import Survey
 
 _MARGIN_PINGS: Final = 8  # of sea floor that must have been recorded before and after an object

@@ -15,16 +15,16 @@ from typing import Final
 
 import msgspec
 
+from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.errors import UsageError
-from auv_mcm.outputs import write_file
-from auv_mcm.plan.performance import shipped_performance
+from auv_mcm.shell.results import write_file
 from sim_replay.adaptive.compare import Compared, compare, fly_all
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
 from sim_replay.adaptive.picture import mission_png
 from sim_replay.adaptive.summary import HEADER, planned_words, rows
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import markdown
-from sim_replay.training.farm import Farm, run_tasks
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.text_tables import markdown
 
 FIRST_SEED: Final = 9430  # on seeds from here on nothing was ever tuned
 

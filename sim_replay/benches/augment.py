@@ -23,13 +23,13 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from auv_mcm.config import Config, SonarConfig
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
+from sim_replay.arguments import count
 from sim_replay.augment.embed import embed
 from sim_replay.augment.log import Survey, read_survey, window_intensity
 from sim_replay.augment.targets import Placement, Target, TargetSpec, place_targets
 from sim_replay.augment.track import Track, track_of
-from sim_replay.benches.arguments import count
 from sim_replay.simulate import simulate
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.echo import floor_tables

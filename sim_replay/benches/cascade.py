@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
-from auv_mcm.config import DetectConfig
 from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, Box, band_edges, margins_px
 from auv_mcm.detect.cascade.codes import Plane, codes_of, make_plane
@@ -53,8 +52,9 @@ from auv_mcm.kernels.cascade import (
     open_windows_numpy,
 )
 from auv_mcm.records import VALID, PoseTrack, Tile
-from sim_replay.benches.arguments import count
-from sim_replay.training.opencv_xml import opencv_cascade
+from auv_mcm.settings.config import DetectConfig
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.opencv_xml import opencv_cascade
 
 ROW_M: Final = 0.12
 COLUMN_M: Final = 0.05

@@ -22,13 +22,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Ping
-from sim_replay.benches.arguments import duration_min
+from auv_mcm.settings.config import Config
+from sim_replay.arguments import duration_min
 from sim_replay.benches.log import add_log, given_or_flown
-from sim_replay.xtf import XtfLog
-from sim_replay.xtf_writer import write_xtf
+from sim_replay.logs.open_log import open_log
+from sim_replay.logs.xtf_writer import write_xtf
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,7 +103,7 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
     pings, first_s, last_s, read_s = 0, math.nan, math.nan, 0.0
     processor_s, start = time.process_time(), time.perf_counter()
     mark = start
-    for event in XtfLog(log, Config().sonar):
+    for event in open_log(log, Config()):
         read_s += time.perf_counter() - mark
         if isinstance(event, Ping):
             first_s = event.time_s if pings == 0 else first_s
@@ -127,7 +127,7 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
 
 def _tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
     """The log end to end until `duration_s` is reached, each copy later in time and farther along its own line."""
-    events = [event for event in XtfLog(log, Config().sonar) if isinstance(event, NavSample | Ping)]
+    events = [event for event in open_log(log, Config()) if isinstance(event, NavSample | Ping)]
     times = [event.time_s for event in events if isinstance(event, Ping)]
     period_s = times[-1] - times[0] + statistics.median(np.diff(times).tolist())
     fixes = [event for event in events if isinstance(event, NavSample) and math.isfinite(event.latitude_deg)]
@@ -146,7 +146,7 @@ def _tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
 
 
 def _sample_type(log: Path) -> Any:
-    ping = next(event for event in XtfLog(log, Config().sonar) if isinstance(event, Ping))
+    ping = next(event for event in open_log(log, Config()) if isinstance(event, Ping))
     trace = ping.port or ping.starboard
     assert trace is not None
     return str(trace.samples.dtype)

@@ -15,24 +15,24 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.export import is_mine_like
+from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
+from auv_mcm.clearance.detection_performance import shipped_performance
+from auv_mcm.clearance.residual import DOUBTFUL_SHARE, remaining_about, without_contact
+from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.outputs import write_file
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.clearance import Clearance, ClearanceMap
-from auv_mcm.plan.performance import shipped_performance
-from auv_mcm.plan.residual import DOUBTFUL_SHARE, remaining_about, without_contact
 from auv_mcm.records import Contact, CoveragePatch
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import columns, markdown
-from sim_replay.benches.scenes import SCENES, config_for
-from sim_replay.performance.looks import GATE_M
+from auv_mcm.shell.results import write_file
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.detection_performance.looks import GATE_M
+from sim_replay.missions import SCENES, config_for
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import TARGET_KINDS
 from sim_replay.simulator.scene_file import named_scenes, read_scene
-from sim_replay.training.farm import Farm, run_tasks
+from sim_replay.text_tables import columns, markdown
 
 FIRST_SEED: Final = 91001
 _HEADER = (

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from auv_mcm.config import Config
 from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.contrasts import contrasts
 from auv_mcm.detect.measure import measure
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
+from auv_mcm.settings.config import Config
 from sim_replay.benches.log import add_log, given_or_flown
-from sim_replay.xtf import XtfLog
+from sim_replay.logs.open_log import open_log
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _bench(log: Path, repeat: int) -> None:
     config = Config()
     pipeline = Pipeline(config)
-    tiles = [event for source in XtfLog(log, config.sonar) for event in pipeline.feed(source) if isinstance(event, Tile)]
+    tiles = [event for source in open_log(log, config) for event in pipeline.feed(source) if isinstance(event, Tile)]
     tiles += [event for event in pipeline.finish() if isinstance(event, Tile)]
     costs: dict[str, list[float]] = defaultdict(list)
     n_peaks = 0

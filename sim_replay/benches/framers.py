@@ -17,7 +17,8 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
+from auv_mcm.clock import Stamp
+from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
 from drivers.framing import Framer, Grammar
 from drivers.links.can_frame import CanFrame
 from drivers.links.slcan import SlcanParser
@@ -32,15 +33,14 @@ from drivers.sonar.jsf import JsfDecoder, JsfGrammar
 from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile
 from drivers.sonar.ping_protocol import PingDecoder, PingGrammar
-from drivers.stamps import Stamp
 from drivers.vehicle import bluefin_sentences, can_messages, imc_messages, iver_sentences, recon_sentences
 from drivers.vehicle.bluefin_sentences import BluefinGrammar
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
 from drivers.vehicle.iver_sentences import IverGrammar
 from drivers.vehicle.recon_sentences import ReconGrammar
-from sim_replay.benches.arguments import count
-from sim_replay.worst_bytes import WORST_BYTES
+from sim_replay.arguments import count
+from sim_replay.fakes.worst_bytes import WORST_BYTES
 
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
 FAULT_KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)

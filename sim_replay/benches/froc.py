@@ -22,30 +22,31 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.detect.cascade.model import CascadeModel, parse_model
-from auv_mcm.detect.stage import TileDetections, detect_tile
+from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.outputs import write_file
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Tile
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import write_file
+from sim_replay.arguments import count
 from sim_replay.augment.command import augment
 from sim_replay.augment.targets import Scatter, TargetSpec
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import columns, density_cell, markdown, share_cell
-from sim_replay.benches.scenes import HELD_OUT, SCENES, as_after, config_for, untrained_alone
-from sim_replay.recorded import RecordedMission
-from sim_replay.rival import rival_contacts
+from sim_replay.benches.scenes import as_after
+from sim_replay.fitting.cascade.classical.detect import detect_classical
+from sim_replay.fitting.cascade.classical.model import parse_model as parse_classical
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.logs.recorded import RecordedMission
+from sim_replay.missions import HELD_OUT, SCENES, config_for, untrained_alone
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene_file import read_scene
-from sim_replay.training.classical.detect import detect_classical
-from sim_replay.training.classical.model import parse_model as parse_classical
-from sim_replay.training.farm import Farm, run_tasks
+from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
 FIRST_SEED: Final = 9200  # on seeds from here on nothing was ever trained, fitted or tried
 LIMITS_PER_KM2: Final = (10.0, 50.0, 100.0)
@@ -176,7 +177,7 @@ def fly(line: Line) -> Flown:
         return _seen(line, config_for(scene), mission.events(), mission.truth)
     with tempfile.TemporaryDirectory() as folder:
         written = augment(line.log, _scattered(line.seed), Path(folder), Config())
-        recorded = RecordedMission([written.log], Config().sonar)
+        recorded = RecordedMission([written.log], Config())
         return _seen(line, Config(), recorded.events(), lambda: json.loads(written.truth.read_bytes()))
 
 

@@ -21,18 +21,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config, SonarConfig
-from auv_mcm.records import EchoTrace, Notice, Ping
+from auv_mcm.records import EchoTrace, Notice, Ping, Transfer
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.waterfall.law import Law
 from auv_mcm.waterfall.law_watch import LawWatch
-from auv_mcm.waterfall.transfer import Transfer
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import columns, markdown
-from sim_replay.recorded import open_mission
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.logs.recorded import open_mission
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Recorder
 from sim_replay.simulator.scene_file import named_scenes, read_scene
-from sim_replay.training.farm import Farm, run_tasks
+from sim_replay.text_tables import columns, markdown
 
 FIRST_SEED: Final = 5101  # nothing here was set on seeds from here on
 FLOORS: Final = ("flat", "ripple", "rough", "seagrass")

@@ -9,13 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 
 _SCENE: Final = "demo"
 
 
 def add_log(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("log", nargs="?", type=Path, help=f"an XTF log; without it the scene '{_SCENE}' is flown")
+    parser.add_argument(
+        "log", nargs="?", type=Path, help=f"an XTF, JSF or svlog file or a recorded session; without it the scene '{_SCENE}' is flown"
+    )
     parser.add_argument("--repeat", type=count, default=5, help="repetitions (default 5)")
 
 

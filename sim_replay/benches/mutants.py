@@ -25,13 +25,13 @@ from typing import Any, Final, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.errors import AuvMcmError, SelfCheckError
-from auv_mcm.geodesy import geodetic_to_ecef
+from auv_mcm.geometry.geodesy import geodetic_to_ecef
 from auv_mcm.records import NavSample
-from sim_replay.benches.arguments import count
+from auv_mcm.settings.config import SonarConfig
+from sim_replay.arguments import count
 from sim_replay.benches.mutations import CHANGES, JUMPS, mutated, split
-from sim_replay.xtf import XtfLog
+from sim_replay.logs.xtf import XtfLog
 
 MAX_CPU_S: Final = 20.0
 MAX_RSS_MB: Final = 400.0
@@ -42,7 +42,7 @@ _SIGMAS: Final = 3.0
 _PROGRESS: Final = 50  # mutants per line of progress
 _COMBINED: Final = 4  # every so many mutants combine two kinds
 _ADDRESS_SPACE_BYTES: Final = 6 << 30  # spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
-_PRELOADED: Final = ("auv_mcm.pipeline", "sim_replay.replay", "sim_replay.recorded")  # once, not by every process
+_PRELOADED: Final = ("auv_mcm.pipeline", "sim_replay.replay", "sim_replay.logs.recorded")  # once, not by every process
 
 
 class Mutant(NamedTuple):

@@ -10,15 +10,15 @@ from typing import Final
 
 import numpy as np
 
+from auv_mcm.clearance.detection_performance import Performance, parse_performance, shipped_performance
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.plan.performance import Performance, parse_performance, shipped_performance
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import NOTHING, columns, markdown
-from sim_replay.performance.calibrate import fly_all, tables
-from sim_replay.performance.fit import outcomes
-from sim_replay.performance.judge import LEAST_LOOKS, Judged, Share, judge, mean_error
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
+from sim_replay.fitting.detection_performance.fit_performance import outcomes
+from sim_replay.fitting.detection_performance.judge import LEAST_LOOKS, Judged, Share, judge, mean_error
 from sim_replay.scoring.intervals import wilson_interval
-from sim_replay.training.farm import Farm
+from sim_replay.text_tables import NOTHING, columns, markdown
 
 FIRST_SEED: Final = 9300  # nothing was fitted or tried on seeds from here on
 _COLOURS: Final = {"flat": "#1f4e79", "ripple": "#c98a00", "rough": "#8c2d19", "vegetation": "#3a7d44"}

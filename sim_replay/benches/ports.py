@@ -34,10 +34,9 @@ from auv_mcm.errors import HardwareError
 from auv_mcm.records import Ping
 from drivers.port_intake import PortIntake
 from drivers.sonar import ping_messages
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 from sim_replay.benches.framers import made_profile
-from sim_replay.session.open import recorded_config
-from sim_replay.session.reader import Session
+from sim_replay.logs.session_reader import Session, recorded_config
 
 _N_SAMPLES: Final = 1200
 _BITS_PER_BYTE: Final = 10

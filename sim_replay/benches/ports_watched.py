@@ -20,10 +20,10 @@ import numpy as np
 
 from auv_mcm.clock import SystemClock
 from auv_mcm.commands import read_config
-from auv_mcm.config import Config
 from auv_mcm.contacts.ledger import Contacts
 from auv_mcm.records import Contact, Ping, PipelineEvent, SourceEvent
-from auv_mcm.service import Service
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.service import Service
 from drivers.source import PortSource
 
 _BUSY_S: Final = 0.08  # of a core, per ping: more than there is between two pings at the rates that are measured

@@ -18,27 +18,20 @@ import numpy as np
 
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.classify.stage import look_closely
-from auv_mcm.config import Config
+from auv_mcm.confirmation import confirm_detection
 from auv_mcm.contacts.export import contacts_geojson
-from auv_mcm.detect.cascade.choose import NONE
 from auv_mcm.errors import UsageError
-from auv_mcm.model_file import SHIPPED
-from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
-from sim_replay.benches.layout import NOTHING, columns, density_cell, markdown, share_cell
-from sim_replay.rival import rival_contacts
+from auv_mcm.shell.results import write_file
+from sim_replay.missions import FIRST_SEED, SCENES, config_for, served_by, untrained_alone
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import density
 from sim_replay.simulator import mission as simulated
-from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
+from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, share_cell
 
-SCENES: Final = ("flat", "ripple", "mixed", "rough", "boulders", "seagrass", "slope", "shallow", "deep", "sas")
-HELD_OUT: Final = frozenset({"seagrass"})
-"""Scenes whose sea floor nothing of the trained detector, nor the odds of what it finds, was ever fitted on."""
-FIRST_SEED: Final = 9100  # neither scenes nor constants were ever tried on seeds from here on
 _LIMIT_PER_KM2: Final = 100.0
 
 System: TypeAlias = Literal["chain", "detector", "rival"]
@@ -78,9 +71,9 @@ _STEP_HEADER: Final = (
 
 
 class Flown(NamedTuple):
-    """One mission as all systems reported it. detector: contrasts alone, without a close look. steps: the chain as far as that step.
+    """One mission as all systems reported it. detector: contrasts alone, without confirmation. steps: the chain as far as that step.
 
-    n_looks: close looks that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
+    n_looks: confirmations that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
     that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
     """
 
@@ -169,7 +162,7 @@ def fly(name: str, seed: int, detector: Detector) -> Flown:
 
     def timed_look(detection: Detection) -> Detection:
         start = time.perf_counter()
-        looked_at = look_closely(detection, beam_width_rad, odds, config.confirm)
+        looked_at = confirm_detection(detection, beam_width_rad, odds, config.confirm)
         *_, last = looked_at.p_by_step
         looks_s[last].append(time.perf_counter() - start)
         return looked_at
@@ -202,18 +195,6 @@ def fly(name: str, seed: int, detector: Detector) -> Flown:
     )
 
 
-def served_by(detector: Detector, config: Config) -> Config:
-    """The configuration with one of the detectors."""
-    model = SHIPPED if detector == "cascade" else NONE
-    return msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, model=model))
-
-
-def untrained_alone(config: Config) -> Config:
-    """The configuration with contrasts as detector, whose detections nobody looks at closely."""
-    alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
-    return served_by("contrast", alone)
-
-
 def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
     """The contact as it would be if no view had been looked at beyond a step."""
     views = [
@@ -236,17 +217,6 @@ def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s
         "contours": found + odds + contours,
         "shape": found + odds + ended + whole,
     }
-
-
-def config_for(scene: Scene) -> Config:
-    """The default configuration with what an operator knows of the sonar: its beam width. That of a synthetic aperture is the angle that
-    its resolution takes at half range."""
-    sonar = scene.sonar
-    width_deg = sonar.beam_width_deg
-    if sonar.synthetic_aperture is not None:
-        width_deg = math.degrees(sonar.synthetic_aperture.along_track_resolution_m / (0.5 * sonar.range_m))
-    config = Config()
-    return msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=width_deg))
 
 
 def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector) -> Iterator[tuple[str, Flown]]:

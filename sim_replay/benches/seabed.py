@@ -19,25 +19,25 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clearance.clearance_map import ClearanceMap
+from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.contacts.picture import encoded
-from auv_mcm.detect.stage import TileDetections
+from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.outputs import write_file
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.clearance import ClearanceMap
-from auv_mcm.plan.performance import shipped_performance
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
-from auv_mcm.seabed.model import SeabedModel, parse_seabed_model, shipped_seabed_model
-from auv_mcm.seabed.stage import seabed_cells
-from sim_replay.benches.arguments import count
-from sim_replay.benches.layout import NOTHING, columns, markdown
-from sim_replay.benches.scenes import SCENES, config_for
+from auv_mcm.seabed.seabed_cells import seabed_cells
+from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
+from auv_mcm.shell.results import write_file
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.seabed.picture import seabed_picture
+from sim_replay.fitting.seabed.score import Shares, confusion_m2, shares
+from sim_replay.missions import SCENES, config_for
 from sim_replay.scoring.seabed_map import SeabedMap
-from sim_replay.seabed.picture import seabed_picture
-from sim_replay.seabed.score import Shares, confusion_m2, shares
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import named_scenes, read_scene
-from sim_replay.training.farm import Farm, run_tasks
+from sim_replay.text_tables import NOTHING, columns, markdown
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the areas to FILE")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing")
-    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="XTF log to draw; may be given again")
+    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="log to draw; may be given again")
     parser.add_argument("--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)")
 
 

@@ -26,10 +26,10 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Ping
-from sim_replay.benches.arguments import count, duration_min
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
+from sim_replay.arguments import count, duration_min
 from sim_replay.simulator import backend, rays, scene
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import pack

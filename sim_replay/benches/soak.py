@@ -31,14 +31,13 @@ import numpy as np
 
 from auv_mcm.errors import HardwareError, SelfCheckError
 from auv_mcm.records import Ping
-from drivers.port_intake import PortIntake
-from sim_replay.benches.arguments import count, duration_min
+from sim_replay.arguments import count, duration_min
 from sim_replay.fakes.job import Device
 from sim_replay.hil.run import RESULTS, SERVICE_LOG, run_scenario
 from sim_replay.hil.scenario import ExitCode, Expectation, Read, Scenario
 from sim_replay.hil.verdict import Evidence
-from sim_replay.session.open import SessionMission, recorded_config
-from sim_replay.session.reader import Session
+from sim_replay.logs.open_log import open_log
+from sim_replay.logs.session_reader import Session, recorded_config
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import read_scene
 
@@ -234,7 +233,7 @@ def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> Kill:
     heard = [recorded for recorded in session if recorded.direction == "in"]
     holes = ("session.messages_missing", "session.chunks_damaged", "session.chunks_lost")
     n_holes = sum(session.counters[name] for name in holes)
-    pings = [event for event in SessionMission(session, PortIntake(recorded_config(session))).events() if isinstance(event, Ping)]
+    pings = [event for event in open_log(results / "recording", recorded_config(session)) if isinstance(event, Ping)]
     console = [line.text for line in evidence.lines]
     told = [n_pings for at_s, n_pings in _health(console) if at_s <= struck.utc_s - MOST_LOST_S]
     return Kill(

@@ -17,15 +17,16 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clearance.clearance_map import clearance_over, unsearched
+from auv_mcm.clearance.detection_performance import shipped_performance
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import contact_legs
 from auv_mcm.plan.dubins import Pose, dubins_lengths
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.performance import shipped_performance
-from auv_mcm.plan.survey import Plan, World, clearance_over, replan, unsearched
+from auv_mcm.plan.survey import Plan, World, replan
 from auv_mcm.plan.tour import richest_tour
 from auv_mcm.records import SEABED_TYPES, Contact
-from sim_replay.benches.arguments import count
+from sim_replay.arguments import count
 
 _CELL_M: Final = 4.0
 _SIDE_CELLS: Final = 45  # 2025 cells

@@ -11,12 +11,12 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from drivers.links.can_frame import CanFrame
-from drivers.vehicle.seam import Command, GoTo
+from drivers.vehicle.dialect import Command, GoTo
 from sim_replay.fakes.navigation import Message
-from sim_replay.fakes.vehicles.seam import FakeController
+from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 
 Report = Callable[[str, dict[str, Any]], None]
 

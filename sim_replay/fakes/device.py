@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from msgspec import structs
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample, Ping
 from drivers.links.can_frame import CanFrame
 from sim_replay.fakes.controller import Report, ReportingController
@@ -38,7 +38,7 @@ from sim_replay.fakes.job import (
 from sim_replay.fakes.navigation import NAVIGATION_UNITS, FakeNavigation, Message
 from sim_replay.fakes.sonar import DeviceTime, FakeSonar, JsfSonar, PingProtocolSonar, SportScanSonar
 from sim_replay.fakes.wires import Weather, Wire, make_wire, opened
-from sim_replay.worst_bytes import WORST_BYTES
+from sim_replay.fakes.worst_bytes import WORST_BYTES
 
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
 

@@ -9,12 +9,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import numpy as np
 from msgspec import structs
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from sim_replay.recorded import RecordedMission
+from auv_mcm.settings.config import Config
+from sim_replay.logs.recorded import RecordedMission
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.recording import complete
 from sim_replay.simulator.scene_file import read_scene
@@ -30,21 +31,31 @@ class Fed(NamedTuple):
 
 
 def mission_events(log: Path | None, scene: str | None) -> Iterator[SourceEvent]:
-    """Events of an XTF log, or of a scene: a file or the name of one that ships with the package.
+    """Events of a recorded log, or of a scene: a file or the name of one that ships with the package.
 
-    Echo samples are taken for amplitudes. Raises UsageError unless exactly one is given, or for a scene that stores logarithms;
-    BadInputError for a log that cannot be used.
+    Echo samples are taken for amplitudes where a log does not say that they are intensities. Raises UsageError unless
+    exactly one is given, or for a scene that stores logarithms; BadInputError for a log that cannot be used.
     """
     if (log is None) == (scene is None):
         raise UsageError("a fake device plays one mission: give either a log or a scene")
     if log is not None:
-        return RecordedMission([log], SonarConfig()).events()
+        return map(_of_amplitudes, RecordedMission([log], Config()).events())
     assert scene is not None
     mission = Mission(read_scene(scene))
     samples = complete(mission.sea.recorder).samples
     if samples.startswith("log"):
         raise UsageError(f"scene {scene} stores '{samples}', but fake sonars are fed with amplitudes: give sonar.samples an amplitude")
     return mission.events()
+
+
+def _of_amplitudes(event: SourceEvent) -> SourceEvent:
+    """Take the root of a ping's samples where they are intensities: fake sonars are fed with amplitudes."""
+    if not isinstance(event, Ping) or event.transfer != "intensity":
+        return event
+    port, starboard = (
+        None if trace is None else structs.replace(trace, samples=np.sqrt(trace.samples)) for trace in (event.port, event.starboard)
+    )
+    return structs.replace(event, port=port, starboard=starboard, transfer="amplitude")
 
 
 def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[Fed]:

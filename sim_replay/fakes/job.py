@@ -9,9 +9,9 @@ import msgspec
 from msgspec import Meta
 
 from auv_mcm.errors import UsageError
-from auv_mcm.port_config import SONAR_NAMES, NavUnitName, SonarName
-from auv_mcm.strict_yaml import explained, load_mapping, read_text
-from auv_mcm.vehicle_config import VEHICLE_NAMES, VehicleName
+from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitName, SonarName
+from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, VehicleName
 from drivers.links.uri import BAUD_RATES, CAN_BITRATES
 from sim_replay.fakes.faults import FaultRates
 

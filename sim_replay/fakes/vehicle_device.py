@@ -24,10 +24,10 @@ from sim_replay.fakes.feed import Fed
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.can import FakeCan
+from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
-from sim_replay.fakes.vehicles.seam import FakeController
 from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.objects import Placed
 from sim_replay.simulator.plan import local_frame, planned_legs

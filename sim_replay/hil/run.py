@@ -22,15 +22,15 @@ from typing import Any, Final
 import msgspec
 import yaml
 
-from auv_mcm.config import Config
 from auv_mcm.errors import HardwareError
-from auv_mcm.outputs import make_directory, write_file
 from auv_mcm.safe_files import open_for_append
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
-from sim_replay.recorded import RecordedMission
+from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -319,7 +319,7 @@ def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
     """The log to play, simulated where the scenario names a scene, and its targets as far as they are known."""
     if read.scenario.log is not None:
         log = read.folder / read.scenario.log
-        RecordedMission([log], Config().sonar)  # refuses what cannot be used
+        RecordedMission([log], Config())  # refuses what cannot be used
         return log, []
     simulated = simulate(read_scene(_scene_of(read)), folder)
     return simulated.log, targets_of(_read_json(simulated.truth))

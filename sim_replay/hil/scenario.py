@@ -11,9 +11,9 @@ import msgspec
 import yaml
 from msgspec import Meta
 
-from auv_mcm.config import Config, parse_config
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.config import Config, parse_config
+from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
 from sim_replay.fakes.job import Device
 
 SCENARIOS: Final = Path(__file__).parent / "scenarios"

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple, TypeAlias, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.export import error_ellipse_ring_m, is_mine_like
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.contacts.contact import error_ellipse_ring_m, is_mine_like
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
 from sim_replay.report.words import degrees_minutes
 

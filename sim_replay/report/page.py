@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.export import is_mine_like
+from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
+from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
-from auv_mcm.outputs import write_file
-from auv_mcm.plan.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
+from auv_mcm.shell.results import write_file
 from sim_replay.report import words
 from sim_replay.report.cards import band, cards, place_m
 from sim_replay.report.chart import WIDTH, draw_chart

@@ -43,7 +43,7 @@ MEANINGS: Final = {
     "detect.without_position": "detections left out because their position is not known",
     "navigation.heading_from_course": "navigation samples without heading: the course over ground stood in for it",
     "navigation.speed_from_fixes": "navigation samples without speed: it was derived from position fixes",
-    "pipeline.close_look_failed": "detections whose close look failed: they keep the detector's p_mine",
+    "pipeline.close_look_failed": "detections whose confirmation failed: they keep the detector's p_mine",
     "pipeline.coverage_failed": "tiles whose coverage could not be computed: they count as not covered",
     "pipeline.detection_failed": "tiles in which detection failed: they count as not covered",
     "ping.received": "pings that came in",

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.scoring.inputs import Mission, ReportedContact, Truth, TruthObject
 from sim_replay.scoring.matching import UNMATCHED, gates_m, match_by_threshold
 from sim_replay.scoring.seabed_map import NOT_SWEPT, decode, types_at

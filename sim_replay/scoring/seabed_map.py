@@ -16,7 +16,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 
 NOT_SWEPT: Final = -1
 MAX_TYPES: Final = 26

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from auv_mcm.geodesy import ecef_to_geodetic, geodetic_to_ecef
+from auv_mcm.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from auv_mcm.records import NavSample
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import local_frame

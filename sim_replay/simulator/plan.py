@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.simulator.scene import Lawnmower, Origin, Scene, SceneObject, Spiral, Waypoints
 
 

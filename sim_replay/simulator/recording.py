@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace
+from sim_replay.logs.xtf_writer import SampleType
 from sim_replay.simulator.scene import Recorder
-from sim_replay.xtf_writer import SampleType
 
 _USUAL: Final[dict[str, Recorder]] = {
     recorder.samples: recorder

@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from auv_mcm.errors import UsageError
-from auv_mcm.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
 from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
 from sim_replay.simulator.scene import Scene, SceneObject
 from sim_replay.simulator.vehicle import STRONGEST_CURRENT

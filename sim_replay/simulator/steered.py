@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan import dubins
-from drivers.vehicle.seam import Command, GoTo, Steer, Vertical
+from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import Track

@@ -18,8 +18,8 @@ from auv_mcm.clean_text import CleanFormatter, clean, clean_json, clean_lines, i
 from auv_mcm.cli import main
 from auv_mcm.contacts.export import contacts_kml
 from auv_mcm.errors import BadInputError
-from auv_mcm.outputs import write_json
 from auv_mcm.records import Notice
+from auv_mcm.shell.results import write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = "a\x1b[2J\r\nb\x07\x7f\x9b31m\u202egnp.exe\u2066\u2028\ufeff\U000e0041\udc80\ufffe\x00"
@@ -60,9 +60,9 @@ def test_a_log_record_is_one_line_and_its_traceback_is_indented() -> None:
 def test_the_log_of_the_service_is_clean() -> None:
     program = (
         "import logging, pathlib\n"
-        "from auv_mcm import service\n"
+        "from auv_mcm.shell import service\n"
         "from auv_mcm.commands.run import run_service\n"
-        "from auv_mcm.config import Config\n"
+        "from auv_mcm.settings.config import Config\n"
         "def serve(config, *, clock=None):\n"
         "    logging.getLogger('drivers').info('it said %s', 'x\\x1b[2J\\n2026 INFO ready')\n"
         "    return pathlib.Path('out')\n"

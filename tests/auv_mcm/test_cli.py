@@ -11,7 +11,7 @@ import pytest
 
 from auv_mcm import __version__
 from auv_mcm.cli import main
-from auv_mcm.config import Config, parse_config
+from auv_mcm.settings.config import Config, parse_config
 
 ROOT = Path(__file__).parents[2]
 
@@ -88,7 +88,7 @@ def test_train_takes_an_option_as_its_first_argument(
     separator: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[object] = []
-    monkeypatch.setattr("sim_replay.training.command.train_model", lambda spec, out, **_: asked.append((spec, out)))
+    monkeypatch.setattr("sim_replay.fitting.cascade.command.train_model", lambda spec, out, **_: asked.append((spec, out)))
     assert main(["train", *separator, "--out", str(tmp_path / "model.json")]) == 0
     assert asked == [(None, tmp_path / "model.json")]
     assert "model.json" in capsys.readouterr().out
@@ -210,8 +210,8 @@ def test_check_finds_a_base_package_that_cannot_be_imported(module: str) -> None
 
 def test_the_check_of_the_payload_does_not_import_the_simulator() -> None:
     code = (
-        "import sys, auv_mcm.check as check; check.has_extra = lambda extra: False\n"
-        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if name.startswith('sim_replay')])"
+        "import sys, auv_mcm.shell.check as check; check.has_extra = lambda extra: False\n"
+        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if name.startswith('sim_replay.simulator')])"
     )
     assert run(code=code).stdout.splitlines()[-1] == "[]"
 
@@ -246,8 +246,10 @@ def test_a_full_disk_is_one_line_and_exit_code_4(monkeypatch: pytest.MonkeyPatch
     assert error_of(capsys) == "auv-mcm: /out/report.html: No space left on device"
 
 
-def test_without_the_bench_extra_replay_says_what_to_install() -> None:
-    code = "import sys; sys.modules['pyxtf'] = None; from auv_mcm.cli import main; sys.exit(main(['replay', 'a.xtf', '--out', 'o']))"
+def test_without_the_bench_extra_replay_says_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "a.xtf").write_bytes(b"\x7b" * 2048)
+    command = ["replay", str(tmp_path / "a.xtf"), "--out", str(tmp_path / "out")]
+    code = f"import sys; sys.modules['pyxtf'] = None; from auv_mcm.cli import main; sys.exit(main({command}))"
     done = run(code=code)
     assert done.returncode == 2
     assert done.stderr == "auv-mcm: this command needs the package pyxtf: python -m pip install 'auv-mcm[bench]'\n"
@@ -283,7 +285,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
 def test_the_process_that_serves_stays_lean() -> None:
     code = (
         "import sys; import auv_mcm.cli; start = set(sys.modules)\n"
-        "import auv_mcm.service, sim_replay.recorded\n"
+        "import auv_mcm.shell.service, sim_replay.logs.recorded\n"
         "print(sorted({'numpy'} & start), sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2', 'can'} & set(sys.modules)))"
     )
     assert run(code=code).stdout == "[] []\n", "the command starts without numpy, the service runs without the others"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 
 import pytest
 
-from auv_mcm.config import parse_config
+from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
@@ -44,3 +45,12 @@ def test_the_scene_of_the_readme_can_be_flown() -> None:
 
 def test_the_ports_of_the_readme_can_be_opened() -> None:
     assert [port.name for port in read_ports(parse_config(readme_yaml("ports"), "README.md"))] == ["sonar", "nav"]
+
+
+def test_every_step_on_the_way_of_a_ping_is_in_the_code() -> None:
+    text = (ROOT / "auv_mcm" / "docs" / "architecture.md").read_text()
+    steps = re.findall(r"^\| (\d+) \| .* \| `([a-z_/]+)\.py` `(\w+)` \|$", text, re.MULTILINE)
+    assert [int(number) for number, _, _ in steps] == list(range(1, len(steps) + 1))
+    assert 10 <= len(steps) <= 15
+    for _, module, name in steps:
+        assert hasattr(importlib.import_module(module.replace("/", ".")), name), f"{module} has no {name}"

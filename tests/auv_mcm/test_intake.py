@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from msgspec import structs
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
 from auv_mcm.intake import BLOCK_PINGS, Intake, PingBlock, SegmentEnd
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack
+from auv_mcm.settings.config import Config
 
 START_S = 1.7e9
 PING_S, NAV_S = 0.1, 0.2

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
+from auv_mcm.clearance.detection_performance import configured_performance, shipped_performance
 from auv_mcm.cli import main
-from auv_mcm.config import Config, DetectConfig
 from auv_mcm.errors import BadInputError
-from auv_mcm.plan.performance import configured_performance, shipped_performance
-from auv_mcm.seabed.model import configured_seabed_model, shipped_seabed_model
-from sim_replay.performance.calibrate import to_json
+from auv_mcm.seabed.seabed_model import configured_seabed_model, shipped_seabed_model
+from auv_mcm.settings.config import Config, DetectConfig
+from sim_replay.fitting.detection_performance.calibrate_performance import to_json
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, Sonar, Track
-from sim_replay.xtf_writer import write_xtf
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from auv_mcm import __version__
-from auv_mcm.config import parse_config
-from auv_mcm.service import SOURCES, parse_source_uri
+from auv_mcm.settings.config import parse_config
+from auv_mcm.shell.registry import SOURCES
+from auv_mcm.shell.sources import parse_source_uri
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))

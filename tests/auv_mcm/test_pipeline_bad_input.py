@@ -10,17 +10,17 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from short_missions import flown, one_leg
 
 from auv_mcm import pipeline as pipeline_module
-from auv_mcm.config import Config
-from auv_mcm.contacts.export import sigma_m
+from auv_mcm.clearance.coverage import cover_tile
+from auv_mcm.contacts.contact import sigma_m
 from auv_mcm.defects import DefectWarning
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.coverage import cover_tile
 from auv_mcm.records import NAN, CoveragePatch, EchoTrace, NavSample, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.settings.config import Config
 from sim_replay.simulator.scene import SceneObject, Sonar
+from tests.auv_mcm.short_missions import flown, one_leg
 
 LATITUDE, LONGITUDE = 50.0, -4.0
 TARGET = (22.0, 9.0)  # along, across, metres
@@ -236,7 +236,7 @@ STAGES = {  # what fails: name in the pipeline, counter, what the notice says of
     "detection": ("detect_tile", "pipeline.detection_failed", "not covered"),
     "coverage": ("cover_tile", "pipeline.coverage_failed", "not covered"),
     "sea floor": ("seabed_cells", "pipeline.coverage_failed", "not covered"),
-    "close look": ("look_closely", "pipeline.close_look_failed", "keeps the detector's p_mine"),
+    "confirmation": ("confirm_detection", "pipeline.close_look_failed", "keeps the detector's p_mine"),
 }
 
 
@@ -258,7 +258,7 @@ def test_a_stage_that_fails_on_one_tile_costs_that_tile_and_not_the_mission(
     assert consequence in notice.text
     assert notice.place
     patches = [event for event in events if isinstance(event, CoveragePatch)]
-    if stage == "close look":
+    if stage == "confirmation":
         assert covered_m2(events) == whole
     else:
         assert sum(patch.lost_m2.get("failed", 0.0) for patch in patches) > 0.0

@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from auv_mcm.config import Config, SonarConfig
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
+from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Recorder, Scene, Sonar, Track
 

@@ -7,12 +7,12 @@ import math
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
-from short_missions import one_leg
 
-from auv_mcm.config import Config, SonarConfig
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import STEADY, Recorder, Scene, SceneObject, Sonar
+from tests.auv_mcm.short_missions import one_leg
 
 WGS84_A_M, WGS84_F = 6378137.0, 1.0 / 298.257223563
 TOLERANCE_M = 0.3

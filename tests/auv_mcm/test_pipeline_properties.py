@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from short_missions import flown, one_leg
 
-from auv_mcm.config import Config, WaterfallConfig
 from auv_mcm.contacts.export import contacts_geojson
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Ping, PipelineEvent, SourceEvent
+from auv_mcm.settings.config import Config, WaterfallConfig
 from sim_replay.simulator.scene import Recorder, Scene, SceneObject, Sonar
+from tests.auv_mcm.short_missions import flown, one_leg
 
 LENGTH_M = 44.0
 OBJECTS = (

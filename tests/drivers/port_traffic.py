@@ -8,12 +8,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from auv_mcm.config import Config, parse_config
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clock import Stamp
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.settings.config import Config, parse_config
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Gga, Hdt, Vtg, body_of
 from drivers.sonar.ping_messages import OsMonoProfile, encode
-from drivers.stamps import Stamp
 
 MONO_S: Final = 5000.0
 UTC_S: Final = 1_700_000_000.0

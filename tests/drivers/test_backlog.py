@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 import itertools
 
-from port_traffic import config_of
-
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.records import Notice
 from drivers.backlog import MAX_WAITING_BYTES, TURN_S, Backlog, Chunk
 from drivers.source import PortSource
-from drivers.stamps import Stamp
+from tests.drivers.port_traffic import config_of
 
 GENEROUS_S = 60.0
 IMC = "ports: [{name: auv, link: 'tcp://127.0.0.1:9', device: imc}]"

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from drivers.clocks import (
     MILLISECOND_COUNTER_S,
     DeviceClock,
@@ -23,7 +24,6 @@ from drivers.clocks import (
     sentence_offset_ns,
     wire_delay_s,
 )
-from drivers.stamps import Stamp
 
 NS = 1_000_000_000
 BOOT_NS = 5_000 * NS

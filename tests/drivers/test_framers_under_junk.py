@@ -28,7 +28,7 @@ from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.imc_wire import ImcGrammar
 from drivers.vehicle.iver_sentences import IverGrammar
 from drivers.vehicle.recon_sentences import ReconGrammar
-from sim_replay.worst_bytes import WORST_BYTES
+from sim_replay.fakes.worst_bytes import WORST_BYTES
 
 GRAMMARS: Final[dict[str, tuple[type[Grammar[Any]], tuple[bytes, ...]]]] = {
     "ping_protocol": (PingGrammar, (b"BR",)),

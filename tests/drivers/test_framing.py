@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from drivers.framing import Framed, Framer, Grammar, StampedFramer
 from drivers.sonar.imagenex import IgxGrammar, IgxReturn, encode_return
 from drivers.sonar.jsf import JsfGrammar
@@ -18,7 +19,6 @@ from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader,
 from drivers.sonar.jsf_messages import to_wire as jsf_to_wire
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile, encode
 from drivers.sonar.ping_protocol import PingGrammar
-from drivers.stamps import Stamp
 
 Read = list[tuple[Hashable, int, int]]
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.check.finding import Finding
-from auv_mcm.config import parse_config
 from auv_mcm.records import NavSample
+from auv_mcm.settings.config import parse_config
+from auv_mcm.shell.check.finding import Finding
 from drivers.links.serial_port import open_serial
 from drivers.port_check import port_findings
 from sim_replay.fakes.navigation import NAVIGATION_UNITS

@@ -9,21 +9,21 @@ from itertools import count
 from typing import Any
 
 import pytest
-from port_traffic import PORTS, config_of, fix, profile, traffic
 
-from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.config import Config
+from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from auv_mcm.service import LiveSource, parse_source_uri
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.sources import parse_source_uri
+from auv_mcm.source import LiveSource
 from drivers.links.link import Link
 from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import PortIntake
-from drivers.ports import Port, read_ports
+from drivers.ports import PortSettings, read_ports
 from drivers.source import OnBytes, OnState, PortSource, open_source
-from drivers.stamps import Stamp
+from tests.drivers.port_traffic import PORTS, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0
 ASKED = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.02}}]"
@@ -78,7 +78,7 @@ class Bench:
         self.source = PortSource(self.config, SystemClock(), self._open)
         self.source.record_with(lambda *chunk: self.recorded.append(chunk))
 
-    def _open(self, port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes]:
+    def _open(self, port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes]:
         async def open_port(counters: Counter[str]) -> Any:
             if self.defects:
                 raise self.defects.pop()

@@ -10,13 +10,12 @@ from typing import get_args
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from port_traffic import PORTS, config_of
 
 from auv_mcm.cli import main
-from auv_mcm.config import Config
-from auv_mcm.port_config import SONAR_NAMES, NavUnitName, NavUnitSettings, PortConfig, SonarPortConfig
-from auv_mcm.vehicle_config import VEHICLE_NAMES
-from drivers.interface import example_text, interface_text, struct_fields
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitName, NavUnitSettings, PortConfig, SonarPortConfig
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
+from drivers.describe import example_text, interface_text, struct_fields
 from drivers.navigation.n2k_messages import MESSAGES
 from drivers.navigation.sentences import SENTENCES
 from drivers.ports import read_ports
@@ -24,7 +23,8 @@ from drivers.sonar.jsf_messages import DATA_HEADER, SideScanHeader
 from drivers.sonar.ping_messages import FIXED_LAYOUTS, PROFILE_FIELDS, PROFILE_HEADER
 from drivers.vehicle.can_messages import MESSAGES as CAN_MESSAGES
 from drivers.vehicle.imc_messages import LAYOUTS
-from drivers.vehicle.registry import VEHICLES
+from drivers.vehicle.vehicles import VEHICLES
+from tests.drivers.port_traffic import PORTS, config_of
 
 CODES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "f32": "f"}
 

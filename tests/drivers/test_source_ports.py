@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from port_traffic import INTERVAL_S, PORTS, Chunk, config_of, fix, is_close, profile, stamp, time_of, traffic
 
 from auv_mcm.clean_text import is_clean
-from auv_mcm.config import config_yaml, parse_config
 from auv_mcm.errors import UsageError
-from auv_mcm.port_config import SONAR_NAMES, NavUnitName
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, SourceEvent
+from auv_mcm.settings.config import config_yaml, parse_config
+from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitName
 from drivers.heads import HeadPairer
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_messages import Heading, Identifier, can_id_of, encode
-from drivers.navigation.registry import CAN_PROTOCOL, TEXT_PROTOCOLS
+from drivers.navigation.nav_protocols import CAN_PROTOCOL, TEXT_PROTOCOLS
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can, unpack_can
 from drivers.ports import open_to_all, read_ports
@@ -28,9 +27,10 @@ from drivers.sonar.jsf_messages import PING_RANGE, Command, JsfMessage, to_wire
 from drivers.sonar.ping_messages import Nack
 from drivers.sonar.ping_messages import encode as encode_ping
 from drivers.sonar.ping_protocol import PingDecoder
-from drivers.sonar.registry import SONARS
-from drivers.sonar.seam import SonarSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from drivers.sonar.sonars import SONARS
 from sim_replay.fakes.uart import misread
+from tests.drivers.port_traffic import INTERVAL_S, PORTS, Chunk, config_of, fix, is_close, profile, stamp, time_of, traffic
 
 HEADS = """
 ports:

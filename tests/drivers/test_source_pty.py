@@ -9,21 +9,21 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from port_traffic import fix, profile
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clock import SystemClock
 from auv_mcm.commands import read_config
-from auv_mcm.config import parse_config
 from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
-from auv_mcm.recovery import RECORDING
-from auv_mcm.service import Service
+from auv_mcm.settings.config import parse_config
+from auv_mcm.shell.recovery import RECORDING
+from auv_mcm.shell.service import Service
 from drivers.source import PortSource
 from sim_replay.fakes.port import FakePort
-from sim_replay.recorded import session_config
+from sim_replay.logs.open_log import session_config
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, Recorder, Scene, SceneObject, Seabed, Sonar, Track, World
+from tests.drivers.port_traffic import fix, profile
 
 SONAR_BAUD: Final = 4_000_000
 UNIT_BAUD: Final = 115_200

@@ -10,32 +10,31 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from port_traffic import config_of
 
-from auv_mcm.clock import Clock, SystemClock
-from auv_mcm.config import Config
+from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
-from auv_mcm.port_config import PortConfig
 from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
-from auv_mcm.service import LiveSource
-from auv_mcm.vehicle_config import VEHICLE_NAMES
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.port_settings import PortConfig
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
+from auv_mcm.source import LiveSource
 from drivers.framing import StampedFramer
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link
 from drivers.port_stream import pack_can
-from drivers.ports import Port, read_ports
+from drivers.ports import PortSettings, read_ports
 from drivers.source import OnBytes, OnState, PortSource
-from drivers.stamps import Stamp
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.registry import VEHICLES
+from drivers.vehicle.vehicles import VEHICLES
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.can import FakeCan
+from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
-from sim_replay.fakes.vehicles.seam import FakeController
+from tests.drivers.port_traffic import config_of
 
 GENEROUS_S = 15.0
 VEHICLE = "vehicle: {command: true, fence_deg: [[42.99, 4.99], [42.99, 5.01], [43.01, 5.01], [43.01, 4.99]]}\n"
@@ -117,7 +116,7 @@ class Bench:
         assert self.source.vehicle is not None
         self.vehicle = self.source.vehicle
 
-    def _open(self, port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[Any]:
+    def _open(self, port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[Any]:
         async def open_port(counters: Counter[str]) -> Any:
             if not self.wire.plugged:
                 raise HardwareError("there is no wire; plug one in")
@@ -364,7 +363,7 @@ def test_what_waited_when_the_wire_was_lost_grants_nothing_on_the_next_connectio
 
     states: list[OnState] = []
 
-    def open_link(port: Port, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[Any]:
+    def open_link(port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[Any]:
         states.append(on_state)
         return Link(port.name, lambda counters: asyncio.Future(), on_bytes, on_state, clock, 60.0)
 

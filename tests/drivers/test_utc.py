@@ -8,8 +8,8 @@ import re
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from port_traffic import MONO_S, UTC_S, Chunk, config_of, fix, is_close, profile, stamp
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from drivers.links.pulse import pack_edge
@@ -17,7 +17,7 @@ from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.ports import read_ports
-from drivers.stamps import Stamp
+from tests.drivers.port_traffic import MONO_S, UTC_S, Chunk, config_of, fix, is_close, profile, stamp
 
 AHEAD_S = 3600.25  # of the unit's UTC before this computer's
 TAKES_S = 38 * 10 / 9600.0  # a ZDA on the line

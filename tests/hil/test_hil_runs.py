@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from xtf_logs import written
 
-from auv_mcm.commands import hil
 from auv_mcm.errors import HardwareError, SelfCheckError
+from sim_replay.commands import hil
+from tests.sim_replay.logs.xtf_logs import written
 
 SHORT = """
 about: a run that is hardly one
@@ -32,7 +32,7 @@ expectations:
   - {test: told to stop it ends, expected: {is: exit_code}}
   - {test: pings come from nowhere, expected: {is: summary, key: pings, at_least: 1}}
 """
-COMMAND = "import sys, test_hil_runs as runs; sys.exit(runs.run(*sys.argv[1:]))"
+COMMAND = "import sys; from tests.hil import test_hil_runs as runs; sys.exit(runs.run(*sys.argv[1:]))"
 PATIENCE_S = 60.0  # on a computer that has much else to do
 
 
@@ -94,7 +94,7 @@ def test_a_service_that_refuses_its_configuration_is_quoted(tmp_path: Path) -> N
 def test_nothing_outlives_a_run_that_is_ended(number: signal.Signals, tmp_path: Path) -> None:
     path = short(tmp_path, "run_s: 0.2", "run_s: 600")
     arguments = [sys.executable, "-c", COMMAND, str(path), "--out", str(tmp_path)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).parent, *filter(None, sys.path))))}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).resolve().parents[2], *filter(None, sys.path))))}
     with subprocess.Popen(arguments, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         log = tmp_path / "short" / "service.log"
         wait_for(lambda: log.exists() and "ready: " in log.read_text("utf-8"))

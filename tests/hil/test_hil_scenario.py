@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from auv_mcm.commands import hil
-from auv_mcm.config import parse_config
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
+from sim_replay.commands import hil
 from sim_replay.hil.scenario import SCENARIOS, parse_scenario, read_scenario, service_config, service_yaml, shipped
 
 SOUND = """
@@ -130,7 +130,7 @@ def test_a_folder_is_no_scenario(tmp_path: Path, name: str) -> None:
 def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -> None:
     read = read_scenario(name)
     scenario = read.scenario
-    assert scenario.run_s <= (20.0 if scenario.vehicle is None else 90.0)
+    assert scenario.run_s <= (25.0 if scenario.vehicle is None else 90.0)
     assert read.scenario.scene is not None
     assert (read.folder / read.scenario.scene).is_file()
     ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]

@@ -6,17 +6,17 @@ import io
 from pathlib import Path
 
 import pytest
-from test_hil_scenario import SOUND
 
-from auv_mcm.clock import ReplayClock
 from auv_mcm.errors import UsageError
 from sim_replay.hil.scenario import HostClockStep, parse_scenario
 from sim_replay.hil.stepping_service import SteppingClock, follow, main
+from tests.hil.test_hil_scenario import SOUND
+from tests.manual_clock import ManualClock
 
 
 @pytest.mark.parametrize("by_s", [3600.0, -12.5])
 def test_utc_steps_at_the_instant_that_is_told_and_monotonic_time_does_not(by_s: float) -> None:
-    under = ReplayClock(1000.0)
+    under = ManualClock(1000.0)
     clock = SteppingClock(under, by_s)
     under.advance_to(1005.0)
     assert clock.utc_s() == 1005.0

@@ -59,10 +59,10 @@ def passes(rule: Rule, **changes: Any) -> bool:
 @pytest.mark.parametrize(
     ("stopped_s", "texts", "holds"),
     [
-        (10.0, {10.4: "INFO auv_mcm.service: stopping: 0 pings still queued"}, True),
-        (10.0, {13.0: "INFO auv_mcm.service: stopping: 0 pings still queued"}, False),
-        (10.0, {9.0: "INFO auv_mcm.service: stopping: 0 pings still queued", 10.1: "something else"}, False),
-        (None, {10.4: "INFO auv_mcm.service: stopping: 0 pings still queued"}, False),
+        (10.0, {10.4: "INFO auv_mcm.shell.service: stopping: 0 pings still queued"}, True),
+        (10.0, {13.0: "INFO auv_mcm.shell.service: stopping: 0 pings still queued"}, False),
+        (10.0, {9.0: "INFO auv_mcm.shell.service: stopping: 0 pings still queued", 10.1: "something else"}, False),
+        (None, {10.4: "INFO auv_mcm.shell.service: stopping: 0 pings still queued"}, False),
     ],
 )
 def test_a_service_answers_when_it_says_soon_that_it_stops(stopped_s: float | None, texts: dict[float, str], holds: bool) -> None:

@@ -12,11 +12,11 @@ import pytest
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.cli import main
 from auv_mcm.records import VALID
-from sim_replay.benches.picture_speckle import picture_speckle
-from sim_replay.benches.real_calls import call
-from sim_replay.benches.real_outlines import judge
-from sim_replay.benches.real_pictures import EFFIGY_M, Picture, effigies, length_px, read_picture
-from sim_replay.benches.real_tiles import SAS, SIDE_SCAN, tile_of
+from sim_replay.studies.picture_speckle import picture_speckle
+from sim_replay.studies.real_calls import call
+from sim_replay.studies.real_outlines import judge
+from sim_replay.studies.real_pictures import EFFIGY_M, Picture, effigies, length_px, read_picture
+from sim_replay.studies.real_tiles import SAS, SIDE_SCAN, tile_of
 
 SharedData = Callable[[str], Path]
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from sim_replay.port_order import DECISIVE, port_order_evidence
-from sim_replay.xtf import XtfLog
+from auv_mcm.settings.config import SonarConfig
+from sim_replay.logs.port_order import DECISIVE, port_order_evidence
+from sim_replay.logs.xtf import XtfLog
 
 SCOTSMAN = "sidescan/scotsman-iver2.xtf"
 COLORADO = "sidescan/colorado-river-455k.xtf"

@@ -14,11 +14,11 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.config import Config
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, NavSample, Ping
-from sim_replay.xtf import XtfLog
+from auv_mcm.settings.config import Config
+from sim_replay.logs.xtf import XtfLog
 
 SharedData = Callable[[str], Path]
 
@@ -103,7 +103,7 @@ FIRST = {"A": 4, "F": 9, "I": 5, "K": 4}  # of 81 contacts; F is the lowest
 
 
 def test_scotsman_objects_with_clear_shadows_are_among_the_most_mine_like_contacts(shared_data: SharedData) -> None:
-    """They are smaller than any mine the close look knows, which it counts against them."""
+    """They are smaller than any mine confirmation knows, which it counts against them."""
     log = shared_data("sidescan/scotsman-iver2.xtf")
     clear = [mark for mark in objects_of(shared_data("sidescan/scotsman-iver2.objects.csv")) if mark.name in FIRST]
     places, of = marked_places_m(log, clear)

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.config import Config, SonarConfig
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Notice, Ping
+from auv_mcm.records import Notice, Ping, TransferKind
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.waterfall.law_watch import LawWatch, Verdict
-from auv_mcm.waterfall.transfer import TransferKind
-from sim_replay.xtf import XtfLog
+from sim_replay.logs.xtf import XtfLog
 
 SharedData = Callable[[str], Path]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from drivers.stamps import Stamp
-from drivers.vehicle.registry import VEHICLES, VehicleSettings, decoder_of, talker_of
-from drivers.vehicle.seam import VehicleEvent
+from auv_mcm.clock import Stamp
+from drivers.vehicle.dialect import VehicleEvent
+from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, decoder_of, talker_of
 
 
 class Conversation:

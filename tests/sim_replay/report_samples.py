@@ -5,13 +5,13 @@ from __future__ import annotations
 from html.parser import HTMLParser
 from typing import Any
 
-import drawn_looks
 import msgspec
 import numpy as np
 
 from auv_mcm.records import NAN, VALID, Contact, Detection, PoseTrack, Side, Tile, Waypoint
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import MissionRecord, PictureCollector
+from tests.auv_mcm.classify import drawn_looks
 
 ROW_M, COLUMN_M = 0.12, 0.06
 START_S = 1_700_000_000.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.records import NavSample, Ping
-from sim_replay.benches.scenes import SCENES
+from sim_replay.missions import SCENES
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import planned_legs, swath_m
 from sim_replay.simulator.recording import sample_type

@@ -13,16 +13,18 @@ from typing import Any
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.clock import ReplayClock, SystemClock
-from auv_mcm.config import Config, ServiceConfig
+from auv_mcm.clock import SystemClock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample
-from auv_mcm.service import Service, open_source, parse_source_uri
-from sim_replay.recorded import Pace, RecordedMission, parse_speed
+from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.service import Service
+from auv_mcm.shell.sources import open_source, parse_source_uri
+from sim_replay.logs.recorded import Pace, RecordedMission, parse_speed
+from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
-from sim_replay.xtf_writer import write_xtf
+from tests.manual_clock import ManualClock
 
 ROOT = Path(__file__).parents[2]
 FILES = {
@@ -184,7 +186,7 @@ def test_command_line_prints_figures_progress_and_where_the_report_is(
 
 
 def test_fraction_done_grows_to_one(logs: tuple[Path, Path]) -> None:
-    mission = RecordedMission(logs, Config().sonar)
+    mission = RecordedMission(logs, Config())
     fractions = [mission.fraction_done for _ in mission.events()]
     assert fractions == sorted(fractions)
     assert fractions[-1] > 0.9
@@ -193,7 +195,7 @@ def test_fraction_done_grows_to_one(logs: tuple[Path, Path]) -> None:
 
 def paced(times_s: list[float], speed: float) -> list[float]:
     """When events of these times are let through, the clock advancing by exactly what is waited."""
-    clock = ReplayClock()
+    clock = ManualClock()
     pace = Pace(speed, clock)
     came_s = []
     for time_s in times_s:

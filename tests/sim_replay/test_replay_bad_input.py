@@ -14,14 +14,14 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from xtf_logs import edit_headers
 
 from auv_mcm.clean_text import is_clean
 from auv_mcm.cli import main
 from auv_mcm.records import EchoTrace, NavSample, Ping
+from sim_replay.logs.xtf_writer import SampleType, write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
-from sim_replay.xtf_writer import SampleType, write_xtf
+from tests.sim_replay.logs.xtf_logs import edit_headers
 
 Events = list[NavSample | Ping]
 Spoil = Callable[[Events], Events]

@@ -14,15 +14,15 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from report_samples import ROW_M, START_S, Page, collected, contact, detection, mission, tile, waypoints
 
 from auv_mcm.contacts.picture import COLOURS, display_levels, snippet_picture, snippet_png
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Notice, Side
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, render_report, write_report
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.words import area, degrees_minutes, distance, duration, explained, is_loss, nice_step
+from tests.sim_replay.report_samples import ROW_M, START_S, Page, collected, contact, detection, mission, tile, waypoints
 
 
 def full_page(**changes: Any) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import cv2
-import drawn_looks
 import msgspec
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
-from report_samples import Page, contact, detection, mission
 
 from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
@@ -26,6 +24,8 @@ from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, render_report
 from sim_replay.report.panels import view_picture
 from sim_replay.report.words import agreement, evidence, listed, model_sizes, plus_minus
+from tests.auv_mcm.classify import drawn_looks
+from tests.sim_replay.report_samples import Page, contact, detection, mission
 
 NONE = np.empty((0, 2))
 BOX = np.array([(5.0, 8.0), (5.0, 12.0), (9.0, 12.0), (9.0, 8.0)])

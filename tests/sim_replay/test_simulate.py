@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.config import SonarConfig
 from auv_mcm.records import NavSample, Ping
+from auv_mcm.settings.config import SonarConfig
+from sim_replay.logs.xtf import XtfLog
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import parse_scene
-from sim_replay.xtf import XtfLog
 
 TEXT = """
 name: a short leg

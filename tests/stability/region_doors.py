@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import Effort, fit_shapes
 from auv_mcm.classify.likelihood import labels_cost
-from auv_mcm.classify.shapes import TruncatedCone
 from auv_mcm.confirm.mrf import segment
-from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Start, converge
-from sim_replay.benches.shapes import closed_form_region
-from sim_replay.benches.snakes import box
+from auv_mcm.solids.shapes import TruncatedCone
+from sim_replay.studies.snakes import box
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 Plane = NDArray[np.float64]
 
@@ -64,7 +63,6 @@ def plain(value: Any) -> Any:
 
 DOORS: dict[str, Callable[[Region], Any]] = {
     "segment": segment,
-    "segment_as_paper": segment_as_paper,
     "converge": lambda region: converge(region, START, correlation_px=1.5),
     "fit_shapes": lambda region: fit_shapes(region, None, 1.5, effort=SMALL),
     "labels_cost": lambda region: labels_cost(region, labels_of(region), 1.5),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from auv_mcm.classify.beliefs import FRAME, Array, ViewMass, combine
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.classify.fit import Effort, fit_shapes
-from auv_mcm.classify.shapes import Box, Cylinder, Shape, Wedge, view_shape
-from sim_replay.benches.shapes import closed_form_region
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, Wedge, view_shape
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 TURN = 2.0 * math.pi
 ANGLE = st.floats(-math.pi, math.pi)

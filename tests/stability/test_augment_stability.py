@@ -15,10 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config, SonarConfig
-from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side
-from auv_mcm.waterfall.transfer import Transfer
-from sim_replay.augment.coiras import invert_multiresolution
+from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side, Transfer
+from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.augment.direct import invert
 from sim_replay.augment.embed import Embedded, embed
 from sim_replay.augment.forward import BeamPattern, SeafloorScene, cos_incidence, render
@@ -28,8 +26,9 @@ from sim_replay.augment.poisson import Stiffness, integrate_slope
 from sim_replay.augment.shadows import shadow_runs
 from sim_replay.augment.targets import Target, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
+from sim_replay.logs.xtf_writer import SampleType, write_xtf
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
-from sim_replay.xtf_writer import SampleType, write_xtf
+from sim_replay.studies.coiras import invert_multiresolution
 
 Plane = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 from auv_mcm import kernels
-from auv_mcm.config import Config, DetectConfig
 from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, Box, areas, band_edges, margins_px, pixel_boxes
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
 from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane, tables_of
-from auv_mcm.detect.stage import TileDetections, detect_tile
+from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.kernels.cascade import Field, open_windows, open_windows_numpy, run_groups, run_groups_numpy
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
+from auv_mcm.settings.config import Config, DetectConfig
+from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 Codes = NDArray[np.uint16]
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFits, fit_shapes
 from auv_mcm.classify.likelihood import row_sums
-from auv_mcm.classify.shapes import Cylinder, Sphere, TruncatedCone
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import FORBIDDEN, Beam, RowSums, Solid, shape_costs, shape_costs_numpy
-from sim_replay.benches.shapes import closed_form_region
+from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 SMALL = Effort(160, 4, 8, 6, 2, 8, 6)
 BEAM = Beam(np.array([-0.005, 0.0, 0.005]), np.array([0.25, 0.5, 0.25]))

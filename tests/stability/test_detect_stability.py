@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
-from auv_mcm.config import Config
-from auv_mcm.detect.stage import TileDetections, detect_tile
+from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import SATURATED, TURN, VALID, Tile
+from auv_mcm.settings.config import Config
+from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 
 def looked_at(tile: Tile) -> TileDetections:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from auv_mcm.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, wrap_angle_rad, wrap_longitude_deg
+from auv_mcm.geometry.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, wrap_angle_rad, wrap_longitude_deg
 
 
 def test_a_dense_sweep_of_the_globe_round_trips() -> None:

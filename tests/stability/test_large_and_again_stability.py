@@ -12,17 +12,17 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from region_doors import DOORS, START, cone_region, labels_of, plain, through
 
 from auv_mcm.classify.likelihood import labels_cost
 from auv_mcm.confirm.mrf import segment
-from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import SHADOW, Region
 from auv_mcm.confirm.snake import Start, converge
+from sim_replay.studies.paper_mrf import segment_as_paper
+from tests.stability.region_doors import DOORS, START, cone_region, labels_of, plain, through
 
 ASK_AGAIN = """
 import sys
-from region_doors import DOORS, cone_region, plain, through
+from tests.stability.region_doors import DOORS, cone_region, plain, through
 sys.stdout.write(repr([plain(through(door, cone_region(2))) for door in sorted(DOORS)]))
 """
 
@@ -71,8 +71,7 @@ def test_the_same_again_and_on_two_threads_at_once(door: str, n_runs: Callable[[
 
 def test_the_same_in_another_process_whatever_its_hashes_and_threads() -> None:
     here = repr([plain(through(door, cone_region(2))) for door in sorted(DOORS)])
-    folder = Path(__file__).parent
     environment = {**os.environ, "PYTHONHASHSEED": "7", "OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
-    environment["PYTHONPATH"] = os.pathsep.join([str(folder), str(folder.parents[1])])
+    environment["PYTHONPATH"] = str(Path(__file__).resolve().parents[2])
     there = subprocess.run([sys.executable, "-c", ASK_AGAIN], env=environment, capture_output=True, text=True, check=True)
     assert there.stdout == here

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge, flat_ground_range_m, view_shape
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge, flat_ground_range_m, view_shape
 
 Array = NDArray[np.float64]
 RIGHT = 0.5 * math.pi

@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from region_doors import DOORS, HYPOTHESIS, RANGE_M, SMALL, START, cone_region, labels_of, plain, through
 
 from auv_mcm import kernels
 from auv_mcm.classify.fit import fit_shapes
 from auv_mcm.classify.likelihood import beam_of, labels_cost, row_sums
 from auv_mcm.confirm.mrf import segment
-from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Start, converge
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid, shape_costs
-from sim_replay.benches.overlap import overlap
+from sim_replay.scoring.overlap import overlap
+from sim_replay.studies.paper_mrf import segment_as_paper
+from tests.stability.region_doors import DOORS, HYPOTHESIS, RANGE_M, SMALL, START, cone_region, labels_of, plain, through
 
 Plane = NDArray[np.float64]
 EVERY_DOOR = pytest.mark.parametrize("door", DOORS)

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from region_doors import DOORS, START, cone_region, through
 from scipy.special import kve
 
 from auv_mcm.classify.fit import Effort, fit_shapes
@@ -18,7 +17,8 @@ from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import converge
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.trws import energy_of, trws
-from sim_replay.benches.overlap import overlap
+from sim_replay.scoring.overlap import overlap
+from tests.stability.region_doors import DOORS, START, cone_region, through
 
 FLOORS = [1.0, 1e-300, 1e-310]
 

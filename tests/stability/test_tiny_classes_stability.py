@@ -9,14 +9,14 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from region_doors import DOORS, START, cone_region, plain, through
 
-from auv_mcm.classify.search import Box, curvature_covariance
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mrf import segment
-from auv_mcm.confirm.paper_mrf import segment_as_paper
 from auv_mcm.confirm.region import BACKGROUND, Region
 from auv_mcm.confirm.snake import converge
+from auv_mcm.solids.box_search import Box, curvature_covariance
+from sim_replay.studies.paper_mrf import segment_as_paper
+from tests.stability.region_doors import DOORS, START, cone_region, plain, through
 
 Plane = NDArray[np.float64]
 SHAPE = cone_region().intensity.shape

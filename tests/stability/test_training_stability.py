@@ -12,17 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from tile_pictures import PICTURES
 
 from auv_mcm.detect.cascade.codes import Plane, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, check_model, encode_model, parse_model
 from auv_mcm.detect.cascade.run import trace_plane
 from auv_mcm.kernels.cascade import encode
-from sim_replay.training.boost import N_BINS, Bins, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
-from sim_replay.training.pool import Pool, bin_edges, box_means, feature_pool, model_stump, quantise
-from sim_replay.training.soft import best_windows, reject_thresholds
-from sim_replay.training.stages import Samples, threshold, train_stage
-from sim_replay.training.validation import Sighting, calibrate, expected_pd
+from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
+from sim_replay.fitting.cascade.pool import Pool, bin_edges, box_means, feature_pool, model_stump, quantise
+from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
+from sim_replay.fitting.cascade.stages import Samples, threshold, train_stage
+from sim_replay.fitting.cascade.validation import Sighting, calibrate, expected_pd
+from tests.stability.tile_pictures import PICTURES
 
 Labels = NDArray[np.bool_]
 Booster = Callable[[Bins, Labels, int, float, np.random.Generator], Iterator[BoostedStump]]

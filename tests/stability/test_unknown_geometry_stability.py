@@ -6,9 +6,9 @@ import math
 
 import msgspec
 import pytest
-from region_doors import DOORS, START, cone_region, through
 
 from auv_mcm.confirm.snake import converge
+from tests.stability.region_doors import DOORS, START, cone_region, through
 
 NOT_POSITIVE = [0.0, -1.0, 1e-300, math.nan, math.inf, -math.inf]
 NO_PLACE = [math.nan, math.inf, -math.inf, 1e200]

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config, WaterfallConfig
+from auv_mcm.detect.integral import PaddedIntegral
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
-from auv_mcm.integral import PaddedIntegral
-from auv_mcm.records import VALID, EchoTrace, NavSample, Ping, PoseTrack, Tile
+from auv_mcm.records import VALID, EchoTrace, NavSample, Ping, PoseTrack, Tile, Transfer
+from auv_mcm.settings.config import Config, WaterfallConfig
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.law import weigh_laws
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 from auv_mcm.waterfall.speckle import measure_regions, summarise
-from auv_mcm.waterfall.stage import Waterfall
 from auv_mcm.waterfall.tiles import TileCutter
-from auv_mcm.waterfall.transfer import Transfer, to_intensity
+from auv_mcm.waterfall.transfer import to_intensity
+from auv_mcm.waterfall.waterfall import Waterfall
 
 N_PINGS, N_SAMPLES, SPACING_M, STEP_M = 96, 400, 0.1, 0.15
 SLANT_M = (np.arange(N_SAMPLES) + 0.5) * SPACING_M

@@ -11,7 +11,7 @@ import re
 from typing import Final
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Vertical
+from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.text_controller import (
     TextController,
     clock,

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import msgspec
 
 from auv_mcm.records import NAN, NavSample
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.vehicle.can_messages import (
     ANSWERS,
@@ -35,7 +35,7 @@ from drivers.vehicle.can_messages import (
 )
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import command_of, report_of, text_of
-from drivers.vehicle.seam import Command, ContactReport
+from drivers.vehicle.dialect import Command, ContactReport
 
 _ANSWER_CRC: Final = 0xFFFF
 _TURN: Final = 2.0 * math.pi

@@ -11,10 +11,11 @@ import math
 from collections import Counter
 from typing import Final
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.dialect import Command, ContactReport, GoTo, Vertical
 from drivers.vehicle.imc_contact import report_of
 from drivers.vehicle.imc_messages import (
     LAYOUTS,
@@ -32,7 +33,6 @@ from drivers.vehicle.imc_messages import (
     number_of,
 )
 from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, Packet, packed, to_wire
-from drivers.vehicle.seam import Command, ContactReport, GoTo, Vertical
 
 ADDRESS: Final = 0x001E
 PLAN_ID: Final = "survey"  # its own

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Vertical
+from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.text_controller import (
     TextController,
     clock,

@@ -9,7 +9,7 @@ import math
 from typing import Final
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Steer, Vertical
+from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.text_controller import TextController, clock, contact_of, or_zero, steer_of
 
 _STATE_EVERY_S: Final = 0.5

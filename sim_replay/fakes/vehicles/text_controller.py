@@ -11,7 +11,7 @@ from collections import Counter
 from typing import Final, get_args
 
 from auv_mcm.records import ContactClass, NavSample
-from drivers.vehicle.seam import ContactReport, Steer, Vertical
+from drivers.vehicle.dialect import ContactReport, Steer, Vertical
 
 REGRANT_S: Final = 10.0  # after control was taken back
 _MAX_LINE_BYTES: Final = 4096

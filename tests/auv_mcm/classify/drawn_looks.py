@@ -1,4 +1,4 @@
-"""Contacts, detections, close looks and what their steps measured, made up: only what a test names is particular about them."""
+"""Contacts, detections, confirmations and what their steps measured, made up: only what a test names is particular about them."""
 
 from __future__ import annotations
 

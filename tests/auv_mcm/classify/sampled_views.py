@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from auv_mcm.classify.shapes import Box, ConvexPolyhedron, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge
+from auv_mcm.solids.shapes import Box, ConvexPolyhedron, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge
 
 Array = NDArray[np.float64]
 

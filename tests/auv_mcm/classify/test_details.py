@@ -7,15 +7,15 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from drawn_looks import bare_floor, detection, no_contours, no_fits
 from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.fit import Highlight, Optimum, ShapeFit, ShapeFits
-from auv_mcm.classify.shapes import Cylinder, Sphere
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from auv_mcm.kernels.shape import Solid
+from auv_mcm.solids.shapes import Cylinder, Sphere
+from tests.auv_mcm.classify.drawn_looks import bare_floor, detection, no_contours, no_fits
 
 LABELS = np.array([[HIGHLIGHT, SHADOW, SHADOW, BACKGROUND]], dtype=np.uint8)
 

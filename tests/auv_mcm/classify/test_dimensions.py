@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.classify.dimensions import Dimensions, dimensions
-from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
 from auv_mcm.records import ContactClass, ShapeModel
+from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
 
 NOWHERE = np.empty((0, 2))
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_looks import bare_floor, detection, no_contours, no_fits
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,10 +21,11 @@ from auv_mcm.classify.features import (
     with_shape,
 )
 from auv_mcm.classify.fit import Highlight, Optimum, ShapeFit
-from auv_mcm.classify.shapes import Sphere
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from auv_mcm.confirm.snake_rules import REJECTING
 from auv_mcm.records import NAN
+from auv_mcm.solids.shapes import Sphere
+from tests.auv_mcm.classify.drawn_looks import bare_floor, detection, no_contours, no_fits
 
 SQUARE = np.array([(0.0, 0.0), (0.0, 4.0), (4.0, 4.0), (4.0, 0.0)])
 NO_LABELS = np.empty((0, 0), dtype=np.uint8)

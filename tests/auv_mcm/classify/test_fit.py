@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFit, ShapeFits, fit_shapes, hypotheses_of, plausibility
-from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import FIRST_FIELD, Solid, solid_of
-from sim_replay.benches.shapes import CORRELATION_AREA, best_class, closed_form_region, draw_object
+from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
+from sim_replay.studies.shapes import CORRELATION_AREA, best_class, draw_object
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 SHAPES: dict[Solid, Shape] = {
     "sphere": Sphere(radius_m=0.4),

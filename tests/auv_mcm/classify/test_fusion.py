@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_looks import confirmation, detection, like
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import FRAME, MINE_LIKE_P, vacuous
 from auv_mcm.classify.fusion import CONTRADICTION, NEWS, Verdict, fuse, fused_ratio
 from auv_mcm.records import NAN, Detection
+from tests.auv_mcm.classify.drawn_looks import confirmation, detection, like
 
 PRIOR = math.log(0.1 / 0.9)
 
@@ -263,7 +263,7 @@ def test_a_contradiction_in_between_takes_a_little_off_the_better_view() -> None
     assert odds(verdict) == pytest.approx(PRIOR + 5.0 - 5.0 * NEWS, abs=0.1)
 
 
-# ---------------------------------------------------------------- no close look
+# ---------------------------------------------------------------- no confirmation
 
 
 @settings(max_examples=30)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.likelihood import beam_of, labels_cost, parameter_cost, row_sums
-from auv_mcm.classify.shapes import Cylinder, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.kernels.shape import FIELDS, FORBIDDEN, LEAST_MEAN, PENCIL, Beam, RowSums, Solid, shape_costs, shape_costs_numpy, solid_of
-from sim_replay.benches.shapes import closed_form_region
+from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 Array = NDArray[np.float64]
 N_ROWS, N_COLUMNS = 40, 110

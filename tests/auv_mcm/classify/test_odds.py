@@ -11,7 +11,6 @@ from typing import Any, get_args
 import msgspec
 import numpy as np
 import pytest
-from drawn_looks import bare_floor, detection, no_contours, no_fits
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,6 +21,7 @@ from auv_mcm.classify.features import contour_features, detector_features, outli
 from auv_mcm.classify.odds import MineOdds, Tree, Weights, mass_of_ratio, parse_odds, share_of_ratio, shipped_odds, with_ratio
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN, Detector
+from tests.auv_mcm.classify.drawn_looks import bare_floor, detection, no_contours, no_fits
 
 CLUTTER = subset("clutter")
 NOTHING = Weights(offset=0.0, weights={})
@@ -210,7 +210,7 @@ BAD = {
 
 @pytest.mark.parametrize("data", BAD.values(), ids=BAD.keys())
 def test_files_that_are_no_weights_are_refused_by_name(data: bytes) -> None:
-    with pytest.raises(BadInputError, match=r"^/data/mine_odds\.json: .*sim_replay\.calibrate"):
+    with pytest.raises(BadInputError, match=r"^/data/mine_odds\.json: .*sim_replay\.fitting\.odds"):
         parse_odds(data, "/data/mine_odds.json")
 
 

@@ -1,4 +1,4 @@
-"""Every code that detection or a close look can give has words, and stands on one side of the decision."""
+"""Every code that detection or confirmation can give has words, and stands on one side of the decision."""
 
 from __future__ import annotations
 

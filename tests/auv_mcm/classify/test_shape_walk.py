@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import SOLIDS, hypotheses_of
 from auv_mcm.classify.likelihood import beam_of, row_sums
-from auv_mcm.classify.search import Box, look_around
-from auv_mcm.classify.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from auv_mcm.kernels.shape import FORBIDDEN, PENCIL, Solid, intervals, intervals_numpy
 from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes, walk_shapes_numpy
-from sim_replay.benches.shapes import closed_form_region
+from auv_mcm.solids.box_search import Box, look_around
+from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
+from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.speckle import Correlation, block_means, grain_area, looks_of_blocks, measure_correlation, nyquist_factors
 from auv_mcm.kernels.speckle import half_differences, half_differences_numpy
-from sim_replay.benches.drawn_regions import Drawing, draw_region
+from sim_replay.studies.drawn_regions import Drawing, draw_region
 
 
 def sea_floor(seed: int, spread_rows: float, spread_columns: float) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from auv_mcm.confirm.snake import COARSE, FINE, settings_of
 from auv_mcm.confirm.snake_rules import contour_mask, row_intervals
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings, Sums
-from sim_replay.benches.snakes import box, drawn_pair, plain_region
+from sim_replay.studies.snakes import box, drawn_pair, plain_region
 
 Floats = NDArray[np.float64]
 NONE = np.empty((0, 2))

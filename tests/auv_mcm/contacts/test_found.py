@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,8 +13,9 @@ from hypothesis import strategies as st
 
 from auv_mcm.contacts.export import contacts_csv, contacts_geojson, contacts_kml, coverage_geojson
 from auv_mcm.contacts.found import Found
-from auv_mcm.outputs import write_results
 from auv_mcm.records import Contact, CoveragePatch, Side, contact_id
+from auv_mcm.shell.results import write_results
+from tests.auv_mcm.classify import drawn_looks
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import drawn_looks
 import msgspec
 import numpy as np
 import pytest
@@ -15,10 +14,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import EVERYTHING, subset, vacuous
 from auv_mcm.classify.fusion import NEWS
-from auv_mcm.config import ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection, ShapeModel
+from auv_mcm.settings.config import ContactsConfig
+from tests.auv_mcm.classify import drawn_looks
 
 HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
 FIRST_LEG: dict[str, Any] = {"heading_rad": 0.0, "side": "starboard", "aspect_deg": 90.0}
@@ -332,7 +332,7 @@ def test_sizes_reasons_and_class_come_from_all_views() -> None:
 def confirmed(
     log_ratio: float, classification: ContactClass, sizes: dict[str, float], sigma: dict[str, float], certainty: float = 0.9
 ) -> Confirmation:
-    """What a close look found that shows one solid, as certain as told."""
+    """What confirmation found that shows one solid, as certain as told."""
     nowhere = drawn_looks.NOWHERE
     shape_mass = vacuous()
     shape_mass[EVERYTHING], shape_mass[subset(classification, "clutter")] = 1.0 - certainty, certainty

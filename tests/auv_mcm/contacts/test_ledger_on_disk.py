@@ -10,7 +10,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-import drawn_looks
 import msgspec
 import numpy as np
 import pytest
@@ -18,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from auv_mcm.config import ContactsConfig
 from auv_mcm.contacts.ledger import Ledger, contact_of
 from auv_mcm.contacts.shelf import Shelf
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Confirmation, Contact, Detection, ShapeModel, contact_id
+from auv_mcm.settings.config import ContactsConfig
+from tests.auv_mcm.classify import drawn_looks
 
 CONFIG = ContactsConfig()
 PRIOR = -4.0

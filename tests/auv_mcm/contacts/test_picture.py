@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +12,7 @@ from hypothesis import strategies as st
 from auv_mcm.contacts.picture import in_picture, snippet_picture
 from auv_mcm.records import Detection, Side
 from auv_mcm.snippet import pack_snippet
+from tests.auv_mcm.classify import drawn_looks
 
 
 def detection(side: Side, shape: tuple[int, int], bright: tuple[int, int], row_m: float, column_m: float) -> Detection:

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.contacts.shelf import Shelf
 from auv_mcm.records import NAN, Contact, CoveragePatch
+from tests.auv_mcm.classify import drawn_looks
 
 
 @pytest.fixture

@@ -7,18 +7,18 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from drawn_cascade import MODEL
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_tiles import COLUMN_M, ROW_M, make_tile, speckle
 
-from auv_mcm.config import Config, DetectConfig
 from auv_mcm.detect.candidates import STEP_M, Found, by_both
 from auv_mcm.detect.cascade.peaks import apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
+from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.detect.prescreen import score_tile
-from auv_mcm.detect.stage import detect_tile
 from auv_mcm.records import CONTRAST_SHARE, Tile
+from auv_mcm.settings.config import Config, DetectConfig
+from tests.auv_mcm.detect.drawn_cascade import MODEL
+from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, make_tile, speckle
 
 PLACES = [(40, 120), (90, 200), (140, 150)]
 CONFIG = Config()

@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 
 import pytest
-from drawn_cascade import MODEL
 
-from auv_mcm.config import Config, DetectConfig, WaterfallConfig
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import BadInputError
+from auv_mcm.settings.config import Config, DetectConfig, WaterfallConfig
+from tests.auv_mcm.detect.drawn_cascade import MODEL
 
 
 def with_model(name: str) -> Config:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drawn_cascades import COLUMN_M, ROW_M, draw_ground, draw_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -30,6 +29,7 @@ from auv_mcm.kernels.cascade import (
     run_groups,
     run_groups_numpy,
 )
+from tests.auv_mcm.detect.drawn_cascades import COLUMN_M, ROW_M, draw_ground, draw_model
 
 needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
 seeds = st.integers(0, 2**32 - 1)

@@ -10,12 +10,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from drawn_cascades import draw_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.detect.cascade.model import MAX_STUMPS, Calibration, check_model, encode_model, fits_sonar, parse_model
 from auv_mcm.errors import BadInputError
+from tests.auv_mcm.detect.drawn_cascades import draw_model
 
 Change = Callable[[dict[str, Any]], object]
 

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 import msgspec
 import numpy as np
 import pytest
-from drawn_cascades import COLUMN_M, ROW_M, Ground, brute_force, draw_ground, draw_model, n_windows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from auv_mcm.detect.cascade.bands import REFERENCE_HEIGHT_M
 from auv_mcm.detect.cascade.run import CascadeResult, core_plane, opening_groups, run_plane
 from auv_mcm.errors import UsageError
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, PoseTrack, Tile
+from tests.auv_mcm.detect.drawn_cascades import COLUMN_M, ROW_M, Ground, brute_force, draw_ground, draw_model, n_windows
 
 seeds = st.integers(0, 2**32 - 1)
 kinds = st.sampled_from(["soft", "stages"])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from drawn_cascades import draw_model
 
 from auv_mcm.detect.cascade.speed import budget_for, measure_speed
+from tests.auv_mcm.detect.drawn_cascades import draw_model
 
 
 def test_a_budget_is_the_evaluations_of_its_share_of_the_time() -> None:

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scene_tiles import make_tile, speckle
 
 from auv_mcm.detect.contrasts import LEAST_THRESHOLD, contrasts
 from auv_mcm.detect.prescreen import CONTEXT_M, ScoreMaps, find_peaks, score_tile
 from auv_mcm.kernels import contrast as kernel
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
+from tests.auv_mcm.detect.scene_tiles import make_tile, speckle
 
 FACES = ("image_sums", "background", "ratios", "local_variances", "extremes", "bright_places", "dark_places", "box_means", "peaks")
 

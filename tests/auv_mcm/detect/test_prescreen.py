@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
 
 from auv_mcm.detect import prescreen
+from auv_mcm.detect.detect_tile import OVERLAP_M
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak, ScoreMaps, find_peaks, score_tile
-from auv_mcm.detect.stage import OVERLAP_M
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
+from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
 
 Values = NDArray[np.float64]
 

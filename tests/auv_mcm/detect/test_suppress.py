@@ -9,16 +9,16 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from drawn_looks import detection
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.config import DetectConfig
 from auv_mcm.detect import suppress
 from auv_mcm.detect.belief import crowding, odds_of, probability
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.records import NAN, Detection
+from auv_mcm.settings.config import DetectConfig
+from tests.auv_mcm.classify.drawn_looks import detection
 
 ROW_M, COLUMN_M = 0.12, 0.06
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import drawn_looks
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clearance.clearance_map import clearance_over, unsearched
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import World, clearance_over, unsearched
+from auv_mcm.plan.survey import World
 from auv_mcm.records import SEABED_TYPES, Contact, SeabedType
+from tests.auv_mcm.classify import drawn_looks
 
 CELL_M = 4.0
 ORIGIN = (43.0, 5.0)

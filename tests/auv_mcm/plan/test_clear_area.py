@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from test_propose import clearance_m, contact
 
-from auv_mcm.config import Config, PlanConfig
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clearance.clearance_map import ClearanceMap
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.clear_area import MOST_VAIN_PASSES, ClearArea
-from auv_mcm.plan.clearance import ClearanceMap
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.config import Config, PlanConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
+from tests.auv_mcm.plan.test_propose import clearance_m, contact
 
 AREA = ((0.0, 0.0), (0.0, 60.0), (80.0, 60.0), (80.0, 0.0))
 FENCE = ((-70.0, -70.0), (-70.0, 130.0), (150.0, 130.0), (150.0, -70.0))

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_propose import FRAME, SQUARE, contact, fenced, geodetic
 
-from auv_mcm.config import Config
 from auv_mcm.plan.look_again import MOST_LOOKS, MOST_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, PlanRequest
 from auv_mcm.plan.propose import propose
 from auv_mcm.records import Contact, Waypoint, contact_id
+from auv_mcm.settings.config import Config
+from tests.auv_mcm.plan.test_propose import FRAME, SQUARE, contact, fenced, geodetic
 
 CONFIG = Config(vehicle=fenced(SQUARE))
 HERE = (43.0, 5.0, 0.0)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from survey_worlds import LIMITS, Sonar, contact, world
 
 from auv_mcm.plan.contact_legs import contact_legs, information_nats
 from auv_mcm.plan.dubins import Pose, dubins_lengths
@@ -20,6 +19,7 @@ from auv_mcm.plan.search import improved
 from auv_mcm.plan.survey import World, replan
 from auv_mcm.plan.tour import WAYS, richest_tour, tour_length
 from auv_mcm.plan.tracks import Cells, survey_tracks
+from tests.auv_mcm.plan.survey_worlds import LIMITS, Sonar, contact, world
 
 POSE = Pose(-20.0, 10.0, 0.5)
 

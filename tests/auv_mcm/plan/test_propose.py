@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.config import PlanConfig
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.propose import propose
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
+from tests.auv_mcm.classify import drawn_looks
 
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
 PLAN = PlanConfig()

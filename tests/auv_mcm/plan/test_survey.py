@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from survey_worlds import CELL_M, LIMITS, ORIGIN, Sonar, contact, world
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import HIGHEST_P, Clearance, look_bit
+from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, clearance_over, look_bit, unsearched
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import Pose
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import HIGHEST_REQUIRED, Plan, PlannedLeg, World, clearance_over, replan, unsearched
+from auv_mcm.plan.survey import HIGHEST_REQUIRED, Plan, PlannedLeg, World, replan
+from tests.auv_mcm.plan.survey_worlds import CELL_M, LIMITS, ORIGIN, Sonar, contact, world
 
 POSE = Pose(-20.0, -20.0, 0.3)
 SQUARE = np.array([[-60.0, -60.0], [-60.0, 140.0], [140.0, 140.0], [140.0, -60.0]])

@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config, WaterfallConfig
 from auv_mcm.intake import PingBlock
-from auv_mcm.records import VALID, EchoTrace, Ping, PoseTrack, Side, Tile
-from auv_mcm.waterfall.stage import Waterfall
-from auv_mcm.waterfall.transfer import Transfer
+from auv_mcm.records import VALID, EchoTrace, Ping, PoseTrack, Side, Tile, Transfer
+from auv_mcm.settings.config import Config, WaterfallConfig
+from auv_mcm.waterfall.waterfall import Waterfall
 
 ALTITUDE_M, RANGE_M, SPACING_M, STEP_M, PING_S = 6.0, 45.0, 0.03, 0.12, 0.1
 FIRST_PING_M = 0.3

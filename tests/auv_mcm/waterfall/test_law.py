@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from law_pings import BOTTOM, N_SAMPLES, PROFILES, decibels, intensity_pings, log_counts, pings
 from numpy.typing import NDArray
 
 from auv_mcm.waterfall.law import LawOdds
 from auv_mcm.waterfall.law_watch import weigh_pings
+from tests.auv_mcm.waterfall.law_pings import BOTTOM, N_SAMPLES, PROFILES, decibels, intensity_pings, log_counts, pings
 
 
 def odds_of(samples: NDArray[Any]) -> LawOdds:

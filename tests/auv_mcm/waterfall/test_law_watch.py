@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from law_pings import intensity_pings, log_counts, pings
 
-from auv_mcm.config import SonarConfig
-from auv_mcm.records import Notice, Ping
+from auv_mcm.records import Notice, Ping, Transfer
+from auv_mcm.settings.config import SonarConfig
 from auv_mcm.waterfall.law_watch import LawWatch, Verdict
-from auv_mcm.waterfall.transfer import Transfer
+from tests.auv_mcm.waterfall.law_pings import intensity_pings, log_counts, pings
 
 AMPLITUDE = 60.0 * np.sqrt(intensity_pings(1, "spreading", n_pings=512))
 LOGARITHM = log_counts(intensity_pings(4, "spreading", n_pings=512, seed=2), 0.314)

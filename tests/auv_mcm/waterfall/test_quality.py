@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.records import EchoTrace
+from auv_mcm.records import EchoTrace, Transfer
 from auv_mcm.waterfall.quality import CheckedTrace, TraceChecker
-from auv_mcm.waterfall.transfer import Transfer
 
 AMPLITUDE = Transfer("amplitude")
 SPACING_M = 0.05

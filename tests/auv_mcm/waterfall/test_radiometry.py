@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
-from simulated_pings import ALTITUDE_M, CONFIG, GROUND_M, SLANT_M, Run, amplitudes, decibels, row_of_ping, run
 
-from auv_mcm.config import WaterfallConfig
+from auv_mcm.settings.config import WaterfallConfig
 from auv_mcm.waterfall.radiometry import AngleCurve, GainStepFilter, local_mean, row_medians
+from tests.auv_mcm.waterfall.simulated_pings import ALTITUDE_M, CONFIG, GROUND_M, SLANT_M, Run, amplitudes, decibels, row_of_ping, run
 
 N_PINGS = 320
 COLUMN_M = (np.arange(751) + 0.5) * CONFIG.waterfall.column_spacing_m

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from simulated_pings import straight_poses
 
-from auv_mcm.config import WaterfallConfig
 from auv_mcm.records import SATURATED, SIDES, TURN, VALID, Side, Tile
+from auv_mcm.settings.config import WaterfallConfig
 from auv_mcm.waterfall.grid import SideImage, Swath, slice_swath
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 from auv_mcm.waterfall.tiles import TileCutter
+from tests.auv_mcm.waterfall.simulated_pings import straight_poses
 
 SPACING_M = 0.25
 OVERLAP_M = LOCAL_MEAN_REACH_M + 1.0

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from auv_mcm.waterfall.transfer import Transfer, to_intensity
+from auv_mcm.records import Transfer
+from auv_mcm.waterfall.transfer import to_intensity
 
 
 @given(

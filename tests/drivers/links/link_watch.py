@@ -8,12 +8,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
-from drivers.links.registry import byte_link, can_link
+from drivers.links.open_link import byte_link, can_link
 from drivers.links.uri import parse_link_uri
-from drivers.stamps import Stamp
 
 T = TypeVar("T")
 GENEROUS_S = 10.0

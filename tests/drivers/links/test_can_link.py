@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import can
 import pytest
-from link_watch import Watch, running, until, until_equal, watched_can
 
 from auv_mcm.clock import SystemClock
 from drivers.links.can_bus import CanBusPort
@@ -22,6 +21,7 @@ from drivers.links.link import Link
 from drivers.links.slcan import encode
 from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
+from tests.drivers.links.link_watch import Watch, running, until, until_equal, watched_can
 
 POSITION = CanFrame(0x09F80103, bytes.fromhex("406dab1cc0b9da06"))
 DEPTH = CanFrame(0x0DF50B03, bytes.fromhex("00d2040000000000"))

@@ -12,16 +12,16 @@ from typing import Final, NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from link_watch import Watch, running, until
-from loop_time import LoopClock, LoopTime, run_in_loop_time
 
+from auv_mcm.clock import Stamp
 from drivers.links.can_frame import CanFrame
 from drivers.links.gather import GATHER_S, PLENTY_BYTES, gather_s
-from drivers.links.link import Link, Port
+from drivers.links.link import Link, Wire
 from drivers.links.slcan import SlcanPort, encode
 from drivers.links.stream import StreamPort
 from drivers.links.uri import BAUD_RATES
-from drivers.stamps import Stamp
+from tests.drivers.links.link_watch import Watch, running, until
+from tests.drivers.links.loop_time import LoopClock, LoopTime, run_in_loop_time
 
 BYTES_PER_S: Final = 92_160.0
 USB_PACKET_S: Final = 64 / BYTES_PER_S
@@ -75,7 +75,7 @@ async def wired(baud: int = 921_600) -> AsyncIterator[Far]:
     near.setblocking(False)
     watch = Watch[bytes]()
 
-    async def open_port(counters: Counter[str]) -> Port[bytes]:
+    async def open_port(counters: Counter[str]) -> Wire[bytes]:
         return stream_port(near, baud, counters)
 
     link = Link("wire", open_port, watch.on_data, watch.on_state, LoopClock(), 60.0)
@@ -154,7 +154,7 @@ def test_a_receiver_that_loses_the_wire_leaves_no_timer() -> None:
         near.setblocking(False)
         ports = [near]
 
-        async def open_port(counters: Counter[str]) -> Port[bytes]:
+        async def open_port(counters: Counter[str]) -> Wire[bytes]:
             return stream_port(ports.pop(), 921_600, counters)
 
         def answer(data: bytes, stamp: Stamp) -> None:
@@ -180,7 +180,7 @@ def test_frames_of_an_adapter_gather_as_well() -> None:
         near, far = socket.socketpair()
         near.setblocking(False)
 
-        async def open_port(counters: Counter[str]) -> Port[CanFrame]:
+        async def open_port(counters: Counter[str]) -> Wire[CanFrame]:
             return SlcanPort(stream_port(near, 115_200, counters), 250_000, counters)
 
         watch = Watch[CanFrame]()

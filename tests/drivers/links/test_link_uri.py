@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.clock import SystemClock
 from auv_mcm.errors import UsageError
-from drivers.links.registry import byte_link, can_link
+from drivers.links.open_link import byte_link, can_link
 from drivers.links.uri import (
     BAUD_RATES,
     EXAMPLES,

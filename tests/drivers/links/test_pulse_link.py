@@ -8,12 +8,12 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from link_watch import running, until, watched_bytes
 
 from auv_mcm.errors import HardwareError, UsageError
+from drivers.links.open_link import byte_link, can_link
 from drivers.links.pulse import KernelEdge, PulsePort, pack_edge, unpack_edge
-from drivers.links.registry import byte_link, can_link
 from drivers.links.uri import parse_link_uri
+from tests.drivers.links.link_watch import running, until, watched_bytes
 
 NS = 1_000_000_000
 UTC_S = 1_700_000_000

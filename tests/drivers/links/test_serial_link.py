@@ -13,16 +13,16 @@ from pathlib import Path
 
 import pytest
 import serial
-from link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
-from loop_time import LoopTime, run_in_loop_time
 
-from auv_mcm.clock import ReplayClock
+from auv_mcm.clock import Stamp
 from drivers.links.link import Link
-from drivers.links.registry import byte_link
+from drivers.links.open_link import byte_link
 from drivers.links.stream import MAX_QUEUED_BYTES
 from drivers.links.uri import SerialAddress
-from drivers.stamps import Stamp
 from sim_replay.fakes.port import FakePort
+from tests.drivers.links.link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
+from tests.drivers.links.loop_time import LoopTime, run_in_loop_time
+from tests.manual_clock import ManualClock
 
 BAUD = 4000000
 
@@ -48,7 +48,7 @@ def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Path) ->
         taken: list[bytes] = []
         port = FakePort(tmp_path / "tty", 115200, on_bytes=taken.append)
         port.plug()
-        clock = ReplayClock(1_700_000_000.0)
+        clock = ManualClock(1_700_000_000.0)
         clock.advance_to(1_700_000_002.5)
         watch = Watch[bytes]()
         link = byte_link(SerialAddress(str(port.path), 115200), watch.on_data, watch.on_state, clock)
@@ -149,7 +149,7 @@ def test_silence_is_measured_with_the_clock_that_is_given(tmp_path: Path) -> Non
     async def scenario() -> None:
         port = FakePort(tmp_path / "tty", BAUD)
         port.plug()
-        clock = ReplayClock()
+        clock = ManualClock()
         watch = Watch[bytes]()
         link = byte_link(SerialAddress(str(port.path), BAUD, 0.05), watch.on_data, watch.on_state, clock)
         async with running(link):
@@ -236,7 +236,7 @@ def test_garbage_as_fast_as_it_comes_leaves_nothing_behind(tmp_path: Path) -> No
             assert len(data) <= 65536
             n_bytes += len(data)
 
-        link = byte_link(SerialAddress(os.ttyname(slave), BAUD), count, lambda state, reason: None, ReplayClock())
+        link = byte_link(SerialAddress(os.ttyname(slave), BAUD), count, lambda state, reason: None, ManualClock())
         async with running(link):
             await until(lambda: link.state == "up")
             os.set_blocking(master, False)
@@ -269,7 +269,7 @@ def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.L
         def fail_too(state: str, reason: str) -> None:
             raise RuntimeError("a listener with a defect")
 
-        link = byte_link(SerialAddress(str(port.path), BAUD), fail, fail_too, ReplayClock())
+        link = byte_link(SerialAddress(str(port.path), BAUD), fail, fail_too, ManualClock())
         loop_errors: list[object] = []
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: loop_errors.append(context))
         async with running(link):

@@ -5,10 +5,10 @@ import socket
 from typing import Any
 
 import pytest
-from link_watch import open_descriptors, running, until, watched_bytes
 
 from drivers.links import tcp
 from sim_replay.fakes.net import FakeTcpServer
+from tests.drivers.links.link_watch import open_descriptors, running, until, watched_bytes
 
 
 def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:

@@ -3,9 +3,8 @@ from __future__ import annotations
 import asyncio
 import socket
 
-from link_watch import running, until, watched_bytes
-
 from sim_replay.fakes.net import FakeUdpDevice
+from tests.drivers.links.link_watch import running, until, watched_bytes
 
 
 def free_port() -> int:

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from hypothesis import strategies as st
 
-from drivers.navigation.seam import NavFix
-from drivers.stamps import Stamp
+from auv_mcm.clock import Stamp
+from drivers.navigation.nav_decoder import NavFix
 
 T0 = Stamp(5_000_000_000, 1_700_000_000_000_000_000)
 

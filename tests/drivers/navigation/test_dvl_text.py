@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
 
 from auv_mcm.records import NAN
 from drivers.framing import Framer
 from drivers.navigation import dvl_pd6 as pd6
 from drivers.navigation import dvl_water_linked as wl
+from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
 
 VELOCITY = st.floats(-19.9, 19.9)
 ANGLE = st.floats(0.0, 6.28)

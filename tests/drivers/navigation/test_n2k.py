@@ -8,14 +8,14 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nav_damage import T0, at, is_subsequence
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.n2k_fast_packet import MAX_MESSAGE_BYTES, FastPackets, frames_of
-from drivers.navigation.seam import NavFix
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
+from tests.drivers.navigation.nav_damage import T0, at, is_subsequence
 
 
 @st.composite

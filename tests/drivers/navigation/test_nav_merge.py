@@ -12,20 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
-from nav_damage import T0, at
 
-from auv_mcm.config import NavigationConfig
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.navigation import NavBuffer
-from auv_mcm.port_config import QUANTITIES, NavUnitSettings, Quantity
+from auv_mcm.clock import Stamp
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.geometry.navigation import NavBuffer
 from auv_mcm.records import NavSample, Notice
+from auv_mcm.settings.config import NavigationConfig
+from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.corrections import Readings, arm_north_east_down, moved, offset_m
 from drivers.navigation.merge import Event, NavMerge
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.seam import NavFix
-from drivers.navigation.settings import NavMergeSettings
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_settings import NavMergeSettings
+from tests.drivers.navigation.nav_damage import T0, at
 
 HOME = (54.0, 10.0)
 LAST = 1e4

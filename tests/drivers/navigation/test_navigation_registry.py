@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from nav_damage import T0
 
 from auv_mcm.errors import UsageError
-from drivers.navigation.registry import TEXT_PROTOCOLS, text_decoder
+from drivers.navigation.nav_protocols import TEXT_PROTOCOLS, text_decoder
+from tests.drivers.navigation.nav_damage import T0
 
 
 @pytest.mark.parametrize("protocol", TEXT_PROTOCOLS)

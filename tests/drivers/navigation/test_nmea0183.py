@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Framer
+from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES, NmeaGrammar, sentence, xor_of
 from drivers.navigation.nmea_unit import NmeaUnit
-from drivers.navigation.seam import NavFix
 from drivers.navigation.sentences import (
     SENTENCES,
     Dbt,
@@ -44,7 +44,7 @@ from drivers.navigation.sentences import (
     body_of,
     parse,
 )
-from drivers.stamps import Stamp
+from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
 
 
 def number(low: float, high: float) -> st.SearchStrategy[float]:

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from auv_mcm.clock import Stamp
 from drivers.sonar.ping_messages import OsMonoProfile
-from drivers.sonar.seam import SonarDecoder, SonarFrame, SonarReply
-from drivers.stamps import Stamp
+from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarReply
 
 NOW: Final = Stamp(5, 7)
 

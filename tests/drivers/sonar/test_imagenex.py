@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sonar_frames import NOW, frames_of
 
 from auv_mcm.errors import UsageError
 from drivers.sonar.imagenex import (
@@ -21,7 +20,8 @@ from drivers.sonar.imagenex import (
     encode_command,
     encode_return,
 )
-from drivers.sonar.seam import SonarSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from tests.drivers.sonar.sonar_frames import NOW, frames_of
 
 ECHO = (np.arange(400) % 128).astype(np.uint8)
 

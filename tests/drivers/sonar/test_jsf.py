@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sonar_frames import frames_of, items_of, replies_of
 
 from auv_mcm.errors import UsageError
 from drivers.framing import Framer
@@ -33,7 +32,8 @@ from drivers.sonar.jsf_messages import (
     time_request,
     to_wire,
 )
-from drivers.sonar.seam import SonarSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from tests.drivers.sonar.sonar_frames import frames_of, items_of, replies_of
 
 # Offset and struct format of each field behind the message header, from EdgeTech's description.
 OFFSETS: dict[str, tuple[int, str]] = {
@@ -214,6 +214,26 @@ def test_only_what_is_valid_is_told() -> None:
         assert math.isnan(frame.navigation.latitude_deg + frame.navigation.longitude_deg)
 
 
+def test_a_position_repeated_until_the_next_fix_is_told_once() -> None:
+    """Ten pings a second with a receiver of one fix a second; then the vehicle lies still."""
+    decoder = JsfDecoder()
+    north = [1000 + 10 * min(ping // 10, 3) for ping in range(80)]
+    stream = [
+        side(
+            0,
+            ping_number=ping,
+            time_s=1_700_000_000 + ping // 10,
+            milliseconds_today=100 * ping,
+            validity=Validity.POSITION | Validity.HEADING,
+            latitude=north[ping],
+        )
+        for ping in range(80)
+    ]
+    told = [frame.number for frame in frames_of(decoder, *stream) if frame.navigation and math.isfinite(frame.navigation.latitude_deg)]
+    assert told == [0, 10, 20, 30, 43, 56, 69]
+    assert decoder.counters["jsf.repeated_position"] == 80 - len(told)
+
+
 def test_small_changes_of_sound_speed_keep_the_sample_layout() -> None:
     decoder = JsfDecoder()
     speeds = [1480.0, 1480.3, 1479.8, 1480.6, 1480.4, 0.0]
@@ -263,7 +283,7 @@ def test_a_number_of_samples_that_the_size_denies_is_refused() -> None:
 
 
 def test_commands_say_what_was_meant() -> None:
-    told = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40), subsystem=20)]
+    told = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40, subsystem=20))]
     assert [(m.message_type, m.command, m.subsystem, int.from_bytes(m.body, "little")) for m in told] == [
         (PING_RANGE, Command.SET, 20, 75_000),
         (PING_GAIN, Command.SET, 20, 40),

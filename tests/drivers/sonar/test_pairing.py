@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import EchoTrace
 from drivers.sonar.pairing import SidePairer
-from drivers.sonar.seam import SonarFrame
-from drivers.stamps import Stamp
+from drivers.sonar.sonar_decoder import SonarFrame
 
 RANGE_M = 50.0
 PERIOD_S = 0.08

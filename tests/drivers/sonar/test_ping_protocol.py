@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sonar_frames import NOW, frames_of, items_of, profile, replies_of
 
-from auv_mcm.config import SonarConfig
 from auv_mcm.errors import UsageError
-from auv_mcm.waterfall.transfer import Transfer, to_intensity
+from auv_mcm.records import Transfer
+from auv_mcm.settings.config import SonarConfig
+from auv_mcm.waterfall.transfer import to_intensity
 from drivers.framing import Framer
 from drivers.sonar.ping_messages import (
     Ack,
@@ -34,7 +34,8 @@ from drivers.sonar.ping_messages import (
     to_wire,
 )
 from drivers.sonar.ping_protocol import PingDecoder, PingGrammar, commands
-from drivers.sonar.seam import SonarSettings
+from drivers.sonar.sonar_decoder import SonarSettings
+from tests.drivers.sonar.sonar_frames import NOW, frames_of, items_of, profile, replies_of
 
 # Made with brping 0.2.5.
 REQUEST = bytes.fromhex("42520200060000000500a100")

@@ -6,17 +6,17 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from conversation import Conversation
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample
-from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
-from drivers.stamps import Stamp
-from drivers.vehicle.seam import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
+from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
+from drivers.vehicle.dialect import ContactReport, Granted, PayloadHealth, Steer, VehicleEvent, Vertical, Withheld
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
 from sim_replay.fakes.vehicles.text_controller import TextController
+from tests.sim_replay.conversation import Conversation
 
 UTC_S = 1_700_000_000.0
 STEP_S = 0.1

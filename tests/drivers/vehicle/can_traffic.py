@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.stamps import Stamp
 from drivers.vehicle.can_messages import MESSAGES, Message, Record, Signal
 
 

@@ -7,15 +7,15 @@ from collections import Counter
 from typing import Any
 
 import pytest
-from ascii_loop import COMMANDS, PAIRS, POSE, REPORT, STEER, Loop, dialogues, in_control, play, stamp_at
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
 from drivers.navigation.nmea0183 import sentence
+from drivers.vehicle.dialect import GoTo, PayloadHealth, Steer, VehicleState, Vertical, Withheld
 from drivers.vehicle.recon_sentences import frame
-from drivers.vehicle.seam import GoTo, PayloadHealth, Steer, VehicleState, Vertical, Withheld
-from drivers.vehicle.talkers.ascii import FloorBelow
+from drivers.vehicle.talkers.ascii_talker import FloorBelow
+from tests.drivers.vehicle.ascii_loop import COMMANDS, PAIRS, POSE, REPORT, STEER, Loop, dialogues, in_control, play, stamp_at
 
 BLUEFIN_LINES = [
     *(f"BFCTL,101010.00{i},1" for i in range(2)),

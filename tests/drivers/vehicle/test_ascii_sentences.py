@@ -9,21 +9,21 @@ from operator import xor
 from typing import Any
 
 import pytest
-from ascii_loop import REPORT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import BluefinSettings, IverSettings, ReconSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
 from drivers.framing import Framer, Grammar
 from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES, sentence
 from drivers.vehicle import bluefin_sentences as bluefin
 from drivers.vehicle import iver_sentences as iver
 from drivers.vehicle import recon_sentences as recon
 from drivers.vehicle.ascii_fields import CLASSES, Table, plain_text
-from drivers.vehicle.seam import ContactReport
+from drivers.vehicle.dialect import ContactReport
 from sim_replay.fakes.vehicles.text_controller import contact_of
+from tests.drivers.vehicle.ascii_loop import REPORT
 
 BLUEFIN, IVER, RECON = bluefin.table_of(BluefinSettings()), iver.table_of(IverSettings()), recon.table_of(ReconSettings())
 FEET = iver.table_of(IverSettings(remote_helm_version=4))

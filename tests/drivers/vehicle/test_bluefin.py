@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 
 import pytest
-from ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
-from conversation import Conversation
 from msgspec import structs
 
-from auv_mcm.vehicle_config import BluefinSettings
+from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.seam import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
-from drivers.vehicle.talkers.bluefin import ATTEMPTS, RESEND_S
+from drivers.vehicle.dialect import Acknowledged, Granted, Rejected, VehicleEvent, Withheld
+from drivers.vehicle.talkers.bluefin_talker import ATTEMPTS, RESEND_S
+from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
+from tests.sim_replay.conversation import Conversation
 
 
 def said(dialect: Conversation, now_s: float) -> list[str]:

@@ -10,21 +10,21 @@ from typing import Any
 
 import msgspec
 import pytest
-from can_traffic import records
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation import n2k_messages as n2k
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.stamps import Stamp
 from drivers.vehicle import can_messages as can
 from drivers.vehicle.can_dbc import dbc_text
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import command_message, command_of, report_message, report_of, text_message, text_of
-from drivers.vehicle.seam import Command, ContactReport, GoTo, Steer, Vertical
+from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
+from tests.drivers.vehicle.can_traffic import records
 
 DBC = Path(__file__).parents[3] / "deploy" / "auv_mcm.dbc"
 ADDRESS = {"payload": CanSettings().payload_address, "vehicle": CanSettings().vehicle_address}

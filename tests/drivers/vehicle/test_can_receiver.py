@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from can_traffic import random_record, records
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,6 +22,7 @@ from drivers.vehicle.can_messages import (
     encode,
 )
 from drivers.vehicle.can_receiver import CanReceiver
+from tests.drivers.vehicle.can_traffic import random_record, records
 
 PAYLOAD, VEHICLE = 96, 32
 OF_PAYLOAD = tuple(message for message in MESSAGES if message.sender == "payload")

@@ -8,13 +8,11 @@ from itertools import count, pairwise
 
 import msgspec
 import pytest
-from can_traffic import at, records
-from conversation import Conversation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.navigation import n2k_messages as n2k
 from drivers.vehicle.can_messages import (
@@ -37,14 +35,14 @@ from drivers.vehicle.can_messages import (
 )
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import text_of
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
-    Arrived,
     Command,
     ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
+    PlaceReached,
     Rejected,
     Steer,
     VehicleEvent,
@@ -52,7 +50,9 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
-from drivers.vehicle.talkers.can import CanTalker
+from drivers.vehicle.talkers.can_talker import CanTalker
+from tests.drivers.vehicle.can_traffic import at, records
+from tests.sim_replay.conversation import Conversation
 
 PAYLOAD, VEHICLE = 96, 32
 PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)
@@ -258,7 +258,7 @@ def test_arrival_counts_for_the_command_given_last() -> None:
     bench.dialect.command(OTHER_PLACE, 0.2)
     assert bench.status(2, number, 0.2, state=2, command_number=first.command_number) == [], "that was the place before"
     arrived = [bench.status(2, number, 0.3, state=2, command_number=(first.command_number + 1) % 256) for _ in range(3)]
-    assert arrived == [[Arrived()], [], []]
+    assert arrived == [[PlaceReached()], [], []]
 
 
 def test_a_refused_command_ends_the_grant() -> None:

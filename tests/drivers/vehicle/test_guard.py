@@ -13,13 +13,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved
-from drivers.stamps import Stamp
+from drivers.vehicle.dialect import GoTo, Steer, VehicleState, Vertical
 from drivers.vehicle.guard import Fence, Guard
-from drivers.vehicle.seam import GoTo, Steer, VehicleState, Vertical
 
 HOME_DEG = (54.0, 8.0)
 SQUARE_M = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))

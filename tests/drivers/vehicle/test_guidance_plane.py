@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from drivers.vehicle.plane import Plane, Point, distance_to_line_m
 
 LATITUDES = st.floats(-90.0, 90.0)

@@ -12,21 +12,21 @@ import time
 from importlib.util import find_spec
 
 import pytest
-from conversation import Conversation
 
-from auv_mcm.vehicle_config import ImcSettings
-from drivers.stamps import Stamp
-from drivers.vehicle.seam import (
-    Arrived,
+from auv_mcm.clock import Stamp
+from auv_mcm.settings.vehicle_settings import ImcSettings
+from drivers.vehicle.dialect import (
     ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
+    PlaceReached,
     VehicleEvent,
     VehicleState,
     Vertical,
 )
-from drivers.vehicle.talkers.imc import PLAN_ID
+from drivers.vehicle.talkers.imc_talker import PLAN_ID
+from tests.sim_replay.conversation import Conversation
 
 pytestmark = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the peer, is not installed: pip install imcpy")
 
@@ -117,7 +117,7 @@ def test_an_imcpy_vehicle_is_taken_over_told_and_left() -> None:
     finally:
         peer.kill()
         peer.communicate()
-    assert [type(event) for event in events if not isinstance(event, VehicleState)] == [Granted, Arrived]
+    assert [type(event) for event in events if not isinstance(event, VehicleState)] == [Granted, PlaceReached]
     state = next(event for event in events if isinstance(event, VehicleState))
     assert (state.depth_m, state.altitude_m) == (12.0, 5.0)
     assert state.latitude_deg == pytest.approx(math.degrees(0.7188) + 10.0 / 111_000.0, abs=1e-5)
@@ -141,7 +141,7 @@ def talk_to(wire: socket.socket) -> list[VehicleEvent]:
     while time.monotonic() < until_s:
         for item in dialect.take_outgoing(time.monotonic()):
             wire.send(item)
-        if Arrived() in events:
+        if PlaceReached() in events:
             dialect.release("done", time.monotonic())
             for item in dialect.take_outgoing(time.monotonic()):
                 wire.send(item)

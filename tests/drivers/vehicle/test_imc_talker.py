@@ -6,15 +6,30 @@ import math
 from typing import Any
 
 import pytest
-from conversation import Conversation
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from auv_mcm.vehicle_config import ImcSettings
+from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
-from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.dialect import (
+    Acknowledged,
+    Capability,
+    ContactReport,
+    Doubted,
+    GoTo,
+    Granted,
+    PayloadHealth,
+    PlaceReached,
+    Rejected,
+    Steer,
+    VehicleEvent,
+    VehicleState,
+    Vertical,
+    Withheld,
+)
 from drivers.vehicle.imc_contact import contact_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
@@ -30,24 +45,9 @@ from drivers.vehicle.imc_messages import (
     decode,
 )
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, Packet, packed
-from drivers.vehicle.registry import talker_of
-from drivers.vehicle.seam import (
-    Acknowledged,
-    Arrived,
-    Capability,
-    ContactReport,
-    Doubted,
-    GoTo,
-    Granted,
-    PayloadHealth,
-    Rejected,
-    Steer,
-    VehicleEvent,
-    VehicleState,
-    Vertical,
-    Withheld,
-)
-from drivers.vehicle.talkers.imc import PLAN_ID
+from drivers.vehicle.talkers.imc_talker import PLAN_ID
+from drivers.vehicle.vehicles import talker_of
+from tests.sim_replay.conversation import Conversation
 
 US, VEHICLE, OTHER = 0x6000, 0x1E, 0x2F
 UTC_S = 1_700_000_000
@@ -153,7 +153,7 @@ def test_take_over_flight_and_return() -> None:
         math.radians(GOAL.longitude_deg),
     )
     assert talk.hear(follow_state(GOAL, RefState.GOTO)) == []
-    assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR | Proximity.Z_NEAR)) == [Arrived()]
+    assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR | Proximity.Z_NEAR)) == [PlaceReached()]
     assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR)) == [], "told once"
 
     talk.dialect.command(GOAL, talk.now_s)
@@ -359,13 +359,13 @@ def test_near_in_the_vehicles_eyes_is_not_yet_there() -> None:
         return talk.hear(near)
 
     assert at(14.0) == at(9.0) == at(4.0) == []
-    assert at(2.5) == [Arrived()]
+    assert at(2.5) == [PlaceReached()]
     elsewhere = GOAL._replace(latitude_deg=GOAL.latitude_deg + 0.001)
     talk.dialect.command(elsewhere, talk.now_s)
     assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR)) == [], "that is the place before"
     talk.dialect.command(GOAL, talk.now_s)
     assert at(9.0) == at(6.0) == at(6.5) == []
-    assert at(7.5) == [Arrived()], "it has gone by, and nearer than that it does not come"
+    assert at(7.5) == [PlaceReached()], "it has gone by, and nearer than that it does not come"
 
 
 def test_position_is_displaced_by_the_offsets() -> None:
@@ -564,7 +564,7 @@ def test_no_reference_leaves_without_a_grant(settings: ImcSettings, steps: list[
             dialect.command(GOAL if what == "command" else Steer(NAN, GOAL.vertical, 1.0), talk.now_s)
         for event in events:
             assert not (isinstance(event, Granted) and granted)
-            assert not (isinstance(event, Arrived) and not granted)
+            assert not (isinstance(event, PlaceReached) and not granted)
             granted = isinstance(event, Granted) or (granted and not isinstance(event, Withheld))
         for message in talk.said():
             if isinstance(message, imc.Reference):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from ascii_loop import REPORT, STEER, in_control, stamp_at
-from conversation import Conversation
 
-from auv_mcm.vehicle_config import IverSettings
+from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.seam import Capability, Granted, VehicleState, Withheld
+from drivers.vehicle.dialect import Capability, Granted, VehicleState, Withheld
+from tests.drivers.vehicle.ascii_loop import REPORT, STEER, in_control, stamp_at
+from tests.sim_replay.conversation import Conversation
 
 
 def state(mode: str) -> bytes:

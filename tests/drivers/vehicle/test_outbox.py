@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.records import NAN, Contact
-from drivers.vehicle.outbox import MAX_AWAITED, MAX_CONTACTS, Due, Outbox, report_of
-from drivers.vehicle.seam import ContactReport
+from drivers.vehicle.dialect import ContactReport
+from drivers.vehicle.report_queue import MAX_AWAITED, MAX_CONTACTS, Due, Outbox, report_of
 
 
 def contact(number: int, p_mine: float = 0.9, **changes: Any) -> Contact:

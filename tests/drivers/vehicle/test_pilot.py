@@ -9,19 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
 
 from auv_mcm.records import NAN, Contact, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved, offset_m
-from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
-    Arrived,
     Capability,
     GoTo,
     Granted,
     PayloadHealth,
+    PlaceReached,
     Rejected,
     Steer,
     VehicleEvent,
@@ -29,6 +27,8 @@ from drivers.vehicle.seam import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.pilot import Pilot
+from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
 
 HOME_DEG = (54.0, 8.0)
 FENCE_DEG = tuple(moved(*HOME_DEG, *corner) for corner in ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0)))
@@ -358,13 +358,13 @@ def test_the_vehicle_says_that_it_has_arrived() -> None:
     sea.pilot.propose(TWO_LEGS, sea.now_s)
     sea.until("granted")
     sea.tick()
-    sea.hear(Arrived())  # 40 m away: of something else
+    sea.hear(PlaceReached())  # 40 m away: of something else
     sea.tick()
     assert len({command for _, command in sea.dialect.commands}) == 1
     sea.place_m = (0.0, 30.0)
     sea.tick()
-    sea.hear(Arrived())
-    sea.hear(Arrived())
+    sea.hear(PlaceReached())
+    sea.hear(PlaceReached())
     sea.tick()
     command = sea.dialect.commands[-1][1]
     assert isinstance(command, GoTo)
@@ -378,7 +378,7 @@ def test_a_vehicle_that_arrives_everywhere_and_takes_control_back_leaves_nothing
     sea.until("granted")
     for _ in range(3):
         sea.tick()
-        sea.hear(Arrived(), Withheld("done"))
+        sea.hear(PlaceReached(), Withheld("done"))
         assert "leg=" in sea.pilot.health()
     sea.tick(40.0)
     assert sea.pilot.authority == "listening"

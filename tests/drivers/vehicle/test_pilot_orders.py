@@ -11,13 +11,24 @@ from typing import Final
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
 
 from auv_mcm.records import NAN, Waypoint
-from auv_mcm.vehicle_config import VehicleConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved, offset_m
+from drivers.vehicle.dialect import (
+    Acknowledged,
+    Capability,
+    Command,
+    GoTo,
+    Granted,
+    PlaceReached,
+    Rejected,
+    VehicleEvent,
+    VehicleState,
+    Withheld,
+)
 from drivers.vehicle.pilot import Pilot
-from drivers.vehicle.seam import Acknowledged, Arrived, Capability, Command, GoTo, Granted, Rejected, VehicleEvent, VehicleState, Withheld
+from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
 
 HOME_DEG: Final = (54.0, 8.0)
 # An L: the way from arm to arm leads through the outside.
@@ -185,7 +196,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(ticket=st.integers(1, 3))
     def say_something_else(self, ticket: int) -> None:
-        self.hear(Acknowledged(ticket), Rejected(ticket + 1, "no"), Arrived())
+        self.hear(Acknowledged(ticket), Rejected(ticket + 1, "no"), PlaceReached())
 
     @rule()
     def make_noise(self) -> None:

@@ -6,9 +6,9 @@ import math
 
 import pytest
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.stamps import Stamp
-from drivers.vehicle.seam import VehicleState
+from drivers.vehicle.dialect import VehicleState
 from drivers.vehicle.whereabouts import Whereabouts
 
 STAMP = Stamp(0, 0)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
-from conversation import Conversation
 from msgspec import structs
 
-from auv_mcm.vehicle_config import ReconSettings
+from auv_mcm.settings.vehicle_settings import ReconSettings
+from drivers.vehicle.dialect import Capability, Granted, VehicleState, Withheld
 from drivers.vehicle.recon_sentences import frame
-from drivers.vehicle.seam import Capability, Granted, VehicleState, Withheld
+from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
+from tests.sim_replay.conversation import Conversation
 
 
 def state(mode: int) -> bytes:

@@ -8,10 +8,10 @@ from itertools import pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_pilot import HOME_DEG, plan, waypoint
 
 from drivers.navigation.corrections import offset_m
 from drivers.vehicle.runs import ON_LEG, with_points_on_legs
+from tests.drivers.vehicle.test_pilot import HOME_DEG, plan, waypoint
 
 Metres = st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from drivers.stamps import Stamp
-from drivers.vehicle.seam import Capability, Command, ContactReport, PayloadHealth, Said, VehicleEvent
+from auv_mcm.clock import Stamp
+from drivers.vehicle.dialect import Capability, Command, ContactReport, PayloadHealth, Said, VehicleEvent
 
 GOES_BY_ITSELF = Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.ACKNOWLEDGED | Capability.HEALTH
 IS_STEERED = Capability.NAVIGATION | Capability.STEERING | Capability.CONTACT | Capability.HEALTH

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config
+from auv_mcm.settings.config import Config
 from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import Flight, fly_adaptive
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order

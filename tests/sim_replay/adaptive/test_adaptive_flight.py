@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_worlds import SIDE_M, Worth, coarse_config, fly_small, small_order, small_scene
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import Clearance
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import Pose
 from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import Decision, Flight, Situation, fly_adaptive, fly_fixed
@@ -15,6 +14,7 @@ from sim_replay.adaptive.ground import over_area, would_come_to
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower
 from sim_replay.adaptive.order import limits_of
 from sim_replay.simulator.plan import local_frame, planned_legs
+from tests.sim_replay.adaptive.small_worlds import SIDE_M, Worth, coarse_config, fly_small, small_order, small_scene
 
 GOOD = Worth(0.6)
 

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from small_worlds import Worth
 
 from auv_mcm.plan.dubins import Pose, dubins_path
 from auv_mcm.plan.limits import Limits
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower, way_m, worst_seabed
 from sim_replay.simulator.plan import Leg
+from tests.sim_replay.adaptive.small_worlds import Worth
 
 START = Pose(10.0, -30.0, 0.0)
 LIMITS = Limits(turn_radius_m=10.0, budget_m=9000.0, fence=None, altitude_m=5.0, min_altitude_m=2.0, swath=(2.0, 30.0))

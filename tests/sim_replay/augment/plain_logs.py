@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.config import Config, SonarConfig
 from auv_mcm.records import EchoTrace, NavSample, Ping
-from sim_replay.xtf_writer import SampleType, write_xtf
+from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.logs.xtf_writer import SampleType, write_xtf
 
 N_SAMPLES = 480
 SPACING_M = 0.05

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plain_logs import CONFIG, HEADING_RAD, STEP_M, written
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Ping
+from auv_mcm.settings.config import Config
 from sim_replay.augment.command import augment
 from sim_replay.augment.targets import parse_spec
+from sim_replay.logs.xtf import XtfLog
 from sim_replay.scoring.inputs import read_truth
-from sim_replay.xtf import XtfLog
+from tests.sim_replay.augment.plain_logs import CONFIG, HEADING_RAD, STEP_M, written
 
 SPEC = """
 targets:

@@ -9,19 +9,30 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from plain_logs import ALTITUDE_M, CONFIG, FLOOR_COUNTS, N_PINGS, N_SAMPLES, NOISE_COUNTS, SPACING_M, STEP_M, mission, written
 
-from auv_mcm.classify.shapes import Box, view_shape
-from auv_mcm.config import Config, SonarConfig
-from auv_mcm.records import SIDES, Ping, Side
-from auv_mcm.waterfall.transfer import Transfer, to_intensity
+from auv_mcm.records import SIDES, Ping, Side, Transfer
+from auv_mcm.settings.config import Config, SonarConfig
+from auv_mcm.solids.shapes import Box, view_shape
+from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.augment.embed import Augmented, embed
 from sim_replay.augment.line import Change, Line, mixed
 from sim_replay.augment.log import read_survey, to_samples
 from sim_replay.augment.targets import Target, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
+from sim_replay.logs.xtf import XtfLog
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
-from sim_replay.xtf import XtfLog
+from tests.sim_replay.augment.plain_logs import (
+    ALTITUDE_M,
+    CONFIG,
+    FLOOR_COUNTS,
+    N_PINGS,
+    N_SAMPLES,
+    NOISE_COUNTS,
+    SPACING_M,
+    STEP_M,
+    mission,
+    written,
+)
 
 Floats = NDArray[np.float64]
 

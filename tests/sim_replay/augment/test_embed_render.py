@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
 from auv_mcm.records import SIDES, Side
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
+from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
 from sim_replay.augment.forward import BeamPattern
-from sim_replay.augment.render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
 from sim_replay.augment.track import SIGN
 from sim_replay.simulator.objects import USUAL, Placed
 from sim_replay.simulator.scene import ObjectKind

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xtf_logs import written
 
-from auv_mcm.config import Config
 from auv_mcm.errors import BadInputError
+from auv_mcm.settings.config import Config
 from sim_replay.augment.forward import render
-from sim_replay.augment.recorded import invert_waterfall, waterfall_pictures
-from sim_replay.recorded import RecordedMission
+from sim_replay.logs.recorded import RecordedMission
+from sim_replay.studies.recorded_lines import invert_waterfall, waterfall_pictures
+from tests.sim_replay.logs.xtf_logs import written
 
 
 def test_log_gives_pictures_and_scenes_of_both_sides(tmp_path: Path) -> None:
     log, config = written(tmp_path / "log.xtf", 150), Config()
     for side in ("port", "starboard"):
-        found = list(invert_waterfall(RecordedMission([log], config.sonar).events(), config, side))
+        found = list(invert_waterfall(RecordedMission([log], config).events(), config, side))
         assert found
         for picture, scene in found:
             assert picture.side == side
@@ -32,11 +32,11 @@ def test_log_gives_pictures_and_scenes_of_both_sides(tmp_path: Path) -> None:
 
 def test_rows_follow_one_another_without_gap_or_overlap(tmp_path: Path) -> None:
     config = Config()
-    pictures = list(waterfall_pictures(RecordedMission([written(tmp_path / "log.xtf", 400)], config.sonar).events(), config, "port"))
+    pictures = list(waterfall_pictures(RecordedMission([written(tmp_path / "log.xtf", 400)], config).events(), config, "port"))
     along_m = np.concatenate([picture.along_m for picture in pictures])
     np.testing.assert_allclose(np.diff(along_m), config.waterfall.row_spacing_m, rtol=1e-9)
 
 
 def test_missing_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="does not exist"):
-        list(waterfall_pictures(RecordedMission([tmp_path / "none.xtf"], Config().sonar).events(), Config(), "port"))
+        list(waterfall_pictures(RecordedMission([tmp_path / "none.xtf"], Config()).events(), Config(), "port"))

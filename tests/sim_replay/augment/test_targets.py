@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plain_logs import ALTITUDE_M, CONFIG, N_PINGS, mission, written
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SIDES
 from sim_replay.augment.log import read_survey
 from sim_replay.augment.targets import Placement, parse_spec, place_targets, read_spec
 from sim_replay.augment.track import Track, track_of
+from tests.sim_replay.augment.plain_logs import ALTITUDE_M, CONFIG, N_PINGS, mission, written
 
 
 @pytest.fixture(scope="module")

@@ -7,16 +7,17 @@ import math
 from pathlib import Path
 
 import pytest
-from drawn_looks import confirmation, detection
 
-from auv_mcm.config import Config, ContactsConfig
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Contact, Detector, LookStep
+from auv_mcm.settings.config import Config, ContactsConfig
 from sim_replay.benches import scenes
-from sim_replay.benches.scenes import add_arguments, as_after, config_for, run, served_by
+from sim_replay.benches.scenes import add_arguments, as_after, run
+from sim_replay.missions import FIRST_SEED, config_for, served_by
 from sim_replay.simulator.scene_file import read_scene
+from tests.auv_mcm.classify.drawn_looks import confirmation, detection
 
 PRIOR = math.log(0.02 / 0.98)
 
@@ -61,7 +62,7 @@ def test_the_chain_looks_at_what_the_detector_asked_for_finds(
     monkeypatch.setattr(scenes, "fly", fly)
     with pytest.raises(UsageError, match="enough"):
         run_with("--scenes", "flat", "--seeds", "1", "--workers", "1", *arguments)
-    assert asked == [("flat", scenes.FIRST_SEED, detector)]
+    assert asked == [("flat", FIRST_SEED, detector)]
 
 
 def test_contrasts_serve_as_for_a_sonar_without_a_model() -> None:

@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from auv_mcm.geodesy import LocalFrame
-from auv_mcm.plan.clearance import Clearance
-from auv_mcm.plan.residual import without_contact
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clearance.residual import without_contact
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches.clearance import Judged, fitted_share, judge, report
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.navigation.registry import TEXT_PROTOCOLS
-from drivers.sonar.registry import SONARS
+from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
+from drivers.sonar.sonars import SONARS
 from sim_replay.benches.framers import (
     FAULT_KINDS,
     FEEDS,
@@ -27,7 +27,7 @@ from sim_replay.benches.framers import (
     n_missing,
     speed_lines,
 )
-from sim_replay.worst_bytes import WORST_BYTES
+from sim_replay.fakes.worst_bytes import WORST_BYTES
 
 
 def numbered(random: np.random.Generator, n: int) -> list[bytes]:

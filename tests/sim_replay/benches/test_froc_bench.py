@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from drawn_looks import contact, detection
 
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
 from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd, outdone
-from sim_replay.benches.scenes import config_for
+from sim_replay.missions import config_for
 from sim_replay.scoring import Mission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene import Lawnmower, Scatter, Scene, Track
 from sim_replay.simulator.scene_file import read_scene
+from tests.auv_mcm.classify.drawn_looks import contact, detection
 
 PLACE = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
 

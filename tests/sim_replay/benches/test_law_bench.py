@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim_replay.benches.law import FIRST_SEED, STORES, Store, decibel_errors, floor_intensity, judge, print_tables, stored
-from sim_replay.benches.layout import columns
+from sim_replay.text_tables import columns
 
 SEED = FIRST_SEED + 900
 

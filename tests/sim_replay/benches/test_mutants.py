@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xtf_logs import navigated, ping, written
 
 from auv_mcm.cli import main
-from auv_mcm.config import Config
 from auv_mcm.errors import SelfCheckError
+from auv_mcm.settings.config import Config
 from sim_replay.benches import mutants
 from sim_replay.benches.mutants import judged, kinds_of, table, wrong_results
 from sim_replay.benches.mutations import CHANGES, FILE_HEADER_BYTES, JUMPS, mutated, split
 from sim_replay.replay import replay
+from tests.sim_replay.logs.xtf_logs import navigated, ping, written
 
 SHORT = 70  # pings: a few more than the transfer is decided from
 

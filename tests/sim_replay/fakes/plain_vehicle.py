@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Command, ContactReport, GoTo, Vertical
+from drivers.vehicle.dialect import Command, ContactReport, GoTo, Vertical
 
 FORGETS_S = 0.5
 

@@ -11,15 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
+from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
+from auv_mcm.settings.config import SonarConfig
 from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.registry import text_decoder
-from drivers.navigation.seam import NavFix
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarFrame, SonarReply, SonarSettings
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_protocols import text_decoder
+from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonars import sonar_named
 from sim_replay.fakes.feed import mission_events, time_line
 from sim_replay.fakes.job import Job, read_job
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
@@ -44,7 +45,7 @@ def a_ping(seed: int = 0, n_samples: int = 300, range_m: float = 30.0) -> Ping:
 
 
 def told(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
-    decoder = sonar_named(name).decoder()
+    decoder = sonar_named(name).decoder(SonarConfig())
     items = [item for message in messages for item in decoder.feed(message, STAMP)] + decoder.finish()
     assert not any("refused" in counter for counter in decoder.counters)
     return items

@@ -15,23 +15,23 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
-from xtf_logs import written
 
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.records import EchoTrace, NavSample, Ping
+from auv_mcm.settings.config import SonarConfig
 from drivers.links.link import Link
-from drivers.links.registry import byte_link, can_link
+from drivers.links.open_link import byte_link, can_link
 from drivers.links.uri import parse_link_uri
 from drivers.navigation.n2k_bus import N2kBus
-from drivers.navigation.registry import text_decoder
-from drivers.navigation.seam import NavFix
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarFrame, SonarSettings
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_protocols import text_decoder
+from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
+from drivers.sonar.sonars import sonar_named
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.faults import FaultRates
 from sim_replay.fakes.feed import Fed, read_ahead
 from sim_replay.fakes.job import ClockStep, Damage, Device, Fault, Flood, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
+from tests.sim_replay.logs.xtf_logs import written
 
 N_PINGS = 20
 PERIOD_S = 0.04
@@ -59,7 +59,7 @@ class Bench:
         self._bus = N2kBus("unit")
         self._decoder: Any = None
         if device.is_sonar:
-            self._decoder = sonar_named(device.device).decoder()
+            self._decoder = sonar_named(device.device).decoder(SonarConfig())
         elif device.link != "slcan":
             self._decoder = text_decoder({"pixse": "nmea0183"}.get(device.device, device.device), "unit")
 

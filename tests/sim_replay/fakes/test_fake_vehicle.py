@@ -10,24 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from plain_vehicle import PlainController
 
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import SonarConfig
 from drivers.links.link import Link
-from drivers.links.registry import byte_link
+from drivers.links.open_link import byte_link
 from drivers.links.uri import parse_link_uri
-from drivers.navigation.registry import text_decoder
-from drivers.navigation.seam import NavFix
-from drivers.sonar.registry import sonar_named
-from drivers.sonar.seam import SonarFrame, SonarSettings
-from drivers.stamps import Stamp
+from drivers.navigation.nav_decoder import NavFix
+from drivers.navigation.nav_protocols import text_decoder
+from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
+from drivers.sonar.sonars import sonar_named
 from sim_replay.fakes.job import Device, Fault, Nonsense, PowerOff, Revoke, Unplug, VehicleJob, read_job
 from sim_replay.fakes.vehicle_device import FakeVehicle, passes
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.scene_file import parse_scene
 from sim_replay.simulator.vehicle import Pose
+from tests.sim_replay.fakes.plain_vehicle import PlainController
 
 SCENE = """
 name: a short leg
@@ -57,7 +57,7 @@ class Host:
         }
         job = VehicleJob(devices=devices, folder=str(folder), scene=str(scene))
         self.vehicle = FakeVehicle(job, lambda device, what, details: self.reports.append((device, what, details)), lambda: self.controller)
-        self._sonar = sonar_named("ping_protocol").decoder()
+        self._sonar = sonar_named("ping_protocol").decoder(SonarConfig())
         self._nav = text_decoder("nmea0183", "nav")
         self._links: dict[str, Link[bytes]] = {}
 

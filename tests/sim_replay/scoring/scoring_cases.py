@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.scoring import Mission, parse_contacts, parse_truth
 
 FRAME = LocalFrame(latitude_deg=43.1, longitude_deg=5.9)

@@ -8,12 +8,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from scoring_cases import FRAME, contact, mission, random_mission, rock, thing
 
 from auv_mcm.errors import UsageError
 from sim_replay.scoring import Mission, ReportedContact, Score, score_missions
 from sim_replay.scoring.breakdown import Group
 from sim_replay.scoring.seabed_map import encode
+from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, thing
 
 
 def scored(contacts: list[dict[str, Any]], objects: list[dict[str, Any]], **options: Any) -> Score:

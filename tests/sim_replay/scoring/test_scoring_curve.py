@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scoring_cases import contact, mission, random_mission, rock, thing
 
 from sim_replay.scoring import Mission, Score, score_missions
 from sim_replay.scoring.froc import OperatingPoint
+from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, rock, thing
 
 
 @cache

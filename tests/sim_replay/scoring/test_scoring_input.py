@@ -7,12 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import drawn_looks
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scoring_cases import collection, contact, thing, write_pair
 
 from auv_mcm.clean_text import is_clean
 from auv_mcm.contacts.export import contacts_geojson
@@ -21,6 +19,8 @@ from auv_mcm.records import NAN
 from sim_replay.scoring import parse_contacts, parse_truth, read_contacts, read_truth, score_files, table
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
+from tests.auv_mcm.classify import drawn_looks
+from tests.sim_replay.scoring.scoring_cases import collection, contact, thing, write_pair
 
 TRUTH: dict[str, Any] = {"area_km2": 0.1, "objects": [thing(0.0, 0.0), thing(20.0, 0.0)]}
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scoring_cases import contact, mission, random_mission, thing
 
 from auv_mcm.errors import UsageError
 from sim_replay.scoring import Score, plot, score_missions, table, to_json
+from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, thing
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.scoring.seabed_map import SeabedMap, decode, encode, types_at
 
 TYPES = ("sand", "mud", "rock")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample, Ping
 from sim_replay.scoring.seabed_map import SeabedMap, decode
 from sim_replay.simulator.mission import Mission

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 from numpy.typing import NDArray
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.scene import EXACT, NavigationError, Origin

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge, view_shape
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge, view_shape
 from sim_replay.simulator import backend
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, MOAT, POLYHEDRON, SCAR, TORUS, Bodies, Body, pack

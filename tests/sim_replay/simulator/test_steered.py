@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from auv_mcm.errors import UsageError
-from drivers.vehicle.seam import Command, GoTo, Steer, Vertical
+from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene import STEADY, Lawnmower, Motion, Origin, Track
 from sim_replay.simulator.steered import FASTEST, SAFE_ALTITUDE_M, STEEPEST_RAD, SteeredVehicle

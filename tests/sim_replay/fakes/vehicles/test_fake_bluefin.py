@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Steer, Vertical
+from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 
 POSE = NavSample(time_s=36_610.0, latitude_deg=-8.5, longitude_deg=115.25, heading_rad=1.0, depth_m=10.0, altitude_m=5.0, speed_mps=1.5)

@@ -8,23 +8,22 @@ from typing import Final
 import msgspec
 import numpy as np
 import pytest
-from conversation import Conversation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample
-from auv_mcm.vehicle_config import CanSettings
+from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
-from drivers.stamps import Stamp
 from drivers.vehicle.can_messages import COMMAND_VALID_S, DEMANDS, FIRST_COMMAND_S, PAYLOAD_SILENT_S, PayloadStatus, encode
 from drivers.vehicle.can_translation import command_message
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
-    Arrived,
     ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
+    PlaceReached,
     Steer,
     VehicleEvent,
     VehicleState,
@@ -32,6 +31,7 @@ from drivers.vehicle.seam import (
     Withheld,
 )
 from sim_replay.fakes.vehicles.can import FakeCan
+from tests.sim_replay.conversation import Conversation
 
 PAYLOAD: Final = 96
 STEP_S: Final = 0.1
@@ -133,7 +133,7 @@ def test_control_is_asked_for_used_and_given_back() -> None:
     assert loop.run(20.0, PLACE) == []
     assert loop.flown() == PLACE
     loop.arrived = True
-    assert loop.run(1.0, PLACE) == [Arrived()]
+    assert loop.run(1.0, PLACE) == [PlaceReached()]
     loop.arrived = False
     assert loop.run(1.0, COURSE) == []
     assert isinstance(loop.vehicle.command, Steer)

@@ -6,33 +6,33 @@ import math
 from typing import Any
 
 import pytest
-from conversation import Conversation
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.geodesy import LocalFrame
+from auv_mcm.clock import Stamp
+from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
-from auv_mcm.vehicle_config import ImcSettings
+from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import Framer
-from drivers.stamps import Stamp
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.imc_contact import contact_of
-from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
-from drivers.vehicle.imc_wire import ImcGrammar, packed
-from drivers.vehicle.seam import (
+from drivers.vehicle.dialect import (
     Acknowledged,
-    Arrived,
     ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
+    PlaceReached,
     VehicleEvent,
     VehicleState,
     Vertical,
     Withheld,
 )
+from drivers.vehicle.imc_contact import contact_of
+from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
+from drivers.vehicle.imc_wire import ImcGrammar, packed
+from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
-from sim_replay.fakes.vehicles.seam import FakeController
+from tests.sim_replay.conversation import Conversation
 
 US, OTHER = 0x6000, 0x2F
 UTC_S = 1_700_000_000.0
@@ -133,14 +133,14 @@ def test_control_is_asked_for_used_and_given_back() -> None:
     assert sea.fake.in_control
     assert sea.fake.command is None, "nothing was commanded yet"
     sea.goal = goal_at(100.0, -40.0)
-    assert sea.run(10.0) == [Arrived()]
+    assert sea.run(10.0) == [PlaceReached()]
     told = sea.fake.command
     assert isinstance(told, GoTo)
     assert told[:2] == pytest.approx(sea.goal[:2], abs=1e-12)
     assert told.vertical == sea.goal.vertical
     assert math.hypot(sea.east_m - 100.0, sea.north_m + 40.0) < sea.goal.radius_m
     sea.goal = goal_at(0.0, 0.0)
-    assert sea.run(10.0) == [Arrived()]
+    assert sea.run(10.0) == [PlaceReached()]
     sea.goal = None
     sea.dialect.release("done", sea.now_s)
     assert sea.run(5.0) == []

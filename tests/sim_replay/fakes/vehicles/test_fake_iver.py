@@ -9,7 +9,7 @@ from operator import xor
 import pytest
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Vertical
+from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.iver import FakeIver
 
 POSE = NavSample(time_s=36_610.0, latitude_deg=-8.5, longitude_deg=115.25, heading_rad=math.radians(57.3), depth_m=3.048, altitude_m=6.096)

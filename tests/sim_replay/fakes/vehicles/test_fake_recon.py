@@ -7,7 +7,7 @@ import math
 import pytest
 
 from auv_mcm.records import NavSample
-from drivers.vehicle.seam import Steer, Vertical
+from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.recon import FakeRecon
 
 POSE = NavSample(time_s=36_610.0, latitude_deg=39.5, longitude_deg=-74.25, heading_rad=math.radians(359.98), depth_m=10.0, speed_mps=1.5)

@@ -1,0 +1,100 @@
+"""The area that is to be cleared, as cells of the mission's plane, and how its search stands.
+
+Its clearance is the mean over its cells of the probability that a mine there would have been found: the percentage of mines found that is
+to be expected where they may lie anywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.clearance.clearance_map import Clearance, clearance_over, unsearched
+from auv_mcm.geometry.fence import circles_inside
+from auv_mcm.geometry.geodesy import LocalFrame
+
+
+class Area(NamedTuple):
+    """ground: the clearance over a box around the area. cells: bool, of its shape, those whose middles lie in the area; at least one."""
+
+    ground: Clearance
+    cells: NDArray[np.bool_]
+
+    @property
+    def frame(self) -> LocalFrame:
+        """Of the plane that the cells lie in."""
+        return plane_of(self.ground)
+
+
+class AreaState(NamedTuple):
+    """How the search of the area stands. p_detected: its clearance. share: of its cells, those with `required` or more each.
+
+    verdict: "" while it is under way; else "done: ...", "cannot, because ...", or "not yet, because ...".
+    """
+
+    km2: float
+    required: float
+    p_detected: float
+    share: float
+    verdict: str = ""
+
+    @property
+    def is_reached(self) -> bool:
+        return self.p_detected >= self.required
+
+    def words(self) -> str:
+        """In a few words; what is not reached never reads as if it were."""
+        told = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {self.required:.2f}"
+        return told + " reached" * self.is_reached
+
+
+def plane_of(clearance: Clearance) -> LocalFrame:
+    """The plane that its cells lie in."""
+    return LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
+
+
+def in_plane(places_deg: Sequence[tuple[float, float]], plane: LocalFrame) -> NDArray[np.float64]:
+    """(n, 2) east and north of n latitudes and longitudes."""
+    latitude_deg, longitude_deg = np.array(places_deg, dtype=np.float64).reshape(-1, 2).T
+    return plane.to_enu(latitude_deg, longitude_deg, np.zeros_like(latitude_deg))[:, :2]
+
+
+def over_area(clearance: Clearance | None, corners_deg: Sequence[tuple[float, float]], cell_m: float) -> Area:
+    """The area in cells. Before anything was seen (None) they lie in a plane of the area's own, cell_m wide.
+
+    corners_deg: three or more latitudes and longitudes in order.
+    """
+    known = clearance or unsearched(*corners_deg[0], cell_m)
+    corners = in_plane(corners_deg, plane_of(known))
+    first = np.floor(corners.min(axis=0) / known.cell_m).astype(int)
+    n_east, n_north = (np.floor(corners.max(axis=0) / known.cell_m).astype(int) - first + 1).tolist()
+    ground = clearance_over(known, int(first[0]), int(first[1]), (n_north, n_east))
+    cells = circles_inside(middles_m(ground), 0.0, corners, 0.0)
+    if not cells.any():  # smaller than a cell: the one that its middle lies in
+        column, row = (np.floor(corners.mean(axis=0) / known.cell_m).astype(int) - first).tolist()
+        cells[row, column] = True
+    return Area(ground, cells)
+
+
+def middles_m(ground: Clearance) -> NDArray[np.float64]:
+    """(n_north, n_east, 2) east and north of the middles of cells."""
+    n_north, n_east = ground.looks.shape
+    east = (ground.first_east + np.arange(n_east) + 0.5) * ground.cell_m
+    north = (ground.first_north + np.arange(n_north) + 0.5) * ground.cell_m
+    return np.stack(np.meshgrid(east, north), axis=-1)
+
+
+def area_state(area: Area, required: float, verdict: str = "") -> AreaState:
+    """How the search of the area stands."""
+    p = area.ground.p_detected[area.cells]
+    return AreaState(
+        km2=p.size * area.ground.cell_m**2 * 1e-6,
+        required=required,
+        p_detected=float(p.mean()),
+        share=float(np.mean(p >= required)),
+        verdict=verdict,
+    )

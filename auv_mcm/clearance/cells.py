@@ -1,0 +1,151 @@
+"""What a tile surveyed, laid out in square cells of the mission's own plane."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
+from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.records import NAN, SEABED_TYPES, SeabedCells, SurveyedCells, Tile
+from auv_mcm.settings.config import SonarConfig
+
+Array = NDArray[np.float64]
+
+_BLOCK_M: Final = 0.5  # pixels as near to each other are placed together
+_LEAST_FRACTION: Final = 0.01  # of a cell, below which it counts as not seen
+_KEY: Final = 1 << 32  # east index times this plus north index: one number per cell
+
+
+def surveyed_cells(
+    tile: Tile,
+    covered: NDArray[np.bool_],
+    sonar: SonarConfig,
+    frame: LocalFrame,
+    cell_m: float,
+    seabed: SeabedCells | None = None,
+    evaluated_fraction: float = 1.0,
+) -> SurveyedCells | None:
+    """The covered pixels of a tile's core, gathered into cells; ones of which less than a hundredth was seen are left out.
+
+    covered: (core rows, n_columns) bool, False where the row cannot be placed. frame: the mission's plane. Pixels are placed in
+    blocks of half a metre. evaluated_fraction: of the places to look at, those that the detector's budget allowed for. None if nothing was
+    covered. Memory grows with the number of blocks, not with the distance between them.
+    """
+    n_rows = max(1, round(_BLOCK_M / tile.row_spacing_m))
+    n_columns = max(1, round(_BLOCK_M / tile.column_spacing_m))
+    area_m2 = _sums(covered, n_rows, n_columns) * (tile.row_spacing_m * tile.column_spacing_m)
+    at_row, at_column = np.nonzero(area_m2)
+    if not len(at_row):
+        return None
+    used = np.unique(at_row)
+    row = tile.core_start + np.minimum((used + 0.5) * n_rows, covered.shape[0]) - 0.5
+    near_m, far_m = (_placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, covered.shape[1] * tile.column_spacing_m))
+    of_block = np.searchsorted(used, at_row)
+    ground_m = (at_column + 0.5) * n_columns * tile.column_spacing_m
+    share = (ground_m / (covered.shape[1] * tile.column_spacing_m))[:, np.newaxis]
+    place = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
+    finite = np.isfinite(place).all(axis=1)
+    area, ground_m, of_block, place = area_m2[at_row, at_column][finite], ground_m[finite], of_block[finite], place[finite]
+    if not len(area):
+        return None
+    index = np.floor(place / cell_m).astype(np.int64)
+    cell, key = np.unique(index[:, 0] * _KEY + index[:, 1], return_inverse=True)
+    n_cells = len(cell)
+    total = np.bincount(key, area, n_cells)
+    kept = np.flatnonzero(total >= _LEAST_FRACTION * cell_m * cell_m)
+    if not len(kept):
+        return None
+
+    def mean(value: Array) -> Array:
+        return np.asarray(np.bincount(key, area * value, n_cells)[kept] / total[kept])
+
+    east = (cell[kept] + _KEY // 2) // _KEY
+    look = (far_m - near_m)[of_block]
+    look /= np.maximum(np.hypot(look[:, 0], look[:, 1]), 1e-9)[:, np.newaxis]
+    look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
+    altitude_m = tile.first_return_m[np.minimum(np.rint(row).astype(int), len(tile.first_return_m) - 1)][of_block]
+    kind, confidence, ripple_rad, wavelength_m = _seabed(seabed, tile, row[of_block], ground_m, key, area, n_cells, kept)
+    return SurveyedCells(
+        origin_latitude_deg=frame.latitude_deg,
+        origin_longitude_deg=frame.longitude_deg,
+        cell_m=cell_m,
+        east_index=east.astype(np.int32),
+        north_index=(cell[kept] - east * _KEY).astype(np.int32),
+        fraction=(evaluated_fraction * np.minimum(total[kept] / (cell_m * cell_m), 1.0)).astype(np.float32),
+        ground_range_m=mean(ground_m).astype(np.float32),
+        altitude_m=mean(altitude_m).astype(np.float32),
+        look_rad=np.where(look_rad >= 2.0 * math.pi, 0.0, look_rad).astype(np.float32),
+        seabed=kind,
+        confidence=confidence,
+        ripple_rad=ripple_rad,
+        wavelength_m=wavelength_m,
+    )
+
+
+def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:
+    """Covered pixels per block; the last ones may be cut short."""
+    by_row = np.add.reduceat(covered, np.arange(0, covered.shape[0], n_rows), axis=0, dtype=np.int32)
+    return np.add.reduceat(by_row, np.arange(0, covered.shape[1], n_columns), axis=1).astype(np.float64)
+
+
+def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: LocalFrame) -> Array:
+    """(n, 2) east and north of a ground range at fractional rows."""
+    position = np.clip(row, 0.0, len(tile.pose) - 1.0)
+    first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
+    echoes = EchoGeometry(
+        side=tile.side,
+        pose=interpolate_track(tile.pose, position),
+        slant_range_m=np.hypot(ground_m, first_return_m),
+        first_return_m=first_return_m,
+        sound_speed_mps=np.full(position.shape, NOMINAL_SOUND_SPEED_MPS),
+    )
+    latitude, longitude, height = locate(echoes, sonar)
+    return frame.to_enu(latitude, longitude, height)[:, :2]
+
+
+def _seabed(
+    seabed: SeabedCells | None,
+    tile: Tile,
+    row: Array,
+    ground_m: Array,
+    key: NDArray[np.int64],
+    area: Array,
+    n_cells: int,
+    kept: NDArray[np.int64],
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Per cell the kind that most of its area is, with its mean confidence, and the axial mean of what ripples there are."""
+    if seabed is None:
+        unknown = np.full(len(kept), SEABED_TYPES.index("unknown"), dtype=np.uint8)
+        nothing = np.full(len(kept), NAN, dtype=np.float32)
+        return unknown, np.zeros(len(kept), dtype=np.float32), nothing, nothing
+    n_along, n_across = seabed.kind.shape
+    along = np.clip(((row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1)
+    across = np.clip((ground_m // seabed.cell_m[1]).astype(int), 0, n_across - 1)
+    kind = seabed.kind[along, across]
+    by_kind = np.stack([np.bincount(key, area * (kind == index), n_cells)[kept] for index in range(len(SEABED_TYPES))])
+    most = np.argmax(by_kind, axis=0)
+    most_of = np.zeros(n_cells, dtype=int)
+    most_of[kept] = most
+    agrees = area * (kind == most_of[key])
+    of_kept = np.maximum(by_kind[most, np.arange(len(kept))], 1e-12)
+    confidence = np.bincount(key, agrees * seabed.confidence[along, across], n_cells)[kept] / of_kept
+    ripple = seabed.ripple_rad[along, across].astype(np.float64)
+    weight = np.where(np.isfinite(ripple), agrees, 0.0)
+    ripple = np.nan_to_num(ripple)
+    rippled = np.bincount(key, weight, n_cells)[kept]
+    # Twice the angle, since a direction and its opposite are the same ripples.
+    sine, cosine = (np.bincount(key, weight * part, n_cells)[kept] for part in (np.sin(2.0 * ripple), np.cos(2.0 * ripple)))
+    is_rippled = rippled > 0.0
+    direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
+    wavelength = np.bincount(key, weight * np.nan_to_num(seabed.wavelength_m[along, across]), n_cells)[kept] / np.maximum(rippled, 1e-12)
+    return (
+        most.astype(np.uint8),
+        confidence.astype(np.float32),
+        np.where(is_rippled, np.where(direction >= math.pi, 0.0, direction), NAN).astype(np.float32),
+        np.where(is_rippled, wavelength, NAN).astype(np.float32),
+    )

@@ -1,0 +1,294 @@
+"""How well each piece of sea floor has been searched: looks that add up to the probability that a mine there would have been found.
+
+Looks at a cell with probabilities P_k leave a mine unseen with the product of 1 - P_k, so their miss exponents -ln(1 - P_k) add up. That
+holds for looks that are independent. One from nearly the same direction sees the same side of the same mine and counts only in part, as
+does, a little, any further one: what is buried is buried from everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from auv_mcm.records import NAN, SEABED_TYPES, CoveragePatch, Side, SurveyedCells
+
+Array = NDArray[np.float64]
+
+HIGHEST_P: Final = 0.98  # of one look: nothing is ever seen for certain
+N_LOOKS: Final = 64  # directions told apart
+_SAME_LOOK_RAD: Final = math.radians(15.0)
+_SAME_PASS_S: Final = 60.0
+_ROUNDING_RAD: Final = 1e-6
+_KEY: Final = 1 << 32
+_MAX_BOX_CELLS: Final = 1 << 22  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
+_DENSE_CELLS: Final = 1024  # side of the squares among which the one searched most is taken as the middle of a map too large to lay out
+
+
+class LookModel(Protocol):
+    """What a look is worth.
+
+    same_look_correlation, other_look_correlation: the part of a further look that tells nothing new, from within 15 degrees of an earlier
+    one and from elsewhere, 0 to 1.
+    """
+
+    @property
+    def same_look_correlation(self) -> float: ...
+    @property
+    def other_look_correlation(self) -> float: ...
+
+    def p_look(
+        self,
+        seabed: NDArray[np.uint8],
+        ground_range_m: NDArray[np.float32],
+        altitude_m: NDArray[np.float32],
+        look_rad: NDArray[np.float32],
+        ripple_rad: NDArray[np.float32],
+    ) -> Array:
+        """(n,) probability that one look at the whole of a cell finds a mine that lies there; arguments as in `SurveyedCells`."""
+        ...
+
+
+class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """How the search stands, (n_north, n_east) cells of the mission's plane; element [0, 0] is cell (first_east, first_north).
+
+    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. towards uint64: the
+    directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
+    wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where
+    nothing was seen these are `unknown` and NaN. n_elsewhere: cells seen too far from the others to be laid out in one box with them.
+    """
+
+    origin_latitude_deg: float
+    origin_longitude_deg: float
+    cell_m: float
+    first_east: int
+    first_north: int
+    exponent: Array
+    looks: NDArray[np.uint8]
+    towards: NDArray[np.uint64]
+    seabed: NDArray[np.uint8]
+    ripple_rad: NDArray[np.float32]
+    wavelength_m: NDArray[np.float32]
+    altitude_m: NDArray[np.float32]
+    n_elsewhere: int = 0
+
+    @property
+    def p_detected(self) -> Array:
+        """Probability that a mine in the cell would have been found."""
+        return np.asarray(-np.expm1(-self.exponent))
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        return self.looks > 0
+
+
+def look_bit(look_rad: ArrayLike) -> NDArray[np.uint64]:
+    """The bit, of N_LOOKS, that stands for the direction nearest to where a look goes; any shape."""
+    number = np.rint(np.asarray(look_rad, dtype=np.float64) * (N_LOOKS / (2.0 * math.pi))).astype(np.int64) % N_LOOKS
+    return np.asarray(np.uint64(1) << number.astype(np.uint64))
+
+
+class _Look(NamedTuple):
+    """Cells that one pass saw, and what a look at the whole of each was worth, (n,). Kept for a whole mission: nothing is in it twice."""
+
+    p: Array
+    cells: SurveyedCells
+
+
+class _Pass(NamedTuple):
+    side: Side
+    look_rad: float
+    stop_s: float
+    number: int
+
+
+class ClearanceMap:
+    """Looks at cells as patches come in; equal patches give equal maps, in whatever order tiles of a pass come.
+
+    Patches of one side that follow one another within a minute and look the same way are one pass, and what a pass sees of a cell in two
+    patches is one look.
+    """
+
+    def __init__(self, model: LookModel) -> None:
+        self._model = model
+        self._looks: list[_Look] = []
+        self._numbers: list[int] = []  # of the pass, per look
+        self._passes: dict[Side, _Pass] = {}
+        self._n_passes = 0
+
+    def add(self, patch: CoveragePatch) -> None:
+        """Take a patch; one without cells saw nothing. Raises ValueError for cells that are not those of the patches before."""
+        cells = patch.cells
+        if cells is None or not len(cells.fraction):
+            return
+        if self._looks and _plane(cells) != _plane(self._looks[0].cells):
+            raise ValueError("patches of two missions: their cells lie in different planes. Give each mission a map of its own")
+        p = np.clip(
+            self._model.p_look(cells.seabed, cells.ground_range_m, cells.altitude_m, cells.look_rad, cells.ripple_rad), 0.0, HIGHEST_P
+        )
+        self._looks.append(_Look(p, cells))
+        self._numbers.append(self._pass_of(patch))
+
+    def snapshot(self) -> Clearance | None:
+        """How the search stands; None if nothing was seen yet."""
+        if not self._looks:
+            return None
+        seen = [look.cells for look in self._looks]
+        key = np.concatenate([cells.east_index.astype(np.int64) * _KEY + cells.north_index for cells in seen])
+        number = np.repeat(self._numbers, [len(cells.fraction) for cells in seen])
+        fraction = np.concatenate([cells.fraction for cells in seen]).astype(np.float64)
+        look_rad = np.concatenate([cells.look_rad for cells in seen]).astype(np.float64)
+        p = np.concatenate([look.p for look in self._looks])
+        order = np.lexsort((number, key))  # stable: of one cell and pass in order of time
+        key, number = key[order], number[order]
+        starts = np.flatnonzero(np.append(True, (np.diff(key) != 0) | (np.diff(number) != 0)))
+        # No more than its best part, seen whole, would give: so that a worse part never takes anything away.
+        p_seen = np.minimum(np.add.reduceat((fraction * p)[order], starts), np.maximum.reduceat(p[order], starts))
+        by_time = np.lexsort((order[starts], key[starts]))  # looks at a cell in the order in which it was first seen
+        key, p_seen, look = key[starts][by_time], p_seen[by_time], look_rad[order[starts]][by_time]
+        cell, first = np.unique(key, return_index=True)
+        n_looks = np.diff(np.append(first, len(key)))
+        exponent = self._added_up(-np.log1p(-p_seen), look, first, n_looks)
+        return self._laid_out(cell, exponent, n_looks, np.bitwise_or.reduceat(look_bit(look), first))
+
+    def _pass_of(self, patch: CoveragePatch) -> int:
+        assert patch.cells is not None
+        look = patch.cells.look_rad.astype(np.float64)
+        towards = math.atan2(float(np.sin(look).sum()), float(np.cos(look).sum()))
+        current = self._passes.get(patch.side)
+        follows = (
+            current is not None
+            and -_SAME_PASS_S <= patch.start_s - current.stop_s <= _SAME_PASS_S
+            and abs(math.remainder(towards - current.look_rad, 2.0 * math.pi)) <= _SAME_LOOK_RAD
+        )
+        if current is None or not follows:
+            current = _Pass(patch.side, towards, patch.stop_s, self._n_passes)
+            self._n_passes += 1
+        self._passes[patch.side] = current._replace(stop_s=patch.stop_s)
+        return current.number
+
+    def _added_up(self, exponent: Array, look_rad: Array, first: NDArray[np.intp], n_looks: NDArray[np.intp]) -> Array:
+        """Per cell the exponents of its looks, each less what earlier ones have told already."""
+        most = int(n_looks.max())
+        column = np.arange(most)
+        there = column < n_looks[:, np.newaxis]
+        row = np.where(there, first[:, np.newaxis] + column, 0)
+        direction = np.where(there, look_rad[row], np.nan)
+        total = np.zeros(len(first))
+        same, other = 1.0 - self._model.same_look_correlation, 1.0 - self._model.other_look_correlation
+        for k in range(most):
+            apart = np.abs(np.mod(direction[:, :k] - direction[:, k : k + 1] + np.pi, 2.0 * np.pi) - np.pi)
+            again = (apart <= _SAME_LOOK_RAD + _ROUNDING_RAD).any(axis=1)
+            weight = np.where(again, same, other if k else 1.0)
+            total += np.where(there[:, k], weight * exponent[row[:, k]], 0.0)
+        return total
+
+    def _laid_out(self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]) -> Clearance:
+        east = (cell + _KEY // 2) // _KEY
+        north = cell - east * _KEY
+        kept = _around_the_densest(east, north)
+        n_elsewhere = len(cell) - len(kept)
+        east, north, exponent, n_looks, towards = east[kept], north[kept], exponent[kept], n_looks[kept], towards[kept]
+        first_east, first_north = int(east.min()), int(north.min())
+        shape = int(np.ptp(north)) + 1, int(np.ptp(east)) + 1
+        at = (north - first_north, east - first_east)
+        dense = np.zeros(shape)
+        dense[at] = exponent
+        looks = np.zeros(shape, dtype=np.uint8)
+        looks[at] = np.minimum(n_looks, 255)
+        looked_towards = np.zeros(shape, dtype=np.uint64)
+        looked_towards[at] = towards
+        # The surest look tells what kind of sea floor it is; of equals the first.
+        confidence = np.full(shape, -1.0, dtype=np.float32)
+        seabed = np.full(shape, SEABED_TYPES.index("unknown"), dtype=np.uint8)
+        ripple = np.full(shape, np.nan, dtype=np.float32)
+        wavelength = np.full(shape, np.nan, dtype=np.float32)
+        altitude, weight = np.zeros(shape), np.zeros(shape)
+        for told in self._looks:
+            row, column = told.cells.north_index - first_north, told.cells.east_index - first_east
+            inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+            place = row[inside], column[inside]
+            sure = (told.cells.confidence * told.cells.fraction)[inside]
+            better = sure > confidence[place]
+            surer = place[0][better], place[1][better]
+            confidence[surer] = sure[better]
+            for layer, values in ((seabed, told.cells.seabed), (ripple, told.cells.ripple_rad), (wavelength, told.cells.wavelength_m)):
+                layer[surer] = values[inside][better]
+            fraction = told.cells.fraction[inside].astype(np.float64)
+            altitude[place] += fraction * told.cells.altitude_m[inside]
+            weight[place] += fraction
+        plane = self._looks[0].cells
+        return Clearance(
+            origin_latitude_deg=plane.origin_latitude_deg,
+            origin_longitude_deg=plane.origin_longitude_deg,
+            cell_m=plane.cell_m,
+            first_east=first_east,
+            first_north=first_north,
+            exponent=dense,
+            looks=looks,
+            towards=looked_towards,
+            seabed=seabed,
+            ripple_rad=ripple,
+            wavelength_m=wavelength,
+            altitude_m=np.divide(altitude, weight, out=np.full(shape, np.nan), where=weight > 0.0).astype(np.float32),
+            n_elsewhere=n_elsewhere,
+        )
+
+
+def _around_the_densest(east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Indices, rising, of the cells to lay out: all, unless their box is too large; then those nearest to where most was seen.
+
+    A position that was wrong by kilometres, or a second site, must not cost the memory of all that lies between.
+    """
+    if (int(np.ptp(east)) + 1) * (int(np.ptp(north)) + 1) <= _MAX_BOX_CELLS:
+        return np.arange(len(east))
+    _, square, n_cells = np.unique(east // _DENSE_CELLS * _KEY + north // _DENSE_CELLS, return_inverse=True, return_counts=True)
+    densest = square == np.argmax(n_cells)
+    middle_east, middle_north = int(np.median(east[densest])), int(np.median(north[densest]))
+    order = np.argsort(np.maximum(np.abs(east - middle_east), np.abs(north - middle_north)), kind="stable")
+    n_east = np.maximum.accumulate(east[order]) - np.minimum.accumulate(east[order]) + 1
+    n_north = np.maximum.accumulate(north[order]) - np.minimum.accumulate(north[order]) + 1
+    return np.sort(order[n_east * n_north <= _MAX_BOX_CELLS])
+
+
+def _plane(cells: SurveyedCells) -> tuple[float, float, float]:
+    return cells.origin_latitude_deg, cells.origin_longitude_deg, cells.cell_m
+
+
+def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: float) -> Clearance:
+    """The clearance before anything was seen: no cells yet."""
+    return Clearance(
+        origin_latitude_deg=origin_latitude_deg,
+        origin_longitude_deg=origin_longitude_deg,
+        cell_m=cell_m,
+        first_east=0,
+        first_north=0,
+        exponent=np.zeros((0, 0)),
+        looks=np.zeros((0, 0), dtype=np.uint8),
+        towards=np.zeros((0, 0), dtype=np.uint64),
+        seabed=np.zeros((0, 0), dtype=np.uint8),
+        ripple_rad=np.zeros((0, 0), dtype=np.float32),
+        wavelength_m=np.zeros((0, 0), dtype=np.float32),
+        altitude_m=np.zeros((0, 0), dtype=np.float32),
+    )
+
+
+def clearance_over(clearance: Clearance, first_east: int, first_north: int, shape: tuple[int, int]) -> Clearance:
+    """The same over a box of (n_north, n_east) cells, of which the clearance may know some or none; what lies outside is left out."""
+    row, column = clearance.first_north - first_north, clearance.first_east - first_east
+    n_north, n_east = clearance.looks.shape
+    rows = slice(max(row, 0), max(min(row + n_north, shape[0]), 0))
+    columns = slice(max(column, 0), max(min(column + n_east, shape[1]), 0))
+
+    def laid(layer: NDArray[np.generic], outside: float) -> NDArray[np.generic]:
+        box = np.full(shape, outside, dtype=layer.dtype)
+        box[rows, columns] = layer[rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)]
+        return box
+
+    outside = {"exponent": 0.0, "looks": 0.0, "towards": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}
+    outside |= {"ripple_rad": NAN, "wavelength_m": NAN, "altitude_m": NAN}
+    layers = {name: laid(getattr(clearance, name), value) for name, value in outside.items()}
+    return msgspec.structs.replace(clearance, first_east=first_east, first_north=first_north, **layers)

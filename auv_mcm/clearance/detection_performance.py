@@ -1,0 +1,176 @@
+"""How likely one look finds a mine, by kind of sea floor, range, altitude and direction to ripples, as learnt from simulated missions.
+
+The tables hold, per kind and band of range, the probability and its 95 % interval; between the middles of bands both go linearly. Seen
+lower, the same range is grazed more flatly and shadows are longer: ranges count in the height flown,
+
+    range as read = ground range * (altitude_m / altitude) ^ altitude_exponent,
+
+with an exponent chosen by what predicts missions left out best. Ripples have three tables, by the angle between the look and the direction
+in which crests follow one another: 0-30, 30-60 and 60-90 degrees, read linearly between their middles.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import resources
+from typing import Annotated, Final, Literal, TypeAlias, get_args
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import read_model
+from auv_mcm.records import SEABED_TYPES, SeabedType
+from auv_mcm.settings.config import Config
+
+Array: TypeAlias = NDArray[np.float64]
+
+Floor: TypeAlias = Literal["flat", "ripple_across", "ripple_oblique", "ripple_along", "rough", "vegetation"]
+FLOORS: Final[tuple[Floor, ...]] = get_args(Floor)
+"""What has a table of its own; `across` looks across the crests, from where they follow one another."""
+RIPPLES: Final = slice(1, 4)  # of FLOORS
+ASPECTS_RAD: Final = (math.radians(15.0), math.radians(45.0), math.radians(75.0))
+"""Middles of the three classes of ripples, in the order of FLOORS."""
+STEEPEST_RAD: Final = math.radians(70.0)  # grazing angle beyond which, near the nadir, nothing is found
+_FILE: Final = "detection_performance.json"
+
+_Probability: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+_Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class Band(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One band of range over one kind of floor: looks fitted on, how many found their target, the probability and its 95 % interval."""
+
+    n_looks: _Count
+    n_found: _Count
+    p: _Probability
+    low: _Probability
+    high: _Probability
+
+    def __post_init__(self) -> None:
+        if self.n_found > self.n_looks:
+            raise ValueError(f"{self.n_found} found in {self.n_looks} looks")
+        if not self.low <= self.p <= self.high:
+            raise ValueError(f"p {self.p} lies outside its interval {self.low} to {self.high}")
+
+
+class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The tables. fitted_on: what they were fitted on. edges_m: of the bands, rising. floors: per floor of FLOORS its bands.
+
+    A look counts as having found a mine if it makes a contact that is called mine-like within 2 m. *_look_correlation: the part of a
+    further look that tells nothing new, from within 15 degrees of an earlier one and from elsewhere.
+    """
+
+    fitted_on: str
+    altitude_m: Annotated[float, msgspec.Meta(gt=0.0, le=200.0)]
+    altitude_exponent: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+    edges_m: tuple[Annotated[float, msgspec.Meta(ge=0.0, le=2000.0)], ...]
+    floors: dict[Floor, tuple[Band, ...]]
+    same_look_correlation: _Probability
+    other_look_correlation: _Probability
+
+    def __post_init__(self) -> None:
+        if len(self.edges_m) < 3 or not all(near < far for near, far in zip(self.edges_m, self.edges_m[1:], strict=False)):
+            raise ValueError(f"edges_m {list(self.edges_m)} must be three or more that rise")
+        if missing := set(FLOORS) - self.floors.keys():
+            raise ValueError(f"floors: there is no table of {', '.join(sorted(missing))}")
+        for floor, bands in self.floors.items():
+            if len(bands) != len(self.edges_m) - 1:
+                raise ValueError(f"floors: {floor} has {len(bands)} bands where edges_m makes {len(self.edges_m) - 1}")
+
+    def p_look(
+        self, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
+    ) -> Array:
+        """Probability that one look at the whole of a cell finds a mine that lies there; float64, arguments broadcast.
+
+        Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees, farther than the last band, and where range or
+        altitude is not known. An unknown floor is taken for the one on which least is found there, ripples of unknown direction as from the
+        worst one. Raises ValueError for a seabed that is not in SEABED_TYPES.
+        """
+        return self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
+
+    def interval(
+        self, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
+    ) -> tuple[Array, Array]:
+        """Low and high end of what `p_look` may really be on average over missions, 95 %; arguments and errors as there."""
+        low, high = (self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad) for end in ("low", "high"))
+        return low, high
+
+    def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
+        """(len(FLOORS), n) probability at ground ranges (n,), each table as it stands."""
+        return self._by_floor(self._column("p"), self.read_range_m(ground_range_m, altitude_m))
+
+    def read_range_m(self, ground_range_m: ArrayLike, altitude_m: ArrayLike) -> Array:
+        """The range at which the tables are read, NaN where nothing is found: near the nadir and where range or altitude is not known."""
+        ground, altitude = np.broadcast_arrays(np.asarray(ground_range_m, dtype=np.float64), np.asarray(altitude_m, dtype=np.float64))
+        with np.errstate(invalid="ignore"):
+            seen = (altitude > 0.0) & (ground * math.tan(STEEPEST_RAD) >= altitude) & np.isfinite(ground)
+        scale = (self.altitude_m / np.where(seen, altitude, 1.0)) ** self.altitude_exponent
+        return np.where(seen, np.where(seen, ground, 0.0) * scale, np.nan)
+
+    def _column(self, name: Literal["p", "low", "high"]) -> Array:
+        """(len(FLOORS), n_bands)"""
+        return np.array([[getattr(band, name) for band in self.floors[floor]] for floor in FLOORS])
+
+    def _read(
+        self, table: Array, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
+    ) -> Array:
+        kind, ground, altitude, look, ripple = np.broadcast_arrays(
+            np.asarray(seabed), *(np.asarray(part, dtype=np.float64) for part in (ground_range_m, altitude_m, look_rad, ripple_rad))
+        )
+        if kind.size and not (kind.min() >= 0 and kind.max() < len(SEABED_TYPES)):
+            raise ValueError(f"seabed: {kind.min()} to {kind.max()}, where SEABED_TYPES has 0 to {len(SEABED_TYPES) - 1}")
+        by_floor = self._by_floor(table, self.read_range_m(ground, altitude))
+        found = np.zeros(ground.shape)
+        for index, name in enumerate(SEABED_TYPES):
+            here = kind == index
+            found[here] = _of_kind(name, by_floor[:, here], look[here], ripple[here])
+        return found
+
+    def _by_floor(self, table: Array, range_m: Array) -> Array:
+        """(len(FLOORS), ...) values at ranges as read, 0 where nothing is found."""
+        edges = np.array(self.edges_m)
+        seen = range_m <= edges[-1]
+        within = np.where(seen, range_m, 0.0)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        return np.stack([np.where(seen, np.interp(within, middle, row), 0.0) for row in table])
+
+
+def aspect_rad(look_rad: ArrayLike, ripple_rad: ArrayLike) -> Array:
+    """Angle between a look and the direction in which crests follow one another, [0, pi / 2]; NaN without ripples."""
+    turned = np.asarray(look_rad, dtype=np.float64) - np.asarray(ripple_rad, dtype=np.float64)
+    return np.asarray(np.abs(np.mod(turned + 0.5 * math.pi, math.pi) - 0.5 * math.pi))
+
+
+def _of_kind(name: SeabedType, by_floor: Array, look_rad: Array, ripple_rad: Array) -> Array:
+    """(n,) of (len(FLOORS), n) values for places that are all of one kind."""
+    if name == "unknown":
+        return np.asarray(by_floor.min(axis=0))
+    if name != "ripple":
+        return np.asarray(by_floor[FLOORS.index(name)])
+    rippled = by_floor[RIPPLES]
+    aspect = aspect_rad(look_rad, ripple_rad)
+    known = np.isfinite(aspect)
+    first, _, last = ASPECTS_RAD
+    place = np.clip(2.0 * (np.where(known, aspect, first) - first) / (last - first), 0.0, 2.0)  # 0, 1, 2 at the middles
+    weight = np.maximum(1.0 - np.abs(place - np.arange(3.0)[:, np.newaxis]), 0.0)
+    return np.asarray(np.where(known, (weight * rippled).sum(axis=0), rippled.min(axis=0)))
+
+
+def parse_performance(data: bytes, place: str) -> Performance:
+    """Tables from JSON. Raises BadInputError naming `place` and what is wrong with it."""
+    try:
+        return msgspec.json.decode(data, type=Performance)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate performance'") from error
+
+
+def configured_performance(config: Config) -> Performance:
+    """Read the tables that `detect.performance` names. Raises BadInputError for a file that cannot be read or is not such tables."""
+    return read_model("detect.performance", config.detect.performance, parse_performance, shipped_performance)
+
+
+def shipped_performance() -> Performance:
+    """The tables that ship with the package."""
+    return parse_performance(resources.files("auv_mcm.clearance").joinpath(_FILE).read_bytes(), _FILE)

@@ -1,0 +1,244 @@
+"""Confirm detections that may be mines, one by one: the stage between suppression and the ledger.
+
+    detector's odds -> contours -> Markov field, contours again from its labels -> solids -> evidence and belief
+
+Each step costs about ten times the one before it, and a detection whose odds have become too low goes no further.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.classify.beliefs import vacuous
+from auv_mcm.classify.details import contour_details, detection_details, solid_details
+from auv_mcm.classify.evidence import ClassEvidence, view_mass
+from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
+from auv_mcm.classify.fit import ShapeFit, ShapeFits, fit_shapes
+from auv_mcm.classify.likelihood import labels_cost
+from auv_mcm.classify.odds import MineOdds, with_ratio
+from auv_mcm.confirm.mrf import Segmentation, segment
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
+from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
+from auv_mcm.confirm.snake_rules import contour_mask
+from auv_mcm.confirm.speckle import grain_area
+from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
+from auv_mcm.settings.config import ConfirmConfig
+from auv_mcm.snippet import unpack_snippet
+
+_QUALITY: Final = 0.95  # of a view that nothing speaks against
+_POOR_QUALITY: Final = 0.6
+_POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
+_LEAST_PIXELS: Final = 8  # along either axis; contours need as many
+_SEARCH_M: Final = 0.7  # from the detection to the labels that are its
+_NONE: Final = np.empty((0, 2))
+_NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
+
+
+class Examination(NamedTuple):
+    """Hold the results of all steps for one detection; None for steps that were not taken.
+
+    contour_features: of the first contours. features: of the last step taken; details: those that only trees weigh.
+    p_contours: p_mine after the first contours.
+    """
+
+    region: Region
+    contours: Contours
+    segmentation: Segmentation | None
+    fits: ShapeFits | None
+    contour_features: Features
+    features: Features
+    details: Features
+    p_contours: float
+
+
+def confirm_detection(detection: Detection, beam_width_rad: float, odds: MineOdds, config: ConfirmConfig) -> Detection:
+    """Return the detection with p_mine after confirmation, with a Confirmation if its odds allowed one, without surroundings.
+
+    p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
+    `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
+    """
+    p_detector = odds.p_mine(_detector_ratio(detection, odds))
+    if detection.surroundings is None or p_detector < config.min_p_mine:
+        return without_confirmation(detection, odds, "not_looked_at")
+    region = region_of(detection, detection.surroundings, beam_width_rad)
+    if min(region.intensity.shape) < _LEAST_PIXELS:
+        return without_confirmation(detection, odds, "region_too_small")
+    try:
+        require_sound(region)
+    except ValueError:
+        return without_confirmation(detection, odds, "geometry_unknown")
+    examination = examine(detection, region, odds, config.min_p_mine)
+    p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
+    log_ratio = _ratio(
+        "contours" if examination.fits is None else "shape", examination.features | examination.details, examination.contours, odds
+    )
+    if examination.fits is not None:
+        p_by_step["shape"] = odds.p_mine(log_ratio)
+    return msgspec.structs.replace(
+        detection,
+        p_mine=odds.p_mine(log_ratio),
+        p_by_step=p_by_step,
+        surroundings=None,
+        confirmation=_confirmation(detection, detection.surroundings, examination, log_ratio),
+    )
+
+
+def is_worth_confirming(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:
+    """Decide whether p_mine from the detector's measurements reaches the lowest that is confirmed."""
+    return odds.p_mine(_detector_ratio(detection, odds)) >= config.min_p_mine
+
+
+def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> Detection:
+    """Return the detection with p_mine from the detector's measurements alone, and the reason why."""
+    p_detector = odds.p_mine(_detector_ratio(detection, odds))
+    return msgspec.structs.replace(
+        detection, p_mine=p_detector, p_by_step={"detector": p_detector}, reasons=(*detection.reasons, reason), surroundings=None
+    )
+
+
+def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
+    return odds.log_ratio("detector", detector_features(detection) | detection_details(detection))
+
+
+def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
+    """Compute the evidence in nats; in the shadow of another object there is none for a mine, since nothing can be seen."""
+    ratio = odds.log_ratio(step, features)
+    return min(ratio, 0.0) if "in_shadow" in contours.reasons else ratio
+
+
+def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: float) -> Region:
+    """Cut out the region that confirmation works on."""
+    return Region(
+        intensity=unpack_snippet(surroundings.codes).astype(np.float64),
+        valid=surroundings.codes > 0,
+        row_spacing_m=detection.row_spacing_m,
+        column_spacing_m=detection.column_spacing_m,
+        first_ground_range_m=surroundings.first_ground_range_m,
+        altitude_m=surroundings.first_return_m,
+        row=surroundings.row,
+        column=surroundings.column,
+        beam_width_rad=beam_width_rad,
+    )
+
+
+def examine(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Examination:
+    """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None."""
+    area = grain_area(region.intensity, region.valid)
+    ground = survey(region, area)
+    contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
+    before = detector_features(detection)
+    first = before | contour_features(contours) | outline_features(contours, region)
+    seen = detection_details(detection)
+    p_contours = math.nan if odds is None else odds.p_mine(_ratio("contours", first | seen, contours, odds))
+    if p_contours < min_p_mine:
+        return Examination(region, contours, None, None, first, first, seen, p_contours)
+    segmentation = segment(region)
+    own = labels_near(segmentation.labels, region)
+    if own is not None and not isinstance(ground, Contours):
+        again = converge_on(ground, start_from_labels(region, own))
+        # Whichever start led to the better contours; a criterion that is not a number is no contour.
+        if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
+            contours = again
+    fits = fit_shapes(region, contour_cost(region, contours, area), area)
+    found = before | contour_features(contours) | outline_features(contours, region)
+    features = with_shape(found, shape_features(fits, segmentation.labels))
+    details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
+    return Examination(region, contours, segmentation, fits, first, features, details, p_contours)
+
+
+def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:
+    """The connected highlight and shadow labels that have most pixels close to the detection, all else background; None if none are.
+
+    labels: (n_rows, n_columns) uint8.
+    """
+    n_parts, parts = cv2.connectedComponents((labels != BACKGROUND).astype(np.uint8), connectivity=8)
+    window = []
+    for centre, reach, size in (
+        (region.row, _SEARCH_M / region.row_spacing_m, labels.shape[0]),
+        (region.column, _SEARCH_M / region.column_spacing_m, labels.shape[1]),
+    ):
+        middle = min(max(int(centre), 0), size - 1)
+        window.append(slice(max(middle - round(reach), 0), middle + round(reach) + 1))
+    counts = np.bincount(parts[tuple(window)].ravel(), minlength=n_parts)
+    counts[0] = 0
+    if not counts.any():
+        return None
+    return np.where(parts == int(counts.argmax()), labels, np.uint8(BACKGROUND)).astype(np.uint8)
+
+
+def contour_cost(region: Region, contours: Contours, correlation_area: float) -> float:
+    """What the free contours cost in nats, with the code length of their nodes, to weigh against what solids cost."""
+    labels = np.zeros(region.intensity.shape, dtype=np.uint8)
+    for nodes, label in ((contours.shadow, SHADOW), (contours.highlight, HIGHLIGHT)):
+        labels[contour_mask(nodes, labels.shape)] = label
+    n_nodes = len(contours.highlight) + len(contours.shadow)
+    n_samples = float(region.valid.sum()) / correlation_area
+    return labels_cost(region, labels, correlation_area) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
+
+
+def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:
+    """(32,) which mines a view may show, without a word on clutter: that is weighed from everything together."""
+    evidence: dict[ContactClass, ClassEvidence] = {
+        fit.solid: ClassEvidence(nll=fit.best.cost, plausibility=fit.plausibility) for fit in fits.fits
+    }
+    return view_mass(evidence, _POOR_QUALITY if poor else _QUALITY) if evidence else vacuous()
+
+
+def _confirmation(detection: Detection, surroundings: Surroundings, examination: Examination, log_ratio: float) -> Confirmation:
+    contours, fits = examination.contours, examination.fits
+    best = fits.fits[0] if fits is not None and fits.fits else None
+    reasons = (*contours.reasons, *(() if fits is None else fits.flags), *(() if best is None else best.flags))
+    if examination.segmentation is not None:
+        reasons = (*reasons, *examination.segmentation.flags)
+    told = frozenset((*detection.reasons, *reasons))
+    mass = vacuous() if fits is None else shape_mass(fits, poor=not told.isdisjoint(_POOR))
+    # Whole pixels lie between the two pictures.
+    top = round(surroundings.row - detection.snippet_row)
+    near = round(surroundings.column - detection.snippet_column)
+    n_rows, n_columns = detection.snippet.shape
+    corner = np.array([top, near], dtype=np.float64)
+    labels = _NO_LABELS
+    if examination.segmentation is not None:
+        labels = np.ascontiguousarray(examination.segmentation.labels[top : top + n_rows, near : near + n_columns])
+    return Confirmation(
+        log_ratio=log_ratio,
+        shape_mass=mass,
+        mass=with_ratio(mass, log_ratio),
+        half_turn_symmetric=best is None or best.solid != "wedge",
+        labels=labels,
+        highlight=contours.highlight - corner if len(contours.highlight) else _NONE,
+        shadow=contours.shadow - corner if len(contours.shadow) else _NONE,
+        model=None if best is None else _model(best, corner),
+        rejected=contours.rejected,
+        reasons=tuple(dict.fromkeys(reasons)),
+    )
+
+
+def _model(fit: ShapeFit, corner: NDArray[np.float64]) -> ShapeModel:
+    shape = fit.best.shape
+    starts, tops, stops = np.array(fit.ends).reshape(-1, 3).T
+    sizes = {name: float(getattr(shape, name)) for name in shape.__struct_fields__}
+    return ShapeModel(
+        classification=fit.solid,
+        sizes=sizes,
+        sigma={name: value for name, value in fit.sigma.items() if name in sizes},
+        highlight=_outline(starts, tops, corner),
+        shadow=_outline(tops, stops, corner),
+    )
+
+
+def _outline(near: NDArray[np.float64], far: NDArray[np.float64], corner: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) outline around the columns from near to far (n_rows,) of the rows that have any: down the near side, up the far one."""
+    rows = np.flatnonzero(far > near)
+    if rows.size == 0:
+        return _NONE
+    edges = np.repeat(rows, 2) + np.tile([0.0, 1.0], rows.size)
+    down = np.column_stack([edges, np.repeat(near[rows], 2)])
+    up = np.column_stack([edges, np.repeat(far[rows], 2)])[::-1]
+    return np.concatenate([down, up]) - corner

@@ -1,0 +1,165 @@
+"""The detection stage: a tile in, measured and georeferenced detections out."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.detect.belief import probability, with_measurement
+from auv_mcm.detect.candidates import Candidate, by_both, by_contrast
+from auv_mcm.detect.cascade.model import CascadeModel
+from auv_mcm.detect.measure import ROWS_M, Measurement, measure
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak
+from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
+from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
+from auv_mcm.settings.config import Config
+from auv_mcm.snippet import pack_snippet
+from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
+
+OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
+"""Along-track context a tile needs beyond its core for detections there to be independent of where it was cut."""
+
+_STALE_SIGMA_M: Final = 25.0
+_UNSEEN_BOTTOM: Final = 0.2  # relative error of the first return that only a bottom not seen has
+_NEAR_M: Final = 3.0  # of the surroundings, before the object
+_BEHIND_M: Final = 2.5  # and behind the longest shadow looked for
+_TALLEST_M: Final = 0.8
+_FAR_M: Final = (8.0, 12.0)
+_DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
+
+
+class TileDetections(NamedTuple):
+    """What a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
+
+    n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
+    used up, of n_windows; all 0 where contrasts alone serve.
+    """
+
+    detections: tuple[Detection, ...]
+    n_over_budget: int
+    n_without_position: int
+    n_windows: int = 0
+    n_evaluations: int = 0
+    n_cut: int = 0
+
+
+def worth_looking(tile: Tile) -> bool:
+    """Whether any core pixel can hold a detection: all masked or near nadir means there is nothing to score."""
+    core = tile.mask[tile.core_start : tile.core_stop]
+    return bool(((core & (VALID | LOW_RESOLUTION)) == VALID).any())
+
+
+def detect_tile(tile: Tile, config: Config, model: CascadeModel | None = None, *, exhaustive: bool = False) -> TileDetections:
+    """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead.
+
+    model: the trained cascade, beside contrasts, which alone serve without one. exhaustive: no budget for it.
+    """
+    if model is None:
+        found = by_contrast(tile, config.detect)
+    else:
+        found = by_both(tile, model, config.detect, None if exhaustive else config.detect.max_evaluations_per_tile)
+    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
+    detections = _placed(tile, config, found.candidates, measured)
+    return TileDetections(
+        detections=detections,
+        n_over_budget=found.n_over_budget,
+        n_without_position=len(found.candidates) - len(detections),
+        n_windows=found.n_windows,
+        n_evaluations=found.n_evaluations,
+        n_cut=found.n_cut,
+    )
+
+
+def _placed(tile: Tile, config: Config, candidates: list[Candidate], measured: list[Measurement]) -> tuple[Detection, ...]:
+    if not candidates:
+        return ()
+    # Measured rows count from the upper edge of row 0, poses stand at row centres.
+    position = np.clip(np.array([m.row for m in measured]) - 0.5, 0.0, len(tile.pose) - 1.0)
+    pose = interpolate_track(tile.pose, position)
+    first_return_m = _between(tile.first_return_m, position)
+    ground_range_m = np.array([m.column for m in measured]) * tile.column_spacing_m
+    echoes = EchoGeometry(
+        side=tile.side,
+        pose=pose,
+        slant_range_m=np.hypot(ground_range_m, first_return_m),
+        first_return_m=first_return_m,
+        sound_speed_mps=np.full(len(measured), NOMINAL_SOUND_SPEED_MPS),
+    )
+    latitude, longitude, _ = locate(echoes, config.sonar)
+    first_return_sigma_m = _between(tile.first_return_sigma_m, position)
+    covariance = position_covariance(echoes, config.sonar, config.navigation, first_return_sigma_m)
+    added_m2 = pose.position_sigma_m**2 + np.where(pose.stale, _STALE_SIGMA_M**2, 0.0)
+    covariance += added_m2[:, np.newaxis, np.newaxis] * np.eye(2)
+    aspect = aspect_deg(echoes, config.sonar)
+    detections = []
+    for index, (candidate, m) in enumerate(zip(candidates, measured, strict=True)):
+        if not (math.isfinite(latitude[index]) and math.isfinite(longitude[index])):
+            continue
+        odds, reasons = with_measurement(candidate.odds, m, config.detect.max_object_m)
+        if first_return_sigma_m[index] > _UNSEEN_BOTTOM * first_return_m[index]:
+            reasons = (*reasons, "bottom_not_seen")
+        if pose.stale[index]:
+            reasons = (*reasons, "stale_navigation")
+        detections.append(
+            Detection(
+                side=tile.side,
+                row=tile.first_row + m.row,
+                column=m.column,
+                time_s=float(pose.time_s[index]),
+                ping_number=int(tile.ping_number[round(position[index])]),
+                latitude_deg=float(latitude[index]),
+                longitude_deg=float(longitude[index]),
+                covariance_m2=covariance[index],
+                heading_rad=float(pose.heading_rad[index]),
+                aspect_deg=float(aspect[index]),
+                ground_range_m=float(ground_range_m[index]),
+                slant_range_m=float(echoes.slant_range_m[index]),
+                altitude_m=float(first_return_m[index] * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))),
+                score=candidate.peak.score,
+                cascade_score=candidate.cascade_score,
+                highlight_db=m.highlight_db,
+                shadow_db=m.shadow_db,
+                length_m=max(m.along_m, m.across_m),
+                width_m=min(m.along_m, m.across_m),
+                height_m=m.height_m,
+                shadow_length_m=m.shadow_length_m,
+                p_mine=probability(odds),
+                reasons=reasons,
+                snippet=m.snippet,
+                snippet_row=m.snippet_row,
+                snippet_column=m.snippet_column,
+                row_spacing_m=tile.row_spacing_m,
+                column_spacing_m=tile.column_spacing_m,
+                surroundings=_surroundings(tile, candidate.peak, m),
+            )
+        )
+    return tuple(detections)
+
+
+def _surroundings(tile: Tile, peak: Peak, measured: Measurement) -> Surroundings:
+    """ROWS_M about the score's peak, which does not depend on where the tile was cut."""
+    n_rows, n_columns = tile.mask.shape
+    column_m = tile.column_spacing_m
+    first_return_m = float(tile.first_return_m[peak.row])
+    shadow_m = _TALLEST_M * peak.column * column_m / max(first_return_m - _TALLEST_M, 0.5)
+    far_m = min(max(shadow_m + _BEHIND_M, _FAR_M[0]), _FAR_M[1])
+    reach = round(ROWS_M / tile.row_spacing_m)
+    top, near = max(0, peak.row - reach), max(0, peak.column - round(_NEAR_M / column_m))
+    part = slice(top, min(n_rows, peak.row + reach + 1)), slice(near, min(n_columns, peak.column + round(far_m / column_m) + 1))
+    valid = (tile.mask[part] & VALID) != 0
+    return Surroundings(
+        codes=pack_snippet(np.where(valid, np.maximum(tile.intensity[part], np.float32(_DARKEST)), np.float32(0.0))),
+        row=measured.row - top,
+        column=measured.column - near,
+        first_ground_range_m=near * column_m,
+        first_return_m=first_return_m,
+    )
+
+
+def _between(values: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.interp(position, np.arange(values.shape[0]), values)

@@ -1,0 +1,551 @@
+"""Navigation samples in, vehicle poses at ping times out.
+
+Each quantity lives in its own time-ordered channel, because sources measure them at different rates. Positions that contradict each
+other are settled by `auv_mcm.geometry.fix_agreement`; notices about them come from here alone, so that live and replayed
+missions say the same. A pose at a given instant becomes final, that is, no later sample can change it, once the samples fed so far say so
+(`NavBuffer.ready_until_s`); who waits for that gets the same poses however the stream was cut into pieces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from datetime import UTC, datetime
+from operator import attrgetter
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geometry.fix_agreement import Decision, FixAgreement
+from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, ecef_to_geodetic, geodetic_to_ecef
+from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES, HeadingCheck
+from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
+from auv_mcm.settings.config import NavigationConfig
+
+MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that says so is wrong
+JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
+# Fixes that contradict the ones before must agree this long until they are believed: a receiver that was 1 degree off for 4 s came back.
+# Pings wait 5 s for navigation by default, so the decision comes before they are placed.
+AGREE_S: Final = 4.5
+DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no speed is known: a survey speed
+_REJECTED_WINDOW: Final = 40  # newest decided fixes, of which _REJECTED_SHARE and _MIN_REJECTED rejected ones raise a notice
+_REJECTED_SHARE: Final = 0.2
+_MIN_REJECTED: Final = 5
+_MAX_STEPS_REPORTED: Final = 10
+MAX_TIME_LEAP_S: Final = 60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
+CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
+CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
+CHORD_MAX_S: Final = 4.0  # who does not get CHORD_M far in this time has a speed but no course
+_CLOCK_S: Final = 1e-6  # float64 UTC seconds resolve 0.24 microseconds: limits hold to this
+
+_FIELDS: Final = attrgetter("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
+# What can be true of each quantity after the position. A full turn rounded up by a source in single precision is one still.
+_RANGES: Final = (
+    ("heading", math.radians(-361.0), math.radians(361.0)),
+    ("pitch", math.radians(-90.0), math.radians(90.0)),
+    ("roll", math.radians(-181.0), math.radians(181.0)),
+    ("depth", -100.0, 12_000.0),
+    ("altitude", 1e-3, 12_000.0),  # zero: no bottom lock
+    ("speed", -MAX_SPEED_MPS, MAX_SPEED_MPS),
+)
+
+
+class _Limits(NamedTuple):
+    """How a channel is read between and beyond its samples; seconds."""
+
+    bridge_s: float  # interpolate between neighbours at most this far apart
+    fresh_s: float  # elsewhere the nearest sample's value counts as fresh this long
+    look_ahead_s: float  # a later sample may lend its value this far back, no farther, so that waiting for it ends
+
+
+class NavBuffer:
+    """The vehicle's recent navigation.
+
+    `counters` holds what was refused or derived: `navigation.time_not_finite`, `.time_backwards`, `.time_repeated`,
+    `.time_leap`, `.not_finite`, `.position_zero`, `.zero_with_position`, `.position_jump`, `.position_refix`,
+    `.<quantity>_out_of_range`; in instants: `.heading_from_course`, `.speed_from_fixes`; at most one: `.pitch_absent`,
+    `.roll_absent`.
+    """
+
+    def __init__(self, config: NavigationConfig, raised: set[str] | None = None) -> None:
+        """raised: codes of notices that are not raised again, as of the buffer before a clock step; grows."""
+        self.counters: Counter[str] = Counter()
+        limits = _Limits(config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s))
+        # Derived values stand at the middle of a chord, so they are as far apart as chords are long.
+        chord_s = CHORD_MAX_S + config.max_gap_s
+        chord_limits = _Limits(chord_s, chord_s, chord_s)
+        self._position = _Channel(limits, width=5)  # Earth-centred metres, doubt in metres, 1 where the position is disputed
+        self._heading = _Channel(limits)
+        self._pitch, self._roll, self._depth, self._altitude, self._speed = (_Channel(limits) for _ in range(5))
+        self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS
+        self._course = _Channel(chord_limits)
+        self._track_speed = _Channel(chord_limits)
+        self._all = (self._position, self._heading, *self._plain, self._course, self._track_speed)
+        self._newest_s = -math.inf
+        self._oldest_s = -math.inf
+        self._last_heading: float | None = None
+        self._last_course: float | None = None
+        self._leap: NavSample | None = None
+        self._agreement = FixAgreement(_distance, _reach_m, AGREE_S)
+        self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
+        self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
+        self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
+        self._heading_check = HeadingCheck()
+        self._n_zero_altitudes = 0  # in a row
+        self._notices: list[Notice] = []
+        self._raised = set() if raised is None else raised
+        self._last_fix: _Fix | None = None
+        self._chord_start: _Fix | None = None
+
+    def add(self, sample: NavSample) -> None:
+        """Take one sample. What cannot be true is refused and counted; samples older than the newest one too.
+
+        At equal times quantities that the earlier sample lacked are added, those it had stay.
+        """
+        time_s = sample.time_s
+        if not math.isfinite(time_s):
+            self.counters["navigation.time_not_finite"] += 1
+            return
+        if time_s < self._newest_s:
+            if self._newest_s - time_s <= MAX_TIME_LEAP_S or self._newest_s > self._oldest_s:
+                self.counters["navigation.time_backwards"] += 1
+                return
+            # The very first stamp was the bad one: nothing else speaks for it.
+            self.counters["navigation.time_leap"] += 1
+            self._restart()
+        leap = self._leap
+        self._leap = None
+        leaps = time_s - self._newest_s > MAX_TIME_LEAP_S and self._oldest_s > -math.inf
+        if leap is not None and not (leaps and leap.time_s <= time_s):
+            self.counters["navigation.time_leap"] += 1
+            leap = None
+        if leaps and leap is None:
+            self._leap = sample
+            return
+        if leap is not None:
+            self._store(leap)
+        self._store(sample)
+
+    def take_notices(self) -> list[Notice]:
+        """What a person should know since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def n_steps_before(self, times_s: NDArray[np.float64]) -> NDArray[np.intp]:
+        """How often the track has stepped to another place before each instant, (n,)."""
+        before_s, after_s = np.array([*self._steps_s, (np.inf, np.inf)]).T
+        n_steps = np.searchsorted(after_s, times_s, side="right")
+        # As _Channel.at has it: between two fixes that are not joined an instant is at the nearer one.
+        until_s = after_s[n_steps] - times_s
+        at_next = (until_s < times_s - before_s[n_steps]) & (until_s <= self._position.limits.look_ahead_s + _CLOCK_S)
+        return np.asarray(n_steps + at_next)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Times of the oldest and the newest sample believed; both -inf before the first one."""
+        return self._oldest_s, self._newest_s
+
+    @property
+    def ready_until_s(self) -> float:
+        """Poses at this time and before are final; -inf before the first sample.
+
+        Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays so.
+        """
+        newest_s = self._newest_s
+        next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be believed
+        # Later chords have their middle at or after this instant; the next fix after a hole starts a new chord.
+        next_chord_s = next_fix_s
+        start, last = self._chord_start, self._last_fix
+        if start is not None and last is not None and next_fix_s - last.time_s <= self._position.limits.bridge_s:
+            next_chord_s = 0.5 * (start.time_s + next_fix_s)
+        derived_s = min(self._course.final_until(next_chord_s), self._track_speed.final_until(next_chord_s))
+        ready_s = min(channel.final_until(newest_s) for channel in (self._heading, *self._plain))
+        ready_s = min(ready_s, self._position.final_until(next_fix_s))
+        for channel in (self._heading, self._speed):
+            if channel.has_hole(derived_s, newest_s):
+                ready_s = min(ready_s, derived_s)
+        return ready_s
+
+    def interpolate(self, times_s: NDArray[np.float64]) -> PoseTrack:
+        """Poses at `times_s` (n,), linear between samples; positions along the chord through the Earth, so any place will do.
+
+        Never extrapolates. Beyond the ends, and in holes longer than `max_gap_s`, a quantity keeps its nearest value, taken
+        from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll: 0). Heading
+        and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
+        `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart, and those whose
+        position is disputed. Asked for instants later than `ready_until_s` before any track of fixes is believed, it believes the best.
+        """
+        times = np.array(times_s, dtype=np.float64)
+        if not self._agreement.is_decided and times.size and float(times.max()) > self.ready_until_s:
+            self._decide(self._agreement.decide())
+        position = self._position.at(times)
+        heading, heading_fresh = self._measured_or_derived(self._heading, self._course, "navigation.heading_from_course", times)
+        speed, _ = self._measured_or_derived(self._speed, self._track_speed, "navigation.speed_from_fixes", times)
+        latitude, longitude, _ = ecef_to_geodetic(position.values[:, :3])
+        doubt_m, disputed = np.nan_to_num(position.values[:, 3]), position.values[:, 4] > 0.0
+        doubt_m = np.where(times >= self._agreement.waiting_since_s, np.maximum(doubt_m, self._agreement.waiting_apart_m), doubt_m)
+        drift_m = np.where(position.fresh, 0.0, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
+        return PoseTrack(
+            time_s=times,
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            depth_m=self._depth.at(times).values[:, 0],
+            heading_rad=heading,
+            pitch_rad=self._or_level(self._pitch, "navigation.pitch_absent", times),
+            roll_rad=self._or_level(self._roll, "navigation.roll_absent", times),
+            speed_mps=speed,
+            altitude_m=self._altitude.at(times).values[:, 0],
+            stale=~(position.fresh & heading_fresh) | disputed,
+            position_sigma_m=np.hypot(doubt_m, np.where(np.isfinite(drift_m), drift_m, 0.0)),
+        )
+
+    def forget_before(self, time_s: float) -> None:
+        """Drop what no pose at `time_s` or later needs, so that memory does not grow with the mission."""
+        for channel in self._all:
+            channel.forget_before(time_s)
+
+    def _restart(self) -> None:
+        self._newest_s = self._oldest_s = -math.inf
+        for channel in self._all:
+            channel.clear()
+        self._agreement = FixAgreement(_distance, _reach_m, AGREE_S)
+        self._last_offered_s = -math.inf
+        self._last_fix = self._chord_start = None
+        self._last_heading = self._last_course = None
+
+    def _store(self, sample: NavSample) -> None:
+        time_s = sample.time_s
+        if self._oldest_s == -math.inf:
+            self._oldest_s = time_s
+        self._newest_s = time_s
+        latitude, longitude, heading, *plain = _FIELDS(sample)
+        if latitude == 0.0 and longitude == 0.0:
+            # A record nobody filled: its other zeros are no measurements either.
+            self.counters["navigation.position_zero"] += 1
+            latitude = longitude = NAN
+            zeros = (heading == 0.0) + plain.count(0.0)
+            if zeros:
+                self.counters["navigation.zero_with_position"] += zeros
+                heading = NAN if heading == 0.0 else heading
+                plain = [NAN if value == 0.0 else value for value in plain]
+        if latitude == latitude or longitude == longitude:
+            self._store_position(time_s, latitude, longitude)
+        if math.isfinite(self._agreement.waiting_since_s):
+            self._decide(self._agreement.advance(time_s))
+        for channel, value, (name, low, high) in zip((self._heading, *self._plain), (heading, *plain), _RANGES, strict=True):
+            if value != value:  # NaN: not measured
+                continue
+            if not math.isfinite(value):
+                self.counters["navigation.not_finite"] += 1
+            elif not low <= value <= high:
+                self.counters[f"navigation.{name}_out_of_range"] += 1
+                if channel is self._altitude and value == 0.0:
+                    self._count_zero_altitude(time_s)
+            elif channel.last_s == time_s:
+                self.counters["navigation.time_repeated"] += 1
+            elif channel is self._heading:
+                self._last_heading = self._unwrap(value, time_s)
+                channel.append(time_s, self._last_heading)
+            else:
+                channel.append(time_s, value)
+                if channel is self._altitude:
+                    self._n_zero_altitudes = 0
+
+    def _count_zero_altitude(self, time_s: float) -> None:
+        self._n_zero_altitudes += 1
+        if self._n_zero_altitudes >= ZERO_ALTITUDES:
+            text = (
+                f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found from the echoes "
+                "alone. Check that the altimeter is connected, logged, and has bottom lock."
+            )
+            self._raise_once("navigation.altitude_zero", text, time_s)
+
+    def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
+        if not (math.isfinite(latitude) and math.isfinite(longitude)):
+            self.counters["navigation.not_finite"] += 1
+            return
+        if not (-90.0 <= latitude <= 90.0 and -180.0 <= longitude <= 360.0):
+            self._last_offered_s = time_s
+            self._reject(1, "navigation.position_out_of_range")
+            return
+        if time_s == self._last_offered_s:
+            self.counters["navigation.time_repeated"] += 1
+            return
+        self._last_offered_s = time_s
+        self._decide(self._agreement.add(_fix(time_s, latitude, longitude)))
+
+    def _decide(self, decision: Decision[_Fix]) -> None:
+        accepted = [fix for fix in decision.accepted if fix.time_s > self._position.last_s]
+        for number, fix in enumerate(accepted):
+            if number == 0 and decision.step_m > 0.0:
+                self._step(fix, decision.step_m)
+            doubt = (decision.doubt_m, float(decision.disputed))
+            self._accept(fix, number > 0 or decision.step_m == 0.0, doubt)
+        if decision.disputed and accepted:
+            text = (
+                f"fixes give two places {decision.doubt_m:.0f} m apart again and again: which one is right is not known. Contacts there "
+                "carry that distance as their sigma and nothing there counts as covered. Check the navigation units and their cables."
+            )
+            self._raise_once("navigation.position_disputed", text, accepted[-1].time_s)
+        self._decided.extend([False] * len(accepted))
+        if decision.n_rejected:
+            self._reject(decision.n_rejected, "navigation.position_jump")
+
+    def _reject(self, n_fixes: int, counter: str) -> None:
+        """Count rejected fixes; raise the notice where they are many of the newest ones."""
+        self.counters[counter] += n_fixes
+        self._decided.extend([True] * n_fixes)
+        n_rejected = self._decided.count(True)
+        if n_rejected >= max(_MIN_REJECTED, _REJECTED_SHARE * len(self._decided)):
+            text = (
+                f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, or the vehicle cannot "
+                "have moved there and back. Check the navigation unit, its antenna and its cable. More are counted."
+            )
+            self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
+
+    def _step(self, fix: _Fix, step_m: float) -> None:
+        """The track goes on at another place from this fix on."""
+        self.counters["navigation.position_refix"] += 1
+        self._steps_s.append((self._position.last_s, fix.time_s))
+        if len(self._steps_s) > _MAX_STEPS_REPORTED:
+            return
+        text = (
+            f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which place is right: "
+            "contacts on one side of the jump may be wrong by as much."
+        )
+        text += " Further jumps are only counted." * (len(self._steps_s) == _MAX_STEPS_REPORTED)
+        self._notices.append(Notice(code="nav_position_jump", text=text, place=_utc(fix.time_s)))
+
+    def _raise_once(self, code: str, text: str, time_s: float) -> None:
+        if code not in self._raised:
+            self._raised.add(code)
+            self._notices.append(Notice(code=code, text=text, place=_utc(time_s)))
+
+    def _accept(self, fix: _Fix, joined: bool, doubt: tuple[float, float]) -> None:
+        """Take a fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
+        self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt), joined)
+        start, last = self._chord_start, self._last_fix
+        self._last_fix = fix
+        if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
+            self._chord_start = fix
+            return
+        distance, duration = _distance(start, fix), fix.time_s - start.time_s
+        if duration < CHORD_MIN_S or (distance < CHORD_M and duration < CHORD_MAX_S):
+            return
+        self._chord_start = fix
+        middle_s = 0.5 * (start.time_s + fix.time_s)
+        self._track_speed.append(middle_s, distance / duration)
+        if distance >= CHORD_M:
+            self._last_course = self._unwrap(_course(start, fix), fix.time_s)
+            self._course.append(middle_s, self._last_course)
+            self._check_heading(middle_s, self._last_course)
+
+    def _check_heading(self, time_s: float, course_rad: float) -> None:
+        heading = self._heading.at(np.array([time_s]))
+        if not heading.fresh[0]:
+            return
+        offset_rad = self._heading_check.add(float(heading.values[0, 0]), course_rad)
+        if offset_rad is not None:
+            side = "right" if offset_rad > 0.0 else "left"
+            text = (
+                f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: contacts lie on the "
+                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port and starboard "
+                "are swapped."
+            )
+            self._raise_once("navigation.heading_off_course", text, time_s)
+
+    def _unwrap(self, angle_rad: float, time_s: float) -> float:
+        """The turn count nearest to the heading, to the course while the compass is silent: a track may change between them."""
+        compass_speaks = time_s - self._heading.last_s <= self._heading.limits.bridge_s
+        last = self._last_heading if compass_speaks or self._last_course is None else self._last_course
+        return angle_rad if last is None else angle_rad + 2 * math.pi * round((last - angle_rad) / (2 * math.pi))
+
+    def _measured_or_derived(
+        self, measured: _Channel, derived: _Channel, counter: str, times: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Fresh measured values, else fresh derived ones, else the nearest known; and which are fresh."""
+        first = measured.at(times)
+        if first.fresh.all():
+            return first.values[:, 0], first.fresh
+        second = derived.at(times)
+        use_derived = ~first.fresh & (second.fresh | np.isnan(first.values[:, 0]))
+        values = np.where(use_derived, second.values[:, 0], first.values[:, 0])
+        count = int(np.count_nonzero(use_derived & ~np.isnan(values)))
+        if count:
+            self.counters[counter] += count
+        return values, first.fresh | second.fresh
+
+    def _or_level(self, channel: _Channel, counter: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = channel.at(times).values[:, 0]
+        absent = np.isnan(values)
+        if absent.any():
+            self.counters[counter] = 1
+            values = np.where(absent, 0.0, values)
+        return values
+
+
+def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTrack:
+    """Poses at fractional row indices `position` (n,), linear between rows; indices beyond the ends give the end rows.
+
+    A NaN in one of the two rows leaves the other row's value. `stale` if any row that contributes is.
+    Raises ValueError for a track without rows or an index that is not finite.
+    """
+    rows = np.asarray(position, dtype=np.float64)
+    if len(track) == 0 or not np.isfinite(rows).all():
+        raise ValueError("interpolate_track: needs a track with at least one row and finite row indices")
+    rows = np.clip(rows, 0.0, len(track) - 1.0)
+    below = np.floor(rows).astype(np.int64)
+    above = np.minimum(below + 1, len(track) - 1)
+    fraction = rows - below
+
+    def blend(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        low, high = values[below], values[above]
+        weight = fraction[:, np.newaxis] if values.ndim == 2 else fraction
+        return np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))
+
+    latitude, longitude, _ = ecef_to_geodetic(blend(geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0)))
+    return PoseTrack(
+        time_s=blend(track.time_s),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        depth_m=blend(track.depth_m),
+        heading_rad=blend(track.heading_rad),
+        pitch_rad=blend(track.pitch_rad),
+        roll_rad=blend(track.roll_rad),
+        speed_mps=blend(track.speed_mps),
+        altitude_m=blend(track.altitude_m),
+        stale=track.stale[below] | (track.stale[above] & (fraction > 0.0)),
+        position_sigma_m=blend(track.position_sigma_m),
+    )
+
+
+class _Values(NamedTuple):
+    """values: (n, width), NaN where nothing is known; fresh: (n,); age_s: (n,) to the nearest value, inf without one."""
+
+    values: NDArray[np.float64]
+    fresh: NDArray[np.bool_]
+    age_s: NDArray[np.float64]
+
+
+class _Channel:
+    """Time-ordered values of one quantity, `width` numbers each; grows at the end, forgets at the start."""
+
+    def __init__(self, limits: _Limits, width: int = 1) -> None:
+        self.limits = limits
+        self._times = np.empty(64)
+        self._values = np.empty((64, width))
+        self._joined = np.empty(64, dtype=np.bool_)
+        self.clear()
+
+    def clear(self) -> None:
+        self._start = self._stop = 0
+        self.last_s = -math.inf
+        self._hole_end_s = math.inf  # of the newest hole too long to bridge; the time before the first sample is one
+
+    def append(self, time_s: float, value: float | tuple[float, ...], joined: bool = True) -> None:
+        """Add a value later than all others; `joined` is False if no line may lead to it from its predecessor."""
+        stop = self._stop
+        if stop == self._times.shape[0]:
+            stop = self._make_room()
+        self._times[stop] = time_s
+        self._values[stop] = value
+        self._joined[stop] = joined
+        self._stop = stop + 1
+        if time_s - self.last_s > self.limits.bridge_s:
+            self._hole_end_s = time_s
+        self.last_s = time_s
+
+    def final_until(self, next_s: float) -> float:
+        """The time up to which no value at `next_s` or later can change what `at` says."""
+        return max(self.last_s, next_s - self.limits.look_ahead_s - 2 * _CLOCK_S)
+
+    def has_hole(self, from_s: float, newest_s: float) -> bool:
+        """Whether any instant from `from_s` to `newest_s` is not between two values close enough to interpolate."""
+        return newest_s - self.last_s > self.limits.bridge_s or from_s < self._hole_end_s
+
+    def at(self, times: NDArray[np.float64]) -> _Values:
+        limits = self.limits
+        known_s = self._times[self._start : self._stop]
+        known = self._values[self._start : self._stop]
+        if known_s.size == 0:
+            return _Values(np.full((times.size, known.shape[1]), NAN), np.zeros(times.size, dtype=np.bool_), np.full(times.size, np.inf))
+        last = known_s.size - 1
+        right = np.searchsorted(known_s, times, side="right")
+        left = np.maximum(right - 1, 0)
+        since = np.where(right > 0, times - known_s[left], np.inf)
+        has_right = right <= last
+        right = np.minimum(right, last)
+        until = np.where(has_right, known_s[right] - times, np.inf)
+        until = np.where(until <= limits.look_ahead_s + _CLOCK_S, until, np.inf)
+        span = known_s[right] - known_s[left]
+        bridged = np.isfinite(since) & np.isfinite(until) & (span <= limits.bridge_s + _CLOCK_S) & self._joined[self._start + right]
+        fraction = np.where(bridged, since, 0.0) / np.where(bridged, span, 1.0)
+        nearest = np.where(until < since, right, left)
+        distance = np.minimum(since, until)
+        values = np.where(bridged[:, np.newaxis], known[left] + fraction[:, np.newaxis] * (known[right] - known[left]), known[nearest])
+        values = np.where(np.isfinite(distance)[:, np.newaxis], values, NAN)
+        return _Values(values, bridged | (distance <= limits.fresh_s + _CLOCK_S), distance)
+
+    def forget_before(self, time_s: float) -> None:
+        """Keep the last sample at or before `time_s`, as left neighbour, and all later ones."""
+        known_s = self._times[self._start : self._stop]
+        self._start += max(0, int(np.searchsorted(known_s, time_s, side="right")) - 1)
+
+    def _make_room(self) -> int:
+        """Drop the forgotten, double the room if the rest needs it; the new end."""
+        kept = slice(self._start, self._stop)
+        count = self._stop - self._start
+        room = max(64, 2 * count)
+        times, values, joined = np.empty(room), np.empty((room, self._values.shape[1])), np.empty(room, dtype=np.bool_)
+        times[:count], values[:count], joined[:count] = self._times[kept], self._values[kept], self._joined[kept]
+        self._times, self._values, self._joined = times, values, joined
+        self._start, self._stop = 0, count
+        return count
+
+
+class _Fix(NamedTuple):
+    """One believed position; Earth-centred metres."""
+
+    time_s: float
+    x: float
+    y: float
+    z: float
+    latitude_rad: float
+    longitude_rad: float
+
+
+def _fix(time_s: float, latitude_deg: float, longitude_deg: float) -> _Fix:
+    """As geodetic_to_ecef at height 0, for one position at a time, where array arithmetic costs ten times as much."""
+    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+    sine, cosine = math.sin(latitude), math.cos(latitude)
+    prime_vertical = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
+    x = prime_vertical * cosine * math.cos(longitude)
+    y = prime_vertical * cosine * math.sin(longitude)
+    return _Fix(time_s, x, y, prime_vertical * (1.0 - ECCENTRICITY_SQUARED) * sine, latitude, longitude)
+
+
+def _distance(a: _Fix, b: _Fix) -> float:
+    return math.hypot(b.x - a.x, b.y - a.y, b.z - a.z)
+
+
+def _reach_m(a: _Fix, b: _Fix) -> float:
+    return JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)
+
+
+def _utc(time_s: float) -> str:
+    """The instant for messages."""
+    try:
+        return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (OverflowError, ValueError, OSError):
+        return f"time {time_s:g} s"
+
+
+def _course(a: _Fix, b: _Fix) -> float:
+    """Compass direction from a to b, at a."""
+    x, y, z = b.x - a.x, b.y - a.y, b.z - a.z
+    sin_lon, cos_lon = math.sin(a.longitude_rad), math.cos(a.longitude_rad)
+    outward = cos_lon * x + sin_lon * y
+    east = cos_lon * y - sin_lon * x
+    north = math.cos(a.latitude_rad) * z - math.sin(a.latitude_rad) * outward
+    return math.atan2(east, north)

@@ -1,0 +1,73 @@
+"""The seabed stage: a tile in, the kind of sea floor in each of its cells out."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import SEABED_TYPES, SeabedCells, Tile
+from auv_mcm.seabed.seabed_model import SeabedModel, kind_indices, odds_of
+from auv_mcm.seabed.texture import CELL_BLOCKS, Texture, measure_texture
+
+Array = NDArray[np.float64]
+
+_UNKNOWN: Final = SEABED_TYPES.index("unknown")
+_RIPPLE: Final = SEABED_TYPES.index("ripple")
+_COUPLING: Final = 0.7  # nats that a neighbouring cell of the same kind adds; 1 changes what is right by less than 0.005
+_SWEEPS: Final = 6
+_MIN_CONFIDENCE: Final = 0.6
+"""What is less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been right."""
+
+
+def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
+    """What kind of sea floor a tile's core shows."""
+    texture = measure_texture(tile)
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(texture.features).all(axis=-1))
+    features = np.where(measured[..., np.newaxis], texture.features, 0.0)
+    found = odds_of(features, np.broadcast_to(texture.cot_grazing, measured.shape), model)
+    known = measured & (found.distance <= model.learnt.novelty)
+    posterior = smoothed(found.log_p * known[..., np.newaxis], known)
+    best = np.argmax(posterior, axis=-1)
+    confidence = np.take_along_axis(posterior, best[..., np.newaxis], axis=-1)[..., 0]
+    told = known & (confidence >= _MIN_CONFIDENCE)
+    kind = np.where(told, kind_indices(model)[best], _UNKNOWN).astype(np.uint8)
+    rippled = kind == _RIPPLE
+    return SeabedCells(
+        cell_m=texture.cell_m,
+        kind=kind,
+        confidence=np.where(told, confidence, 0.0).astype(np.float32),
+        ripple_rad=np.where(rippled, _on_compass(texture, tile), np.nan).astype(np.float32),
+        wavelength_m=np.where(rippled, texture.wavelength_m, np.nan).astype(np.float32),
+    )
+
+
+def smoothed(log_p: Array, measured: NDArray[np.bool_]) -> Array:
+    """(n_along, n_across, n_kinds) posteriors: each cell's own evidence, and what its eight neighbours believe.
+
+    A Potts field solved by mean field, parallel and with a fixed number of sweeps. Cells that were not measured say nothing.
+    """
+    own = log_p
+    posterior = _softmax(own)
+    for _ in range(_SWEEPS):
+        told = np.pad(posterior * measured[..., np.newaxis], ((1, 1), (1, 1), (0, 0)))
+        n_along, n_across = measured.shape
+        around = sum(told[i : i + n_along, j : j + n_across] for i in range(3) for j in range(3) if (i, j) != (1, 1))
+        posterior = _softmax(own + _COUPLING * around)
+    return posterior
+
+
+def _softmax(log_p: Array) -> Array:
+    p = np.exp(log_p - log_p.max(axis=-1, keepdims=True))
+    return np.asarray(p / p.sum(axis=-1, keepdims=True))
+
+
+def _on_compass(texture: Texture, tile: Tile) -> Array:
+    """Directions across the crests as compass directions, [0, pi), by the heading in the middle of each cell."""
+    block_rows = max(1, round(texture.cell_m[0] / CELL_BLOCKS / tile.row_spacing_m))
+    row = tile.core_start + (np.arange(texture.ripple_rad.shape[0]) + 0.5) * CELL_BLOCKS * block_rows
+    heading = tile.pose.heading_rad[np.minimum(row.astype(int), len(tile.pose) - 1)][:, np.newaxis]
+    direction = np.mod(heading + (texture.ripple_rad if tile.side == "starboard" else -texture.ripple_rad), math.pi)
+    return np.where(direction >= math.pi, 0.0, direction)

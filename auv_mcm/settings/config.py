@@ -1,0 +1,423 @@
+"""One YAML file -> one typed configuration, validated once, at the edge.
+
+Unknown keys, wrong types and out-of-range values are refused with the key's path. Every field has a default, so an empty
+file is a valid configuration; `auv-mcm config --write` prints them all with their meaning.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+import yaml
+from msgspec import Meta, inspect
+
+from auv_mcm.clean_text import clean, is_clean
+from auv_mcm.errors import UsageError
+from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together
+from auv_mcm.settings.strict_yaml import explained, load_mapping
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class SonarConfig(_Section, frozen=True, kw_only=True):
+    """The sonar's habits: how it stores samples and where it sits on the vehicle."""
+
+    transfer: Annotated[
+        Literal["auto", "amplitude", "intensity", "log"],
+        Meta(description="what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from speckle statistics"),
+    ] = "auto"
+    db_per_count: Annotated[
+        Annotated[float, Meta(ge=0.01, le=10.0)] | None,
+        Meta(description="log transfer only: decibels per count; empty: estimated from speckle"),
+    ] = None
+    port_order: Annotated[
+        Literal["auto", "near_to_far", "far_to_near"],
+        Meta(description="how a log stores the port channel; auto looks for the water column"),
+    ] = "auto"
+    full_scale: Annotated[
+        Annotated[float, Meta(gt=0.0)] | None,
+        Meta(description="stored number at which the recorder clips; empty: found from integer samples, none for others"),
+    ] = None
+    sound_speed_mps: Annotated[
+        Annotated[float, Meta(ge=1400.0, le=1600.0)] | None,
+        Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd"),
+    ] = None
+    blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
+    max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="range used at most, slant or ground, m")] = 200.0
+    subsystem: Annotated[
+        Literal[20, 21, 22] | None,
+        Meta(
+            description="EdgeTech (jsf) only: which frequency is used, 20 low, 21 high, 22 very high; empty: the only one that a log "
+            "holds, live 21"
+        ),
+    ] = None
+    beam_width_deg: Annotated[float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")] = 0.5
+    lever_arm_m: Annotated[
+        tuple[ArmLength, ArmLength, ArmLength],
+        Meta(description="array position from the navigation reference: forward, starboard, down, m"),
+    ] = (0.0, 0.0, 0.0)
+    heading_offset_deg: Annotated[
+        float, Meta(ge=-180.0, le=180.0, description="array axis against vehicle heading, clockwise, degrees")
+    ] = 0.0
+    pitch_offset_deg: Annotated[float, Meta(ge=-45.0, le=45.0, description="array axis against vehicle pitch, bow up, degrees")] = 0.0
+
+
+class NavigationConfig(_Section, frozen=True, kw_only=True):
+    """Interpolation limits and the 1-sigma errors that go into a contact's covariance."""
+
+    max_extrapolation_s: Annotated[
+        float,
+        Meta(
+            gt=0.0, le=10.0, description="a ping farther than this from navigation, and not in a hole that is bridged, is flagged stale, s"
+        ),
+    ] = 0.5
+    max_gap_s: Annotated[float, Meta(gt=0.0, le=60.0, description="longest hole between two fixes bridged by interpolation, s")] = 2.0
+    position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0, description="1-sigma of a position fix per axis, m")] = 1.0
+    heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of heading, degrees")] = 1.0
+    pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of pitch, degrees")] = 0.5
+    sound_speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=50.0, description="1-sigma of sound speed, m/s")] = 5.0
+    max_speed_mps: Annotated[float, Meta(gt=0.0, le=30.0, description="ports only: reject fixes that imply a higher speed, m/s")] = 6.0
+    recover_s: Annotated[
+        float, Meta(ge=0.0, le=600.0, description="ports only: a better unit is used again after being healthy this long, s")
+    ] = 5.0
+    surface_depth_m: Annotated[float, Meta(gt=0.0, le=20.0, description="ports only: reject satellite fixes deeper than this, m")] = 1.0
+
+
+class WaterfallConfig(_Section, frozen=True, kw_only=True):
+    """The metric grid and when a row or pixel earns coverage."""
+
+    row_spacing_m: Annotated[float, Meta(ge=0.01, le=2.0, description="along-track pixel, m")] = 0.12
+    column_spacing_m: Annotated[float, Meta(ge=0.005, le=2.0, description="ground-range pixel, m")] = 0.06
+    tile_rows: Annotated[int, Meta(ge=64, le=8192, description="rows of a tile's core")] = 512
+    max_ping_gap_m: Annotated[
+        float, Meta(gt=0.0, le=10.0, description="farther apart along track, pings leave a gap without coverage, m")
+    ] = 0.6
+    max_turn_rate_deg_s: Annotated[float, Meta(gt=0.0, le=90.0, description="faster than this a row is a turn, deg/s")] = 5.0
+    max_spacing_ratio: Annotated[
+        float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
+    ] = 2.0
+    min_grazing_deg: Annotated[
+        float, Meta(ge=0.0, le=60.0, description="shallower than this nothing is looked for or covered, degrees")
+    ] = 1.0
+    max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = (
+        70.0
+    )
+
+    def __post_init__(self) -> None:
+        if self.min_grazing_deg >= self.max_grazing_deg:
+            raise ValueError(f"min_grazing_deg ({self.min_grazing_deg}) must be below max_grazing_deg ({self.max_grazing_deg})")
+
+
+class DetectConfig(_Section, frozen=True, kw_only=True):
+    """Contrasts of highlight and shadow and, where there is a model for the pixels, a trained cascade."""
+
+    model: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for the "
+            "pixel sizes below is not used, with a notice",
+        ),
+    ] = "shipped"
+    seabed_model: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate seabed' wrote",
+        ),
+    ] = "shipped"
+    performance: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file that "
+            "'auv-mcm calibrate performance' wrote",
+        ),
+    ] = "shipped"
+    max_evaluations_per_tile: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=10**12,
+            description="comparisons that the cascade may make per tile and side, best places first; what it did not get to is not covered",
+        ),
+    ] = 40_000_000
+
+    p_false_alarm: Annotated[
+        float,
+        Meta(
+            ge=1e-12,
+            lt=0.5,
+            description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs counts, "
+            "so that one pixel in eighty of white speckle is above the default",
+        ),
+    ] = 1e-4
+    max_candidates_per_tile: Annotated[
+        int, Meta(ge=0, le=100_000, description="candidates measured per tile and side at most, best first; the rest is counted")
+    ] = 256
+    suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
+    max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="longer than this an object is no mine, m")] = 3.5
+
+
+class ConfirmConfig(_Section, frozen=True, kw_only=True):
+    """Confirmation of detections: contours, Markov field, shapes."""
+
+    enabled: Annotated[bool, Meta(description="false: contacts carry the detector's p_mine and no class")] = True
+    min_p_mine: Annotated[
+        float, Meta(ge=0.0, le=1.0, description="p_mine below which a detection is looked at no further, at any step")
+    ] = 0.01
+    max_per_tile: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=100_000,
+            description="detections worth a look that are looked at per tile and side at most, best first; the rest is counted",
+        ),
+    ] = 128
+
+
+class ContactsConfig(_Section, frozen=True, kw_only=True):
+    """Association of detections to contacts."""
+
+    gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = (
+        9.21
+    )
+    max_gate_m: Annotated[float, Meta(gt=0.0, le=100.0, description="never associate views farther apart than this, m")] = 4.0
+
+
+class PlanConfig(_Section, frozen=True, kw_only=True):
+    """What is asked of the vehicle: second looks at contacts and, where there is an area to clear, a survey of it."""
+
+    cell_m: Annotated[float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")] = 4.0
+    max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
+    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="minimum p_mine of a contact to view again")] = 0.2
+    turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
+    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
+    leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
+    area_deg: Annotated[
+        tuple[tuple[Latitude, Longitude], ...],
+        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second looks alone"),
+    ] = ()
+    required_clearance: Annotated[
+        float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")
+    ] = 0.9
+    max_track_m: Annotated[float, Meta(gt=0.0, le=1e6, description="maximum total commanded track, m")] = 10_000.0
+
+    def __post_init__(self) -> None:
+        if not self.area_deg:
+            return
+        if len(self.area_deg) < 3:
+            raise ValueError("plan: area_deg needs at least three corners [latitude, longitude]")
+        if not all(math.isfinite(value) for corner in self.area_deg for value in corner):
+            raise ValueError("plan: area_deg holds a corner that is no number")
+        east_m, north_m = zip(*_about_first(self.area_deg, self.area_deg[0]), strict=True)
+        if max(map(math.hypot, east_m, north_m)) > _FARTHEST_CORNER_M:
+            raise ValueError(f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one mission")
+        twice_m2 = sum(east_m[n - 1] * north_m[n] - east_m[n] * north_m[n - 1] for n in range(len(east_m)))
+        if abs(twice_m2) < 2.0:
+            raise ValueError("plan: area_deg is no area; give its corners in order, edges must not cross")
+        n_cells = (max(east_m) - min(east_m)) * (max(north_m) - min(north_m)) / self.cell_m**2
+        if n_cells > _MOST_CELLS:
+            raise ValueError(
+                f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MOST_CELLS}: give a larger cell_m"
+            )
+
+
+_FARTHEST_CORNER_M: Final = 50_000.0  # farther out the mission's plane bends straight lines
+_MOST_CELLS: Final = 1_000_000
+_DEGREE_M: Final = 111_320.0
+
+
+def _about_first(corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[float, float]) -> list[tuple[float, float]]:
+    """East and north, m, on a plane good enough to judge sizes; across the antimeridian as well."""
+    shrunk = math.cos(math.radians(first_deg[0]))
+    return [(math.remainder(lon - first_deg[1], 360.0) * _DEGREE_M * shrunk, (lat - first_deg[0]) * _DEGREE_M) for lat, lon in corners_deg]
+
+
+class ServiceConfig(_Section, frozen=True, kw_only=True):
+    """Queues and pacing of the running service."""
+
+    queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="maximum number of pings waiting for perception")] = 512
+    health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
+    source: Annotated[str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")] = ""
+    record: Annotated[bool, Meta(description="ports only: record every byte, both ways, beside the results, to be replayed")] = True
+    output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = "auv-mcm-out"
+
+
+class Config(_Section, frozen=True, kw_only=True):
+    """The whole configuration."""
+
+    mission: Annotated[str, Meta(max_length=200, description="name shown in reports")] = ""
+    sonar: SonarConfig = SonarConfig()
+    navigation: NavigationConfig = NavigationConfig()
+    waterfall: WaterfallConfig = WaterfallConfig()
+    detect: DetectConfig = DetectConfig()
+    confirm: ConfirmConfig = ConfirmConfig()
+    contacts: ContactsConfig = ContactsConfig()
+    plan: PlanConfig = PlanConfig()
+    vehicle: VehicleConfig = VehicleConfig()
+    service: ServiceConfig = ServiceConfig()
+    ports: Annotated[tuple[PortConfig, ...], Meta(description="wires to devices, for service.source: ports")] = ()
+
+    def __post_init__(self) -> None:
+        check_together(self.ports)
+        if self.vehicle.command and self.plan.area_deg and _are_apart(self.plan.area_deg, self.vehicle.fence_deg):
+            raise ValueError("plan: area_deg lies outside vehicle.fence_deg, where no leg can be sailed: correct one of them")
+        if self.vehicle.command and self.ports and all(port.device not in VEHICLE_NAMES for port in self.ports):
+            raise ValueError(f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one")
+
+
+def _are_apart(area_deg: tuple[tuple[float, float], ...], fence_deg: tuple[tuple[float, float], ...]) -> bool:
+    """Whether a straight line to the north or east lies between them."""
+    ways = [list(zip(*_about_first(corners, area_deg[0]), strict=True)) for corners in (area_deg, fence_deg)]
+    return any(max(ways[0][k]) <= min(ways[1][k]) or max(ways[1][k]) <= min(ways[0][k]) for k in (0, 1))
+
+
+def parse_config(text: str, place: str) -> Config:
+    """Configuration from YAML text; `place` names it in messages. An empty key or section means its default.
+
+    Raises UsageError with the key's path for unknown and repeated keys, wrong types and out-of-range values.
+    """
+    data = load_mapping(text, place, f"expected sections such as 'sonar:' with indented keys. {_HELP}")
+    _refuse_control_characters(data, "", place)
+    try:
+        return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{place}: {explained(error, Config)}. {_HELP}") from error
+
+
+def config_yaml(config: Config) -> str:
+    """`config` as YAML text that parse_config reads back, each key preceded by its meaning, range and default."""
+    lines = [
+        "# Configuration of auv-mcm. Every key may be left out; its default then holds.",
+        "# 'auv-mcm check --config FILE' tells whether a file is valid.",
+        "",
+    ]
+    root = inspect.type_info(Config)
+    assert isinstance(root, inspect.StructType)
+    for field in root.fields:
+        section = getattr(config, field.name)
+        if section and isinstance(section, tuple):
+            text = yaml.safe_dump({field.name: msgspec.to_builtins(section)}, sort_keys=False, allow_unicode=True, width=math.inf)
+            lines += [*_key_lines(field, (), "")[:-1], *text.splitlines(), ""]
+            continue
+        if not isinstance(field.type, inspect.StructType):
+            lines += [*_key_lines(field, section, ""), ""]
+            continue
+        lines += [f"# {(field.type.cls.__doc__ or '').strip()}", f"{field.name}:"]
+        for inner in field.type.fields:
+            lines += _key_lines(inner, getattr(section, inner.name), "  ")
+        lines.append("")
+    return "\n".join(lines[:-1]) + "\n"
+
+
+def port_keys() -> list[str]:
+    """Every key of one of the `ports`, with its kind, range, default and meaning, a line each."""
+    return _keys_of(inspect.type_info(PortConfig), "")
+
+
+def config_schema() -> str:
+    """JSON Schema (draft 2020-12) of the configuration, for editors and scripts."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Config)}
+    return json.dumps(schema, indent=2) + "\n"
+
+
+# Choices, written without quotes because none of them means anything else in YAML.
+_WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far_to_near"})
+_HELP = "'auv-mcm config --write' prints every key with its meaning and range"
+
+
+def _without_empty(data: Any, kind: inspect.Type) -> Any:
+    """Without the known keys that have no value, at any depth."""
+    kind = _bare(kind)
+    if isinstance(kind, inspect.StructType) and isinstance(data, dict):
+        kinds = {field.name: field.type for field in kind.fields}
+        cleaned = {key: _without_empty(value, kinds.get(key, kind)) for key, value in data.items()}
+        return {key: value for key, value in cleaned.items() if value is not None or key not in kinds}
+    if isinstance(kind, inspect.VarTupleType) and isinstance(data, list):
+        return [_without_empty(item, kind.item_type) for item in data]
+    return data
+
+
+def _refuse_control_characters(data: Any, path: str, place: str) -> None:
+    if isinstance(data, str) and not is_clean(data):
+        raise UsageError(f"{place}: Expected one line of text without control characters, got '{clean(data)}' - at `{path}`. Write it anew")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        _refuse_control_characters(value, f"{path}.{key}" if path else str(key), place)
+
+
+def _bare(kind: inspect.Type) -> inspect.Type:
+    """The kind without its description; of one that may be empty, the section that it may be."""
+    if isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if isinstance(kind, inspect.UnionType):
+        return next((member for member in kind.types if isinstance(member, inspect.StructType)), kind)
+    return kind
+
+
+def _keys_of(section: inspect.Type, path: str) -> list[str]:
+    assert isinstance(section, inspect.StructType)
+    lines = []
+    for field in section.fields:
+        if isinstance(_bare(field.type), inspect.StructType):
+            lines += _keys_of(_bare(field.type), f"{path}{field.name}.")
+            continue
+        description = str((field.type.extra_json_schema or {}).get("description", "")) if isinstance(field.type, inspect.Metadata) else ""
+        default = "required" if field.required else f"default {_scalar(field.default) or 'empty'}"
+        lines.append(f"{path}{field.name}: {_kind(field.type)}; {default}" + (f" - {description}" if description else ""))
+    return lines
+
+
+def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
+    kind, description = field.type, ""
+    if isinstance(kind, inspect.Metadata):
+        description = str((kind.extra_json_schema or {}).get("description", ""))
+    default = _scalar(field.default) or "empty"
+    return [f"{indent}# {description}", f"{indent}# {_kind(kind)}; default {default}", f"{indent}{field.name}: {_scalar(value)}".rstrip()]
+
+
+def _kind(kind: inspect.Type) -> str:
+    """What a key takes, in words."""
+    if isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if isinstance(kind, inspect.LiteralType):
+        return "one of " + ", ".join(str(value) for value in kind.values)
+    if isinstance(kind, inspect.BoolType):
+        return "true or false"
+    if isinstance(kind, inspect.StrType):
+        return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
+    if isinstance(kind, inspect.VarTupleType):
+        item = _bare(kind.item_type)
+        return "list; 'auv-mcm run --example' prints one" if isinstance(item, inspect.StructType) else f"list: {_kind(item)}"
+    if isinstance(kind, inspect.TupleType):
+        return f"list of {len(kind.item_types)}: {_kind(kind.item_types[0])}"
+    if isinstance(kind, inspect.UnionType):
+        return ", or ".join(["empty" if isinstance(member, inspect.NoneType) else _kind(member) for member in kind.types])
+    if isinstance(kind, inspect.IntType | inspect.FloatType):
+        word = "whole number" if isinstance(kind, inspect.IntType) else "number"
+        if kind.ge is not None and kind.le is not None:
+            return f"{word} from {kind.ge:g} to {kind.le:g}"
+        bounds = (("at least", kind.ge), ("above", kind.gt), ("at most", kind.le), ("below", kind.lt))
+        return f"{word} {' and '.join(f'{name} {bound:g}' for name, bound in bounds if bound is not None)}".rstrip()
+    raise TypeError(f"no words for {kind}")  # a new kind of key needs its words here
+
+
+def _scalar(value: Any) -> str:
+    """YAML of one value on one line; empty for None. Exponents get a decimal point, which YAML 1.1 readers insist on."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_scalar(item) for item in value) + "]"
+    if isinstance(value, str):
+        return value if value in _WORDS else yaml.safe_dump(value, default_style='"', allow_unicode=True, width=math.inf).rstrip("\n")
+    text = repr(value)
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")

@@ -1,0 +1,151 @@
+"""The `ports:` section of the configuration: which device is at the end of which wire, and how it is set and mounted."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, TypeAlias, get_args
+
+import msgspec
+from msgspec import Meta
+
+from auv_mcm.settings.vehicle_settings import (
+    VEHICLE_NAMES,
+    BluefinSettings,
+    CanSettings,
+    ImcSettings,
+    IverSettings,
+    ReconSettings,
+    VehicleName,
+)
+
+ArmLength: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Sign: TypeAlias = Literal[1, -1]
+Offset: TypeAlias = Annotated[float, Meta(ge=-180.0, le=180.0)]
+Quantity: TypeAlias = Literal["position", "heading", "attitude", "depth", "altitude", "speed"]
+QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
+
+SonarName: TypeAlias = Literal["ping_protocol", "jsf", "sportscan"]
+NavUnitName: TypeAlias = Literal["nmea0183", "pixse", "pd6", "water_linked", "nmea2000"]
+SONAR_NAMES: Final[tuple[SonarName, ...]] = get_args(SonarName)
+Sides: TypeAlias = Literal["as_told", "swapped", "port", "starboard"]
+
+
+class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    pass
+
+
+class NavUnitSettings(_Settings, frozen=True, kw_only=True):
+    """One navigation unit. Signs come first, then offsets: measured on the vehicle = sign * told + offset."""
+
+    priority: Annotated[int, Meta(ge=0, le=99, description="of the units that deliver a quantity the lowest healthy one serves")] = 1
+    delivers: Annotated[tuple[Quantity, ...], Meta(description="quantities that are taken from this unit")] = QUANTITIES
+    heading_sign: Sign = 1
+    pitch_sign: Annotated[Sign, Meta(description="-1 for a unit whose pitch is positive bow down")] = 1
+    roll_sign: Annotated[Sign, Meta(description="-1 for a unit whose roll is positive port down")] = 1
+    heading_offset_deg: Annotated[Offset, Meta(description="mounting angle against the vehicle's bow, clockwise, degrees")] = 0.0
+    pitch_offset_deg: Offset = 0.0
+    roll_offset_deg: Offset = 0.0
+    lever_arm_m: Annotated[
+        tuple[ArmLength, ArmLength, ArmLength],
+        Meta(description="antenna or head from the vehicle's navigation reference: forward, starboard, down, m"),
+    ] = (0.0, 0.0, 0.0)
+    latency_s: Annotated[float, Meta(ge=0.0, le=5.0, description="from the measurement to the first byte on the wire, s")] = 0.0
+    baud: Annotated[
+        Annotated[int, Meta(ge=300, le=4_000_000)] | None,
+        Meta(description="of its serial line, to take off the time on the wire; empty on networks and buses"),
+    ] = None
+    use_unit_time: Annotated[
+        bool, Meta(description="take the times between measurements from the unit's own clock, which is free of the link's delays")
+    ] = False
+    gives_utc: Annotated[
+        bool, Meta(description="nmea0183 only: UTC is that of its ZDA, sent each second, instead of this computer's; of one unit at most")
+    ] = False
+    pulse_link: Annotated[
+        str | None,
+        Meta(
+            description="where the unit's pulse at each full second comes in, e.g. pps:///dev/pps0; each ZDA then names the pulse before it"
+        ),
+    ] = None
+    surface_only: Annotated[bool, Meta(description="a satellite receiver: its positions are refused under water")] = False
+    position_sigma_m: Annotated[float, Meta(ge=0.0, le=1000.0, description="1-sigma per axis where the unit tells none, m")] = 3.0
+    heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma where the unit tells none, degrees")] = 1.0
+    speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=5.0, description="1-sigma where the unit tells none, m/s")] = 0.05
+    valid_s: Annotated[float, Meta(gt=0.0, le=60.0, description="without a new value for longer than this a quantity is lost, s")] = 1.5
+
+
+class SonarPortConfig(_Settings, frozen=True, kw_only=True):
+    """How a sonar is told to ping, at the start and whenever it comes back, and what it looks at."""
+
+    range_m: Annotated[
+        Annotated[float, Meta(gt=0.0, le=1000.0)] | None,
+        Meta(description="slant range to set, m; empty: nothing is sent, and the sonar pings as others have set it"),
+    ] = None
+    gain: Annotated[
+        Annotated[int, Meta(ge=0, le=100)] | None,
+        Meta(description="the device's own index, percentage or dB; empty: automatic or as it is"),
+    ] = None
+    enabled: Annotated[bool, Meta(description="false: it is told not to ping")] = True
+    n_samples: Annotated[int, Meta(ge=1, le=12_000, description="per side and ping, where the device lets it be set")] = 1200
+    sound_speed_mps: Annotated[float, Meta(ge=1400.0, le=1600.0, description="for its ranges, m/s")] = 1500.0
+    command_link: Annotated[
+        str | None, Meta(description="a wire of its own for commands, as EdgeTech's TCP port 1600 beside 1601; empty: they go to link")
+    ] = None
+    ping_interval_s: Annotated[float, Meta(ge=0.02, le=10.0, description="between two pings of a sonar that pings only when asked, s")] = (
+        0.2
+    )
+    sides: Annotated[
+        Sides,
+        Meta(description="as_told, swapped, or the one side that this port's head looks to, for heads on wires of their own"),
+    ] = "as_told"
+
+
+class PortConfig(_Settings, frozen=True, kw_only=True):
+    """One wire and the device at its end."""
+
+    name: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="in messages, counters and recordings")]
+    link: Annotated[str, Meta(description="the wire, e.g. serial:///dev/ttyUSB0?baud=115200 or tcp://192.168.2.92:51200")]
+    device: Annotated[SonarName | NavUnitName | VehicleName, Meta(description="what speaks there")]
+    sonar: SonarPortConfig | None = None
+    navigation: Annotated[
+        NavUnitSettings | None,
+        Meta(description="how the unit is mounted; of a sonar or vehicle: use the navigation it sends, mounted like this"),
+    ] = None
+    imc: ImcSettings | None = None
+    bluefin: BluefinSettings | None = None
+    iver: IverSettings | None = None
+    recon: ReconSettings | None = None
+    vehicle_can: CanSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.sonar is not None and self.device not in SONAR_NAMES:
+            raise ValueError(f"port '{self.name}': a device '{self.device}' is no sonar and takes no section 'sonar'")
+        unit = self.navigation
+        if unit is not None and unit.gives_utc and self.device != "nmea0183":
+            raise ValueError(f"port '{self.name}': navigation.gives_utc is for a device 'nmea0183', and this one is a '{self.device}'")
+        if unit is not None and unit.pulse_link is not None and not unit.gives_utc:
+            raise ValueError(
+                f"port '{self.name}': navigation.pulse_link says where pulses come, but not that they count: add gives_utc: true"
+            )
+        for name in VEHICLE_NAMES:
+            if name != self.device and getattr(self, name) is not None:
+                raise ValueError(f"port '{self.name}': a section '{name}' is for a device '{name}', and this one is a '{self.device}'")
+
+
+def check_together(ports: tuple[PortConfig, ...]) -> None:
+    """Raises ValueError for ports that cannot be used together."""
+    names = [port.name for port in ports]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two ports are called '{name}': give each a name of its own")
+    vehicles = [port.name for port in ports if port.device in VEHICLE_NAMES]
+    if len(vehicles) > 1:
+        raise ValueError(f"the ports {' and '.join(vehicles)} are both a vehicle's: leave one of them, for there is one vehicle to talk to")
+    clocks = [port.name for port in ports if port.navigation is not None and port.navigation.gives_utc]
+    if len(clocks) > 1:
+        raise ValueError(f"the ports {' and '.join(clocks)} both have navigation.gives_utc: leave it to the better one")
+    sonars = [port for port in ports if port.device in SONAR_NAMES]
+    sides = sorted(port.sonar.sides if port.sonar is not None else "as_told" for port in sonars)
+    if len(sonars) > 1 and sides != ["port", "starboard"]:
+        raise ValueError(
+            "several sonars: two heads on wires of their own need 'sides: port' and 'sides: starboard' in their sections 'sonar'; "
+            "more, or two that look to both sides, are not used together"
+        )

@@ -1,0 +1,168 @@
+"""The self-check of an installation: one line per part.
+
+Nothing but the standard library is imported before the packages have been looked at, so that a missing one is a finding.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from auv_mcm import __version__
+from auv_mcm.clean_text import clean_lines
+from auv_mcm.errors import AuvMcmError, SelfCheckError
+from auv_mcm.shell.check.finding import Finding
+from auv_mcm.shell.check.host import clock_discipline, clock_finding, output_finding
+from auv_mcm.shell.check.packages import has_extra, package_findings
+from auv_mcm.shell.registry import BENCH_CHECK, PORT_CHECK, load
+
+if TYPE_CHECKING:
+    from auv_mcm.settings.config import Config
+
+
+def run_checks(
+    read_config: Callable[[], Config],
+    write: Callable[[str], None],
+    check_logs: Callable[[Config], Iterable[Finding]] = lambda config: (),
+) -> int:
+    """Look at everything, write a table line by line, and return the exit code: 0, or SelfCheckError's if anything failed.
+
+    A configuration that cannot be read is one of the findings. check_logs: gives the findings about recorded logs.
+    """
+    verdicts = []
+    for finding in _findings(read_config, check_logs):
+        write(clean_lines(f"{finding.verdict:8}{finding.name:32}{finding.detail}"))
+        verdicts.append(finding.verdict)
+    n_failed, n_warnings = verdicts.count("FAILED"), verdicts.count("warning")
+    counted = f"{n_failed} failed" if n_failed else "nothing failed"
+    write(f"{counted}, {n_warnings} warning{'s' * (n_warnings > 1)}" if n_warnings else counted if n_failed else "all good")
+    return SelfCheckError.exit_code if n_failed else 0
+
+
+def _findings(read_config: Callable[[], Config], check_logs: Callable[[Config], Iterable[Finding]]) -> Iterator[Finding]:
+    yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parents[1]}")
+    yield Finding("python", "ok" if sys.version_info >= (3, 11) else "FAILED", f"{platform.python_version()} on {platform.machine()}")
+    yield from package_findings()
+    yield from _looked_at("C kernels", _kernels)
+    if has_extra("bench"):
+        yield from _looked_at("bench", lambda: load(BENCH_CHECK)())
+    yield from _looked_at("odds of confirmation", _odds)
+    config: Config | None = None
+    try:
+        config = read_config()
+        yield from _looked_at("configuration", partial(_configuration, config))
+    except (AuvMcmError, ImportError) as error:
+        yield Finding("configuration", "FAILED", str(error))
+    yield from _looked_at("service", partial(_as_configured, config))
+    yield from _looked_at("logs", lambda: check_logs(config or _default_config()))
+
+
+def _default_config() -> Config:
+    from auv_mcm.settings.config import Config
+
+    return Config()
+
+
+def _as_configured(config: Config | None) -> Iterator[Finding]:
+    """Check what depends on the configuration, on the default one if there is none that can be read."""
+    config = config or _default_config()
+    yield from _looked_at("detector", partial(_detector, config))
+    yield from _looked_at("models", partial(_models, config))
+    gives_utc = any(port.navigation is not None and port.navigation.gives_utc for port in config.ports)
+    yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[1], gives_utc)
+    yield output_finding(Path(config.service.output_directory))
+    if config.ports and config.service.source in ("", "ports"):
+        yield from _looked_at("ports", lambda: load(PORT_CHECK)(config))
+    elif config.ports:
+        yield Finding("ports", "ok", f"not looked at, for service.source is {config.service.source}")
+    yield from _looked_at("perception process", partial(_perception, config))
+
+
+def _looked_at(name: str, look: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
+    """The findings of one look, or that it could not be taken."""
+    try:
+        yield from look()
+    except (AuvMcmError, OSError, ImportError) as error:
+        yield Finding(name, "FAILED", str(error))
+
+
+def _configuration(config: Config) -> Iterator[Finding]:
+    from auv_mcm.shell.sources import parse_source_uri
+
+    if config.service.source:
+        uri = parse_source_uri(config.service.source)
+        if uri.scheme == "ports" and not config.ports:
+            text = "service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one"
+            yield Finding("configuration", "FAILED", text)
+            return
+        if uri.scheme == "replay" and not Path(uri.path).exists():
+            text = f"service.source {config.service.source}: {uri.path} does not exist. Name a log, or the folder of a recorded session"
+            yield Finding("configuration", "FAILED", text)
+            return
+    yield Finding("configuration", "ok", "valid")
+
+
+def _detector(config: Config) -> Iterator[Finding]:
+    from auv_mcm.detect.cascade.choose import configured_model, fitting
+
+    _, notice = fitting(configured_model(config), config)
+    yield Finding("detector", "ok" if notice.for_the_record else "warning", notice.text)
+
+
+def _models(config: Config) -> Iterator[Finding]:
+    from auv_mcm.clearance.detection_performance import configured_performance
+    from auv_mcm.seabed.seabed_model import configured_seabed_model
+
+    yield Finding("seabed model", "ok", configured_seabed_model(config).fitted_on)
+    yield Finding("performance tables", "ok", configured_performance(config).fitted_on)
+
+
+def _kernels() -> Iterator[Finding]:
+    import numpy as np
+
+    from auv_mcm import kernels
+    from auv_mcm.kernels.viterbi import viterbi_forward, viterbi_forward_numpy
+
+    if kernels.backend() == "numpy":
+        yield Finding("C kernels", "warning", f"numpy does their work, more slowly: {kernels.loaded().reason}")
+        return
+    random = np.random.default_rng(0)
+    score = random.normal(size=(64, 257))
+    score[random.random(score.shape) < 0.2] = -np.inf
+    (cost, back), (cost_numpy, back_numpy) = viterbi_forward(score[0], score, 5, 0.3), viterbi_forward_numpy(score[0], score, 5, 0.3)
+    same = np.array_equal(cost, cost_numpy) and np.array_equal(back, back_numpy)
+    yield Finding("C kernels", "ok" if same else "FAILED", f"{kernels.loaded().reason}, {'equal to' if same else 'NOT EQUAL to'} numpy")
+
+
+def _odds() -> Iterator[Finding]:
+    from typing import get_args
+
+    from auv_mcm.classify.odds import shipped_odds
+    from auv_mcm.records import Detector
+
+    fitted = "; ".join(f"{detector}: {shipped_odds(detector).fitted_on}" for detector in get_args(Detector))
+    yield Finding("odds of confirmation", "ok", fitted)
+
+
+def _perception(config: Config) -> Iterator[Finding]:
+    import asyncio
+
+    from auv_mcm.shell.perception import Finished, Perception
+
+    async def start_and_finish() -> None:
+        perception = Perception(config)
+        try:
+            await perception.start()
+            await perception.finish()
+            while not isinstance(await perception.answer(), Finished):
+                pass
+        finally:
+            perception.close()
+
+    asyncio.run(start_and_finish())
+    yield Finding("perception process", "ok", "starts, answers and ends")

@@ -1,0 +1,86 @@
+"""Look at the computer that the service runs on: its clock, and the disk that results go to."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from auv_mcm.shell.check.finding import Finding
+
+# A full serial line of 921600 baud records 0.33 GB an hour: three hours of it.
+_PLENTY_BYTES: Final = 1 << 30
+# The results of a mission of 40 min take some 45 MB: with less, they cannot all be written.
+_NEEDED_BYTES: Final = 64 << 20
+_DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose zone is not known
+_FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
+
+_UNSYNCHRONISED: Final = 0x40  # STA_UNSYNC of linux/timex.h
+_TIME_ERROR: Final = 5  # TIME_ERROR, what adjtimex returns for a clock that nothing disciplines
+
+
+class Discipline(NamedTuple):
+    """Whether something keeps the system's clock right, and the maximum error that the kernel states for it, s."""
+
+    is_synchronised: bool
+    max_error_s: float
+
+
+def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, unit_gives_utc: bool) -> Finding:
+    """Judge the system's clock.
+
+    utc_s: what it shows. discipline: what the kernel says of it, None if that is not known. package: folder of files that cannot be from
+    the future. unit_gives_utc: a navigation unit gives UTC, so that times are not this computer's.
+    """
+    shown = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if 0.0 <= utc_s < 2.5e11 else f"{utc_s:g} s"
+    earliest_s = max([_FIRST_UTC_S, *(path.stat().st_mtime - _DAY_S for path in package.glob("*.py"))])
+    if utc_s < earliest_s:
+        since = datetime.fromtimestamp(earliest_s, UTC).date()
+        text = f"shows {shown}, which is before this installation was made ({since}). Set it, e.g. date --utc --set, or start chrony"
+        return Finding("clock", "FAILED", text)
+    if discipline is None:
+        return Finding("clock", "ok", f"{shown}; whether it is synchronised cannot be seen here")
+    if discipline.is_synchronised:
+        return Finding("clock", "ok", f"{shown}, synchronised, maximum error {discipline.max_error_s:.3g} s")
+    if unit_gives_utc:
+        return Finding("clock", "ok", f"{shown}, not synchronised; a navigation unit gives UTC")
+    text = f"{shown}, not synchronised: times of contacts are as right as it was set. Start chrony or another time service, or set "
+    return Finding("clock", "warning", text + "navigation.gives_utc of a unit that sends ZDA")
+
+
+def clock_discipline() -> Discipline | None:
+    """Ask the kernel whether the clock is synchronised; None where it does not say. Changes nothing."""
+    timex = (ctypes.c_long * 64)()  # struct timex: modes, offset, freq, maxerror (us), esterror, status, ...; modes 0 reads
+    try:
+        state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
+    except (AttributeError, OSError):
+        return None
+    if state < 0:
+        return None
+    status = ctypes.cast(ctypes.byref(timex, 5 * ctypes.sizeof(ctypes.c_long)), ctypes.POINTER(ctypes.c_int)).contents.value
+    return Discipline(state != _TIME_ERROR and not status & _UNSYNCHRONISED, timex[3] * 1e-6)
+
+
+def output_finding(folder: Path) -> Finding:
+    """Judge the directory for results: whether it can be made or written to, and how much room there is. Leaves nothing behind."""
+    name, key = "output directory", "service.output_directory"
+    existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(parent))
+    if not existing.is_dir():
+        return Finding(name, "FAILED", f"{existing} is not a directory. Name another one ({key})")
+    try:
+        with tempfile.TemporaryFile(dir=existing) as probe:
+            probe.write(b"\0")
+            probe.flush()
+        free_bytes = shutil.disk_usage(existing).free
+    except OSError as error:
+        return Finding(name, "FAILED", f"{existing} cannot be written to: {error.strerror}. Change its owner, or name another one ({key})")
+    room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
+    if free_bytes < _NEEDED_BYTES:
+        return Finding(name, "FAILED", f"{room}: too little for the results of a mission. Free space, or name another one ({key})")
+    if free_bytes < _PLENTY_BYTES:
+        return Finding(name, "warning", f"{room}: recordings of a day may fill it. Free space, or name another one ({key})")
+    return Finding(name, "ok", room)

@@ -1,0 +1,464 @@
+"""Perception in a process of its own, so that nothing it computes delays the ports of the main process.
+
+The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
+feeds its pipeline and answers each message with the events that came of it, tiles left out and a picture in place of what it is drawn
+from. The answer also gives the ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
+The shared memory has no name: it goes with the last of the two processes, however they end, all killed at once included.
+
+Contacts lie on disk here, so that a long mission needs no more memory than a short one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import gc
+import multiprocessing
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import errors
+from auv_mcm.clean_text import clean_lines
+from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
+from auv_mcm.clearance.detection_performance import Performance, configured_performance
+from auv_mcm.contacts.contact import best_view
+from auv_mcm.contacts.shelf import Shelf
+from auv_mcm.plan.look_again import PlanRequest, Proposal
+from auv_mcm.records import Contact, CoveragePatch, Detection, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
+from auv_mcm.settings.config import Config
+
+if TYPE_CHECKING:
+    from auv_mcm.contacts.ledger import Contacts
+    from auv_mcm.plan.clear_area import ClearArea
+
+RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
+MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
+_ALIGNMENT: Final = 64
+_NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
+_PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
+_MOST_PLANNING_S: Final = 1.0  # while pings wait
+_NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
+_NO_OUTLINE: Final = np.empty((0, 2))
+
+
+_Shared: TypeAlias = "ctypes.Array[ctypes.c_ubyte]"
+
+
+class Perceiving(Protocol):
+    """What a pipeline offers; see auv_mcm.pipeline."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]: ...
+
+    def finish(self) -> list[PipelineEvent]: ...
+
+
+MakePipeline: TypeAlias = "Callable[[Config, Contacts], Perceiving]"
+"""Given where to keep contacts."""
+
+
+def standard_pipeline(config: Config, kept: Contacts) -> Perceiving:
+    """The one pipeline there is, imported only in the process that runs it."""
+    from auv_mcm.pipeline import Pipeline
+
+    return Pipeline(config, kept=kept)
+
+
+class Fed(NamedTuple):
+    """Answer to one event, or to the end of the mission: what became final because of it. snippets: a PNG picture per contact id."""
+
+    events: tuple[PipelineEvent, ...]
+    snippets: dict[str, bytes]
+
+
+class Planned(NamedTuple):
+    """Answer to a request for a plan."""
+
+    proposal: Proposal
+
+
+class Finished(NamedTuple):
+    """The last answer."""
+
+    counters: Counter[str]
+    clearance: Clearance | None
+    clearance_png: bytes  # its picture, empty without one
+
+
+class PerceptionError(errors.HardwareError):
+    """The perception process failed or died."""
+
+
+class Ring:
+    """Who holds which bytes of a buffer that is used round and round; space is given back in the order it was taken."""
+
+    def __init__(self, n_bytes: int) -> None:
+        self.n_bytes = n_bytes
+        self._taken: deque[tuple[int, int]] = deque()
+
+    def take(self, n_bytes: int) -> int | None:
+        """Offset of `n_bytes` in one piece, or None as long as there is no room."""
+        n_bytes = max(-(-n_bytes // _ALIGNMENT), 1) * _ALIGNMENT
+        if not self._taken:
+            start, limit = 0, self.n_bytes
+        else:
+            oldest, newest_end = self._taken[0][0], self._taken[-1][1]
+            if newest_end <= oldest:
+                start, limit = newest_end, oldest
+            elif newest_end + n_bytes <= self.n_bytes:
+                start, limit = newest_end, self.n_bytes
+            else:
+                start, limit = 0, oldest
+        if start + n_bytes > limit:
+            return None
+        self._taken.append((start, start + n_bytes))
+        return start
+
+    def give_back(self) -> None:
+        """The oldest piece is free again."""
+        self._taken.popleft()
+
+
+class Perception:
+    """The parent's end. One task feeds, another takes the answers; used inside a running event loop."""
+
+    def __init__(
+        self,
+        config: Config,
+        make_pipeline: MakePipeline = standard_pipeline,
+        ring_bytes: int = RING_BYTES,
+        folder: Path | None = None,
+    ) -> None:
+        """folder: on the disk where contacts are kept until the end, that of temporary files if None."""
+        self._config = config
+        self._make_pipeline = make_pipeline
+        self._folder = folder
+        self._ring = Ring(ring_bytes)
+        self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
+        self._room = asyncio.Event()
+        self._answers: asyncio.Queue[Fed | Planned | Finished | Exception] = asyncio.Queue()
+        self._dead: Exception | None = None
+        self._finishing = False
+        self._to_undo = contextlib.ExitStack()
+
+    @property
+    def in_flight(self) -> int:
+        """Messages the worker has not answered yet."""
+        return len(self._in_flight)
+
+    async def start(self) -> None:
+        """Spawn the process and wait until it is ready. Raises PerceptionError if it cannot start."""
+        context = multiprocessing.get_context("spawn")
+        shared = context.RawArray(ctypes.c_ubyte, self._ring.n_bytes)
+        self._memory = np.frombuffer(memoryview(shared), np.uint8)
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_work,
+            args=(theirs, shared, self._config, self._make_pipeline, self._folder),
+            name="perception",
+            daemon=True,
+        )
+        # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to finish. It
+        # inherits the blocked signals, so that there is no moment at its start when one would kill it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            theirs.close()
+        self._to_undo.callback(self._end_process)
+        self._to_undo.callback(self._connection.close)
+        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
+        self._to_undo.callback(asyncio.get_running_loop().remove_reader, self._connection.fileno())
+        await self.answer()
+
+    async def feed(self, event: SourceEvent) -> None:
+        """Hand one event to the worker, waiting for room. Raises PerceptionError, or ValueError for a ping larger than the ring."""
+        n_bytes = sum(trace.samples.nbytes + _ALIGNMENT for trace in _traces(event))
+        if n_bytes > self._ring.n_bytes:
+            raise ValueError(f"a ping of {n_bytes} bytes does not fit into the ring of {self._ring.n_bytes} bytes")
+        offset: int | None = None
+        while True:
+            self._raise_if_dead()
+            if len(self._in_flight) < MAX_IN_FLIGHT:
+                offset = self._ring.take(n_bytes) if n_bytes else 0
+                if offset is not None:
+                    break
+            self._room.clear()
+            await self._room.wait()
+        self._in_flight.append(bool(n_bytes))
+        self._send(self._in_ring(event, offset) if isinstance(event, Ping) else event)
+
+    def ask(self, request: PlanRequest) -> bool:
+        """Have a plan made from the contacts that there are by then. False: there is none to come, for the worker ends or is gone."""
+        if self._finishing or self._dead is not None:
+            return False
+        self._in_flight.append(False)
+        with contextlib.suppress(errors.AuvMcmError):  # who reads the answers is told
+            self._send(request)
+        return True
+
+    async def finish(self) -> None:
+        """Tell the worker that no event follows; its last answer is Finished."""
+        self._finishing = True
+        self._in_flight += [False, False]  # what was still in the chain comes first, the end of it after
+        self._send(None)
+
+    async def answer(self) -> Fed | Planned | Finished:
+        """The next answer: Fed for each event and for `finish`, Planned for each `ask`, then Finished.
+
+        Raises PerceptionError if the worker failed or died.
+        """
+        answer = await self._answers.get()
+        if isinstance(answer, Exception):
+            raise answer
+        if self._in_flight and self._in_flight.popleft():
+            self._ring.give_back()
+        self._room.set()
+        return answer
+
+    def close(self) -> None:
+        """End the process if it still runs. May be called at any time."""
+        self._to_undo.close()
+
+    def _end_process(self) -> None:
+        self._process.kill()  # no effect on one that has ended
+        self._process.join()
+        self._process.close()
+
+    def _in_ring(self, ping: Ping, offset: int) -> _RingPing:
+        def place(trace: EchoTrace | None) -> _RingTrace | None:
+            nonlocal offset
+            if trace is None:
+                return None
+            samples = np.ndarray(trace.samples.shape, trace.samples.dtype, self._memory, offset)
+            samples[...] = trace.samples
+            placed = _RingTrace(offset, samples.shape, samples.dtype.str, trace.first_range_m, trace.spacing_m)
+            offset += -(-trace.samples.nbytes // _ALIGNMENT) * _ALIGNMENT
+            return placed
+
+        port, starboard = place(ping.port), place(ping.starboard)
+        return _RingPing(msgspec.structs.replace(ping, port=None, starboard=None), port, starboard)
+
+    def _send(self, message: Any) -> None:
+        self._raise_if_dead()
+        try:
+            self._connection.send(message)
+        except OSError:
+            while self._dead is None:
+                self._receive()  # what it answered before it died
+            self._raise_if_dead()
+
+    def _receive(self) -> None:
+        try:
+            answer = self._connection.recv()
+        except (EOFError, OSError):
+            self._die()
+            return
+        if isinstance(answer, _Failure):
+            self._set_dead(answer.error())
+        else:
+            self._answers.put_nowait(answer)
+
+    def _die(self) -> None:
+        self._process.join(timeout=5.0)  # its end of the pipe is closed: it is gone or going
+        code = self._process.exitcode
+        how = "did not end" if code is None else f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        self._set_dead(
+            PerceptionError(f"the perception process {how}. Contacts announced so far are safe. Check memory and the system log.")
+        )
+
+    def _set_dead(self, error: Exception) -> None:
+        if self._dead is None:
+            self._dead = error
+            self._answers.put_nowait(error)
+        asyncio.get_running_loop().remove_reader(self._connection.fileno())
+        self._room.set()
+
+    def _raise_if_dead(self) -> None:
+        if self._dead is not None:
+            raise self._dead
+
+
+class _RingTrace(NamedTuple):
+    offset: int
+    shape: tuple[int, ...]
+    dtype: str
+    first_range_m: float
+    spacing_m: float
+
+
+class _RingPing(NamedTuple):
+    rest: Ping  # without its traces
+    port: _RingTrace | None
+    starboard: _RingTrace | None
+
+
+class _Failure(NamedTuple):
+    """An exception of the worker, in words: not every exception survives pickling."""
+
+    kind: str
+    text: str
+
+    def error(self) -> Exception:
+        kind = getattr(errors, self.kind, PerceptionError)
+        return kind(self.text) if issubclass(kind, errors.AuvMcmError) else PerceptionError(self.text)
+
+
+def _traces(event: SourceEvent) -> list[EchoTrace]:
+    return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
+
+
+def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, folder: Path | None) -> None:
+    """The worker process."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    os.nice(_NICENESS)
+    memory = np.frombuffer(memoryview(shared), np.uint8)
+    place = "at its start"
+    kept = Shelf(folder, Contact)
+    try:
+        pipeline = make_pipeline(config, kept)
+        model = configured_performance(config)
+        searched = ClearanceMap(model)
+        area = _clear_area(config, model)
+        gc.collect()
+        gc.freeze()
+        connection.send(Fed((), {}))
+        is_disk_sound = True
+        while (message := connection.recv()) is not None:
+            if isinstance(message, PlanRequest):
+                connection.send(Planned(_proposal(pipeline, searched, area, message, config)))
+                continue
+            event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
+            place = getattr(event, "place", "") or place
+            if area is not None and isinstance(event, Ping):
+                area.see(event)
+            events = pipeline.feed(event)
+            if is_disk_sound and kept.n_in_memory:
+                is_disk_sound = False
+                events.append(_disk_full())
+            connection.send(Fed(_slim(events, searched, area), _snippets(events)))
+        events = pipeline.finish()
+        connection.send(Fed(_slim(events, searched, area), _snippets(events)))
+        clearance = searched.snapshot()
+        of_disk = Counter({"perception.kept_in_memory": kept.n_in_memory, "perception.unreadable": kept.n_unreadable})
+        connection.send(Finished(pipeline.counters + of_disk, clearance, b"" if clearance is None else _clearance_png(clearance)))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass  # the parent is gone: nobody left to answer
+    except errors.AuvMcmError as error:
+        connection.send(_Failure(type(error).__name__, str(error)))
+    except Exception as error:
+        print(clean_lines(traceback.format_exc()), file=sys.stderr)
+        connection.send(
+            _Failure(
+                "PerceptionError",
+                f"perception failed ({place}): {type(error).__name__}: {error}. This is a defect: report it with the log.",
+            )
+        )
+    finally:
+        kept.close()
+
+
+def _disk_full() -> Notice:
+    return Notice(
+        code="perception.disk_full",
+        text="the disk takes no more of the contacts that perception lays aside; they stay in memory. Free space on the disk.",
+    )
+
+
+def _clear_area(config: Config, model: Performance) -> ClearArea | None:
+    if not config.plan.area_deg:
+        return None
+    from auv_mcm.plan.clear_area import ClearArea
+
+    return ClearArea(config, model)
+
+
+def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | None, request: PlanRequest, config: Config) -> Proposal:
+    """Contacts matter more than plans: a planner that fails does not take perception with it."""
+    from auv_mcm.plan.propose import propose
+
+    busy_s, late_s = time.thread_time() + _PLANNING_S, time.monotonic() + _MOST_PLANNING_S
+    try:
+        asking = pipeline.asking(config.plan.min_p_mine)
+        if area is not None:
+            return area.propose(searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s)
+        return propose(asking, request, config.plan, config.vehicle)
+    except Exception as error:
+        print(clean_lines(traceback.format_exc()), file=sys.stderr)
+        return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
+
+
+def _slim(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea | None) -> tuple[PipelineEvent, ...]:
+    """What the parent needs of events; cells of patches stay here, in the map of what was searched."""
+    slim: list[PipelineEvent] = []
+    for event in events:
+        match event:
+            case Tile():
+                continue
+            case CoveragePatch():
+                searched.add(event)
+                if area is not None:
+                    area.add(event)
+                slim.append(msgspec.structs.replace(event, cells=None))
+            case Contact():
+                slim.append(_without_pictures(event))
+            case _:
+                slim.append(event)
+    return tuple(slim)
+
+
+def _without_pictures(contact: Contact) -> Contact:
+    """What pictures are made of stays with the worker, who makes them: it is most of a contact."""
+    return msgspec.structs.replace(contact, views=tuple(map(_without_picture, contact.views)))
+
+
+def _without_picture(view: Detection) -> Detection:
+    close = view.confirmation
+    if close is not None:
+        model = close.model and msgspec.structs.replace(close.model, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE)
+        close = msgspec.structs.replace(close, labels=_NO_PICTURE, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE, model=model)
+    return msgspec.structs.replace(view, snippet=_NO_PICTURE, confirmation=close)
+
+
+def _clearance_png(clearance: Clearance) -> bytes:
+    from auv_mcm.clearance.clearance_picture import clearance_png  # OpenCV: only in this process
+
+    return clearance_png(clearance)
+
+
+def _snippets(events: list[PipelineEvent]) -> dict[str, bytes]:
+    contacts = [event for event in events if isinstance(event, Contact)]
+    if not contacts:
+        return {}
+    from auv_mcm.contacts.picture import snippet_png  # OpenCV: only in this process
+
+    return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
+
+
+def _out_of_ring(ping: _RingPing, memory: NDArray[np.uint8]) -> Ping:
+    def copy(trace: _RingTrace | None) -> EchoTrace | None:
+        if trace is None:
+            return None
+        samples = np.ndarray(trace.shape, np.dtype(trace.dtype), memory, trace.offset).copy()
+        return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
+
+    return msgspec.structs.replace(ping.rest, port=copy(ping.port), starboard=copy(ping.starboard))

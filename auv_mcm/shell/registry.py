@@ -1,0 +1,38 @@
+"""Name what the payload uses of drivers and bench, as `module:name`; each is imported when it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Final
+
+SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
+"""Openers of sources, by the scheme of `service.source`."""
+
+RECORDER: Final = "drivers.recording.start_recording:start_recording"
+READ_PORTS: Final = "drivers.ports:read_ports"
+PORTS_EXAMPLE: Final = "drivers.describe:example_text"
+PORTS_INTERFACE: Final = "drivers.describe:interface_text"
+PORT_CHECK: Final = "drivers.port_check:port_findings"
+BENCH_CHECK: Final = "sim_replay.bench_check:bench_findings"
+DESCRIBE_LOG: Final = "sim_replay.logs.open_log:describe_log"
+
+COMMANDS: Final[dict[str, str]] = {
+    "replay": "sim_replay.commands.replay:add",
+    "run": "auv_mcm.commands.run:add",
+    "simulate": "sim_replay.commands.simulate:add",
+    "augment": "sim_replay.commands.augment:add",
+    "score": "sim_replay.commands.score:add",
+    "train": "sim_replay.commands.train:add",
+    "calibrate": "sim_replay.commands.calibrate:add",
+    "check": "auv_mcm.commands.check:add",
+    "config": "auv_mcm.commands.config:add",
+    "hil": "sim_replay.commands.hil:add",
+    "bench": "sim_replay.commands.bench:add",
+}
+"""Subcommands in the order of the help. Those of the bench are absent where `sim_replay` is not installed."""
+
+
+def load(name: str) -> Any:
+    """Import the object that `module:name` names. Raises ModuleNotFoundError or AttributeError."""
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)

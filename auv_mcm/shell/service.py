@@ -1,0 +1,460 @@
+"""The running service: a source -> a bounded queue -> perception in its own process -> a journal, then the console.
+
+The event loop does input and output only, a thread what may wait for the disk. A contact is on disk before anybody hears of it. SIGINT or
+SIGTERM stops the source; what is queued is still worked off and everything is written. A second signal ends at once; the journal is
+complete even then. What was found lies on disk until the end: the memory of a mission does not grow with its length.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import os
+import secrets
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from auv_mcm import __version__, kernels
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.contacts.export import contact_feature, iso_time
+from auv_mcm.contacts.found import Found
+from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, contact_number
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
+from auv_mcm.shell.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
+from auv_mcm.shell.results import (
+    Journal,
+    Snippets,
+    Tally,
+    area_totals,
+    clearance_notices,
+    contact_totals,
+    make_directory,
+    notice_lists,
+    plan_waypoints,
+    result_writers,
+    search_totals,
+    write_clearance,
+    write_json,
+)
+from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
+from auv_mcm.shell.vehicle_link import VehicleLink
+from auv_mcm.source import LiveSource, Recorder, Source
+
+log = logging.getLogger(__name__)
+
+
+_STOP_S: Final = 2.0  # for a live source to close its ports
+_LAG_PROBE_S: Final = 0.25
+_ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
+_SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
+_CLUTTER: Final = 1
+_NO_CLUTTER: Final = 2
+
+
+class Service:
+    """One mission, from opening the source to the last file. `console` takes a line per notice and per contact that is not clutter."""
+
+    def __init__(
+        self,
+        config: Config,
+        source: Source,
+        *,
+        clock: Clock | None = None,
+        console: Callable[[str], None] = print,
+        make_pipeline: MakePipeline = standard_pipeline,
+    ) -> None:
+        self._config = config
+        self._source = source
+        self._clock: Clock = clock or SystemClock()
+        self._console = console
+        self._make_pipeline = make_pipeline
+        self._counters: Counter[str] = Counter()
+        self._tally = Tally()
+        self._told = bytearray()  # by number of a contact: what it was announced as
+        self._notices: list[Notice] = []
+        self._stop = asyncio.Event()
+        self._source_failure: AuvMcmError | None = None
+        self._lag_s = 0.0
+        self._is_finished = False
+        self._pipeline_counters: Counter[str] = Counter()
+        self._clearance: Clearance | None = None
+        self._clearance_png = b""
+        self._recorder: Recorder | None = None
+        self._vehicle_link: VehicleLink | None = None
+        self._n_dropped_told = 0
+        self._disk = ThreadPoolExecutor(1, "disk")
+
+    def stop(self) -> None:
+        """Stop the source; `run` then works off the queue, writes everything and returns."""
+        self._stop.set()
+
+    async def run(self) -> Path:
+        """Serve until the source ends or `stop` is called. Returns the folder with the results.
+
+        Raises AuvMcmError; a failure of the source or of perception only after what is known has been written.
+        """
+        parent = Path(self._config.service.output_directory)
+        unfinished = unfinished_session(parent)
+        self._folder = _session_folder(parent, self._clock)
+        self._started_s = self._clock.monotonic_s()
+        journal = Journal(self._folder / JOURNAL)
+        self._snippets = Snippets(self._folder)
+        self._found = Found(self._folder)
+        self._ballast = await asyncio.to_thread(Ballast, self._folder)
+        queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
+        perception = Perception(self._config, self._make_pipeline, folder=self._folder)
+        failure: AuvMcmError | None = None
+        missing: HardwareError | None = None
+        try:
+            if unfinished is not None:
+                self._announce(unfinished)
+            async with asyncio.TaskGroup() as tasks:
+                starting = tasks.create_task(perception.start())
+                await asyncio.to_thread(self._start_recording)
+                self._start_vehicle_link()
+                tasks.create_task(self._take_in(queue))  # what comes in while perception starts is not lost
+                await starting
+                gc.collect()
+                gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
+                log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
+                health = [tasks.create_task(self._watch_lag()), tasks.create_task(self._report_health(queue, perception))]
+                if self._vehicle_link is not None:
+                    health.append(tasks.create_task(self._attend_vehicle(self._vehicle_link, queue, perception)))
+                tasks.create_task(self._feed(queue, perception))
+                await tasks.create_task(self._publish(perception, journal))
+                for task in health:
+                    task.cancel()
+                log.info("health %s", self._health(queue, perception))  # as it ended, however short it was
+        except* AuvMcmError as group:
+            failure = _first(group)
+        finally:
+            try:
+                await self._part_from_vehicle(failure or self._source_failure)
+            finally:
+                missing = self._close(perception, journal)
+        if failure := failure or self._source_failure or missing:
+            raise failure
+        return self._folder
+
+    def _close(self, perception: Perception, journal: Journal) -> HardwareError | None:
+        """Write everything that is known. Returns an error that says what the disk did not take."""
+        perception.close()
+        if self._recorder is not None:
+            self._recorder.close()
+            self._tell_of_recording()
+            if not self._is_finished and self._recorder.counters["session.bytes_recorded"]:
+                self._announce(in_recording(self._folder, "perception did not come to its end"))
+        self._disk.shutdown()
+        with contextlib.suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
+        self._ballast.release()
+        try:
+            missing = self._write()
+        finally:
+            self._found.close()
+        for what, write in (
+            ("contacts are missing from the journal", journal.close),
+            ("pictures of contacts are missing", self._snippets.write),
+        ):
+            try:
+                write()
+            except OSError as error:  # as on a full disk; what is known is still worth writing
+                log.error("%s: %s", what, error)
+        return missing
+
+    def _start_vehicle_link(self) -> None:
+        if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
+            self._vehicle_link = VehicleLink(self._config, self._source.vehicle, self._clock)
+            self._vehicle_link.start(self._source.serve_vehicle())
+
+    async def _attend_vehicle(self, vehicle_link: VehicleLink, queue: EventQueue, perception: Perception) -> None:
+        while True:
+            for notice in vehicle_link.attend(self._faults(queue), perception.ask):
+                self._announce(notice)
+            await asyncio.sleep(_ATTEND_S)
+
+    def _faults(self, queue: EventQueue) -> list[str]:
+        """What the vehicle should know of the payload's troubles."""
+        faults = self._source.faults() if isinstance(self._source, LiveSource) else []
+        n_dropped, self._n_dropped_told = self._n_dropped_told, self._counters["service.ping_dropped"]
+        if self._n_dropped_told > n_dropped or 2 * queue.pings > self._config.service.queue_pings:
+            faults.append("perception is behind")
+        return faults
+
+    async def _part_from_vehicle(self, failure: AuvMcmError | None) -> None:
+        if self._vehicle_link is not None:
+            for notice in await self._vehicle_link.part("the service ends" if failure is None else f"the service ends: {failure}"):
+                self._announce(notice)
+
+    def _start_recording(self) -> None:
+        if not isinstance(self._source, LiveSource) or not self._config.service.record:
+            return
+        self._recorder = start_recording(self._folder / RECORDING, self._config, self._clock)
+        self._source.record_with(self._recorder.record)
+
+    def _tell_of_recording(self) -> None:
+        if self._recorder is not None:
+            for notice in self._recorder.take_notices():
+                self._announce(notice)
+
+    async def _take_in(self, queue: EventQueue) -> None:
+        """Source to queue, until the source ends or the service is told to stop."""
+        reading = asyncio.ensure_future(self._read(queue))
+        stopping = asyncio.ensure_future(self._stop.wait())
+        try:
+            await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            if not reading.done():
+                log.info("stopping: %d pings still queued", queue.pings)
+                if self._vehicle_link is not None:
+                    self._vehicle_link.release("the service is being stopped")
+                if isinstance(self._source, LiveSource):
+                    self._source.stop()
+                    await asyncio.wait({reading}, timeout=_STOP_S)
+                reading.cancel()
+                await asyncio.wait({reading})
+            if not reading.cancelled() and (error := reading.exception()) is not None:
+                # What came in before is worth working off; the failure is raised at the end.
+                log.error("the source failed: %s", error, exc_info=None if isinstance(error, AuvMcmError) else error)
+                self._source_failure = error if isinstance(error, AuvMcmError) else HardwareError(f"the source failed: {error!r}")
+        finally:
+            reading.cancel()
+            stopping.cancel()
+            await queue.close()
+
+    async def _read(self, queue: EventQueue) -> None:
+        async with contextlib.aclosing(self._source.events()) as events:
+            async for event in events:
+                if self._vehicle_link is not None:
+                    self._vehicle_link.see(event)
+                await queue.put(event)
+
+    async def _feed(self, queue: EventQueue, perception: Perception) -> None:
+        try:
+            while (event := await queue.get()) is not None:
+                try:
+                    await perception.feed(event)
+                except ValueError as error:
+                    self._counters["service.ping_too_large"] += 1
+                    log.error("ping skipped: %s", error)
+                    continue
+                self._tally.add(event)
+                if self._tally.pings == 1 and isinstance(event, Ping):
+                    log.info("first ping: %s", event.place or event.number)
+            await perception.finish()
+        except AuvMcmError:
+            return  # what perception answered before it failed comes first; _publish meets the failure in its turn
+
+    async def _publish(self, perception: Perception, journal: Journal) -> None:
+        """Answers of perception to the journal, then to the console."""
+        while not isinstance(answer := await perception.answer(), Finished):
+            if isinstance(answer, Planned):
+                if self._vehicle_link is not None:
+                    self._vehicle_link.take(answer.proposal)
+                continue
+            contacts = [event for event in answer.events if isinstance(event, Contact)]
+            if contacts:
+                await self._make_durable(contacts, answer.snippets, journal)
+                if self._vehicle_link is not None:
+                    self._vehicle_link.tell(contacts)
+            if patches := [event for event in answer.events if isinstance(event, CoveragePatch)]:
+                await self._on_disk(partial(self._found.keep, coverage=patches))
+            for event in answer.events:
+                self._announce(event)
+        self._is_finished = True
+        self._pipeline_counters = answer.counters
+        self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
+        for notice in clearance_notices(self._clearance):
+            self._announce(notice)
+
+    async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
+        now = iso_time(self._clock.utc_s())
+        records = [{"time": now, "contact": contact_feature(contact)} for contact in contacts]
+        try:
+            await self._on_disk(partial(journal.append, records))
+        except OSError as error:
+            # A full disk is no reason to keep a mine to oneself.
+            self._counters["service.journal_failed"] += 1
+            log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
+        try:
+            await self._on_disk(partial(self._snippets.write, snippets))
+        except OSError as error:
+            self._counters["service.snippets_failed"] += 1
+            log.error("pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror)
+        await self._on_disk(partial(self._found.keep, contacts))
+
+    async def _on_disk(self, write: Callable[[], None]) -> None:
+        """A slow disk must not hold up the ports."""
+        await asyncio.get_running_loop().run_in_executor(self._disk, write)
+
+    def _say(self, line: str) -> None:
+        """A console that went away, with its terminal or its disk, must not take the mission with it."""
+        try:
+            self._console(line)
+        except (OSError, ValueError) as error:
+            self._counters["service.console_failed"] += 1
+            if self._counters["service.console_failed"] == 1:
+                log.error("the console takes no more lines (%s); the results go on", error)
+
+    def _announce(self, event: PipelineEvent) -> None:
+        match event:
+            case Contact():
+                number, now = contact_number(event.id), _CLUTTER if event.classification == "clutter" else _NO_CLUTTER
+                self._told.extend(bytes(max(number + 1 - len(self._told), 0)))
+                before, self._told[number] = self._told[number], now
+                if _NO_CLUTTER not in (before, now):
+                    return  # in the journal and the results; a person watching needs the others
+                word = "updated" if before else "new"
+                self._say(
+                    f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
+                    f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
+                )
+            case Notice():
+                self._notices.append(event)
+                if event.for_the_record:
+                    log.info("%s: %s", event.code, event.text)
+                    return
+                self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
+
+    async def _watch_lag(self) -> None:
+        """How late the loop wakes up: what a byte at a port waits."""
+        while True:
+            asked_s = self._clock.monotonic_s()
+            await asyncio.sleep(_LAG_PROBE_S)
+            self._lag_s = max(self._lag_s, self._clock.monotonic_s() - asked_s - _LAG_PROBE_S)
+
+    async def _report_health(self, queue: EventQueue, perception: Perception) -> None:
+        pings = 0
+        while True:
+            await asyncio.sleep(self._config.service.health_period_s)
+            self._tell_of_recording()
+            log.info("health %s", self._health(queue, perception))
+            # A lossless source, such as a recorded mission, waits on purpose while perception works.
+            if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
+                log.warning("perception has taken no ping for %g s although pings wait", self._config.service.health_period_s)
+            pings, self._lag_s = self._tally.pings, 0.0
+
+    def _health(self, queue: EventQueue, perception: Perception) -> str:
+        contacts, clutter = self._told.count(_NO_CLUTTER), self._told.count(_CLUTTER)
+        return (
+            f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
+            f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} lag_ms={self._lag_s * 1e3:.1f}"
+            + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
+            + (f" {self._vehicle_link.health()}" if self._vehicle_link is not None else "")
+        )
+
+    def _write(self) -> HardwareError | None:
+        """Write each result, whatever becomes of the others. Returns an error that names the missing ones."""
+        contacts, coverage = self._found.contacts, self._found.coverage
+        proposed = None if self._vehicle_link is None else self._vehicle_link.plan
+        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
+        writers = result_writers(self._folder, contacts, coverage, waypoints, self._config.mission)
+        writers["clearance.geojson"] = partial(write_clearance, self._folder, self._clearance, self._clearance_png)
+        errors = all_written(writers)
+        if errors:
+            self._announce(results_missing(self._folder, errors))
+        summary: dict[str, Any] = {
+            "version": __version__,
+            "kernels": kernels.backend(),
+            "source": self._config.service.source,
+            **self._tally.totals(),
+            **contact_totals(contacts, coverage),
+            **search_totals(self._clearance, contacts),
+            **area_totals(self._clearance, self._config.plan, "" if self._vehicle_link is None else self._vehicle_link.verdict),
+            "waypoints": len(waypoints),
+            **({} if self._vehicle_link is None else {"vehicle": self._vehicle_link.health()}),
+            "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
+            "counters": dict(sorted(self._all_counters().items())),
+            **notice_lists(self._notices),
+        }
+        errors |= all_written({SUMMARY: partial(write_json, self._folder / SUMMARY, summary)})
+        return HardwareError(results_missing(self._folder, errors).text) if errors else None
+
+    def _all_counters(self) -> Counter[str]:
+        of_disk = Counter({"service.kept_in_memory": self._found.n_in_memory, "service.unreadable": self._found.n_unreadable})
+        counters = self._counters + self._source.counters() + self._pipeline_counters + of_disk
+        return counters if self._recorder is None else counters + self._recorder.counters
+
+
+def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipeline = standard_pipeline) -> Path:
+    """Run the service in this process until its source ends or a signal stops it; returns the folder with the results.
+
+    clock: this computer's own if None.
+
+    Raises AuvMcmError, or KeyboardInterrupt after a second signal.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+    clock = clock or SystemClock()
+    source = open_source(parse_source_uri(config.service.source), config, clock)
+
+    async def main() -> Path:
+        service = Service(config, source, clock=clock, make_pipeline=make_pipeline)
+        loop = asyncio.get_running_loop()
+        serving = asyncio.ensure_future(service.run())
+        signals = 0
+
+        def on_signal(number: signal.Signals) -> None:
+            nonlocal signals
+            signals += 1
+            if signals == 1:
+                log.info("%s: finishing; once more to end at once", number.name)
+                service.stop()
+            else:
+                log.warning("%s again: ending at once", number.name)
+                serving.cancel()
+
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # SIGHUP: the terminal is gone
+            loop.add_signal_handler(number, on_signal, number)
+        try:
+            return await serving
+        except asyncio.CancelledError:
+            raise KeyboardInterrupt from None
+
+    return asyncio.run(main())
+
+
+def _session_folder(parent: Path, clock: Clock) -> Path:
+    """A new folder per run, so that a restart never overwrites what an earlier run found; `latest` points to it."""
+    make_directory(parent)
+    stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
+    for attempt in range(1, 1000):
+        folder = parent / (f"session-{stamp}" if attempt == 1 else f"session-{stamp}-{attempt}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        _point_latest_to(folder)
+        return folder
+    raise UsageError(f"{parent} holds a thousand sessions of {stamp}: the computer's clock does not run")
+
+
+def _point_latest_to(folder: Path) -> None:
+    link, latest = folder.with_name(f".{secrets.token_hex(8)}.new"), folder.with_name("latest")
+    if os.path.lexists(latest) and not latest.is_symlink():
+        log.warning("no link 'latest' in %s: something else of that name is there. Move it away.", folder.parent)
+        return
+    try:
+        link.symlink_to(folder.name)
+        os.replace(link, latest)
+    except OSError as error:  # a file system without links, such as FAT on a memory card
+        log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
+
+
+def _first(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, AuvMcmError)
+    return error

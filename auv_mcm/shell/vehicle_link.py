@@ -1,0 +1,124 @@
+"""What the service has to do with the vehicle: contacts are told at once, its own health as it changes, and legs are asked for.
+
+It neither knows how a vehicle is spoken to nor whether it grants anything: that is the pilot's affair, behind `VehiclePilot`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine, Iterable, Sequence
+from typing import Any, Final
+
+from auv_mcm.clean_text import clean
+from auv_mcm.clock import Clock
+from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
+from auv_mcm.records import NAN, Contact, NavSample, Notice, SourceEvent, Waypoint
+from auv_mcm.settings.config import Config
+from auv_mcm.source import Health, VehiclePilot
+
+_POSITION_LOST_S: Final = 3.0
+_LAST_WORDS_S: Final = 0.5  # what was said last goes out, and is said again where it was not acknowledged
+
+
+class VehicleLink:
+    """Begins with `start` and ends with `part`, which every way out of the service takes."""
+
+    def __init__(self, config: Config, vehicle: VehiclePilot, clock: Clock) -> None:
+        self.vehicle = vehicle
+        self._clock = clock
+        self._plans = config.vehicle.command or bool(config.plan.area_deg)
+        self._look_again = LookAgain(config)
+        self._serving: asyncio.Future[None] | None = None
+        self._told_health: tuple[Health, str] | None = None
+        self._ending = ""
+        self._proposed = False
+        self._parted = ""
+        self._position_deg = NAN, NAN
+        self._heading_rad = NAN
+        self._position_s = -math.inf
+        self._time_s = NAN
+
+    @property
+    def plan(self) -> tuple[Waypoint, ...] | None:
+        """What was proposed last, None if nothing ever was."""
+        return self._look_again.plan if self._proposed else None
+
+    def health(self) -> str:
+        """For the health line; after parting, how it was then."""
+        area = self._look_again.area
+        return (self._parted or self.vehicle.health()) + ("" if area is None else f" {area.words()}")
+
+    @property
+    def verdict(self) -> str:
+        """What the search of the area came to, "" if that is not known."""
+        return "" if self._look_again.area is None else self._look_again.area.verdict
+
+    def start(self, serve: Coroutine[Any, Any, None]) -> None:
+        """serve: talks to the vehicle until cancelled."""
+        self._serving = asyncio.ensure_future(serve)
+        self._tell_health("starting", "the payload starts")
+
+    def see(self, event: SourceEvent) -> None:
+        """Whatever the source gives, as it comes."""
+        if not isinstance(event, NavSample):
+            return
+        if math.isfinite(event.heading_rad):
+            self._heading_rad = event.heading_rad
+        if math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+            self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), self._clock.monotonic_s()
+            self._time_s = event.time_s
+
+    def tell(self, contacts: Iterable[Contact]) -> None:
+        """Contacts that are on disk, new or changed."""
+        for contact in contacts:
+            self.vehicle.tell(contact)
+            self._look_again.learn(contact)
+
+    def attend(self, faults: Sequence[str], ask: Callable[[PlanRequest], bool]) -> list[Notice]:
+        """Called twice a second while perception runs: what else is to be said. ask: has a plan made, for `take`."""
+        now_s = self._clock.monotonic_s()
+        position_lost = now_s - self._position_s > _POSITION_LOST_S
+        faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
+        area = self._look_again.area
+        self._tell_health("fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])]))
+        if self._plans and not self._ending and not position_lost and self.vehicle.authority != "down":
+            self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
+            if (plan := self._look_again.insist(now_s)) is not None:
+                self.vehicle.propose(plan)
+            request = self._look_again.request((*self._position_deg, self._heading_rad), self._time_s, now_s)
+            if request is not None:
+                ask(request)
+        return [*self.vehicle.take_notices(), *self._look_again.take_notices()]
+
+    def take(self, proposal: Proposal) -> None:
+        """The plan that was asked for."""
+        plan = self._look_again.take(proposal, self._clock.monotonic_s())
+        if plan is not None and not self._ending:
+            self._proposed = True
+            self.vehicle.propose(plan)
+
+    def release(self, reason: str) -> None:
+        """Give control back at once; contacts are still told."""
+        self._ending = reason
+        self.vehicle.release(reason)
+
+    async def part(self, reason: str) -> list[Notice]:
+        """Give control back, say why, and leave. May be called at any time; takes less than a second."""
+        if self._serving is None:
+            return []
+        reason = clean(reason)  # an error's words may hold those of a device or a file name
+        try:
+            self.release(reason)
+            self._tell_health("failure", reason)
+            await asyncio.wait({self._serving}, timeout=_LAST_WORDS_S)
+        finally:
+            self._parted = self.vehicle.health()
+            self._serving.cancel()
+        await asyncio.wait({self._serving})
+        return self.vehicle.take_notices()
+
+    def _tell_health(self, state: Health, text: str) -> None:
+        if (state, text) != self._told_health:
+            self._told_health = state, text
+            self.vehicle.tell_health(state, text)

@@ -1,0 +1,100 @@
+"""Define what the service needs of a source of pings and navigation, of its recorder and of the vehicle at its ports."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import AsyncGenerator, Callable
+from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
+
+from auv_mcm.clock import Stamp
+from auv_mcm.records import Contact, Notice, SourceEvent, Waypoint
+
+Health: TypeAlias = Literal["starting", "normal", "fault", "failure"]
+
+
+class SourceUri(NamedTuple):
+    """A parsed service.source, e.g. replay:///data/mission.xtf?speed=1."""
+
+    text: str
+    scheme: str
+    path: str
+    options: dict[str, str]
+
+
+class VehiclePilot(Protocol):
+    """The pilot at its port; nothing here waits or raises."""
+
+    @property
+    def authority(self) -> str:
+        """down, listening, requested, granted or revoked."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def health(self) -> str:
+        """For the health line."""
+
+    def take_notices(self) -> list[Notice]: ...
+
+    def tell(self, contact: Contact) -> None: ...
+
+    def propose(self, plan: tuple[Waypoint, ...]) -> None:
+        """Takes the place of the plan before; () withdraws it."""
+
+    def tell_health(self, state: Health, text: str) -> None: ...
+
+    def release(self, reason: str) -> None:
+        """Give control back, for good."""
+
+
+class Source(Protocol):
+    """Where pings and navigation come from. A lossless one can wait for the service; the others lose what is not taken in time."""
+
+    @property
+    def lossless(self) -> bool: ...
+
+    def events(self) -> AsyncGenerator[SourceEvent, None]: ...
+
+    def counters(self) -> Counter[str]:
+        """What it skipped or mended so far."""
+
+
+Record: TypeAlias = "Callable[[str, Literal['in', 'out'], Stamp, bytes], None]"
+"""Takes bytes of a port, by its name, that were received or sent; neither waits nor raises."""
+
+
+@runtime_checkable
+class LiveSource(Source, Protocol):
+    """Ports, which never end by themselves."""
+
+    def record_with(self, record: Record) -> None:
+        """Hand every byte to `record`. Called once, before `events`."""
+
+    def stop(self) -> None:
+        """Let go of the ports; `events` then ends with what was held back."""
+
+    def health(self) -> str:
+        """How each port is, for the health line."""
+
+    def faults(self) -> list[str]:
+        """What is wrong with ports, in a few words each."""
+
+    @property
+    def vehicle(self) -> VehiclePilot | None:
+        """The vehicle's end, if there is one."""
+
+    async def serve_vehicle(self) -> None:
+        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
+
+
+class Recorder(Protocol):
+    """Keeps what live ports received and were sent."""
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def record(self, port: str, direction: Literal["in", "out"], stamp: Stamp, data: bytes) -> None: ...
+
+    def take_notices(self) -> list[Notice]: ...
+
+    def close(self) -> None: ...

@@ -1,0 +1,145 @@
+"""The waterfall stage: blocks of pings with poses in, metric tiles out."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.intake import PingBlock
+from auv_mcm.kernels.waterfall import Turning, ping_masks
+from auv_mcm.records import SIDES, Ping, Side, Tile, Transfer
+from auv_mcm.settings.config import Config
+from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
+from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
+from auv_mcm.waterfall.ground import Traces, ground_edges_m, make_traces, mean_between
+from auv_mcm.waterfall.quality import TraceChecker
+from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, row_medians
+from auv_mcm.waterfall.tiles import TileCutter
+
+_MIN_SPEED_MPS: Final = 0.2
+_WATER_FRACTION: Final = 0.9
+_TURN_SIGN: Final[dict[Side, float]] = {"port": 1.0, "starboard": -1.0}
+
+
+class _HeldBlock(NamedTuple):
+    block: PingBlock
+    traces: dict[Side, Traces]
+
+
+class Waterfall:
+    """Streams blocks of pings into tiles; counts everything it refuses in `counters`."""
+
+    def __init__(self, config: Config, transfer: Transfer, overlap_m: float, counters: Counter[str]) -> None:
+        self._config = config
+        self._counters = counters
+        self.read_as(transfer)
+        self._grid = AlongTrackGrid(config.waterfall.row_spacing_m, config.waterfall.max_ping_gap_m)
+        self._cutter = TileCutter(config.waterfall, overlap_m)
+        self._held: _HeldBlock | None = None
+
+    def read_as(self, transfer: Transfer) -> None:
+        """Read samples as `transfer` says from the next segment on, and forget what was learnt from how they were read before."""
+        self._checkers = {side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES}
+        self._curves = {side: AngleCurve() for side in SIDES}
+        self._references = {side: AngleCurve(REFERENCE_PINGS) for side in SIDES}
+        self._gains = {side: GainStepFilter() for side in SIDES}
+        self._tracker = BottomTracker(self._config.sonar.blank_m)
+
+    def add(self, block: PingBlock) -> list[Tile]:
+        """Take the next block of a segment; return the tiles that are complete."""
+        traces = {side: made for side in SIDES if (made := self._traces(side, block.pings)) is not None}
+        max_range_m = min(
+            max((t.first_range_m + t.n_samples * t.spacing_m for t in traces.values()), default=1.0), self._config.sonar.max_range_m
+        )
+        track = self._tracker.add([traces.get(side) for side in SIDES], block.poses.altitude_m, max_range_m)
+        tiles = self._finish_block(track) if track is not None else []
+        self._held = _HeldBlock(block, traces)
+        return tiles
+
+    def close_segment(self) -> list[Tile]:
+        """The remaining tiles of a segment."""
+        track = self._tracker.flush()
+        tiles = self._finish_block(track) if track is not None else []
+        rest = self._grid.close()
+        if rest is not None:
+            tiles += self._cutter.add(*rest)
+        self._held = None
+        return tiles + self._cutter.close()
+
+    def next_segment_m(self) -> float:
+        """Along-track distance at which the next segment may start."""
+        return self._cutter.next_segment_row() * self._config.waterfall.row_spacing_m
+
+    def _traces(self, side: Side, pings: list[Ping]) -> Traces | None:
+        first = pings[0].port if side == "port" else pings[0].starboard
+        if first is None:
+            return None
+        traces = [ping.port if side == "port" else ping.starboard for ping in pings]
+        checked = self._checkers[side].check_all([trace for trace in traces if trace is not None])
+        return make_traces(checked.intensity, checked.valid, checked.saturated, first.first_range_m, first.spacing_m)
+
+    def _finish_block(self, track: BottomTrack) -> list[Tile]:
+        assert self._held is not None
+        block, traces = self._held
+        self._counters["bottom.not_seen"] += int(np.count_nonzero(~track.seen))
+        images = {side: self._side_image(side, traces[side], block, track) for side in traces}
+        swath = Swath(
+            block.along_m,
+            block.poses,
+            track.first_return_m,
+            track.sigma_m,
+            np.array([ping.number for ping in block.pings], dtype=np.int64),
+            images,
+        )
+        rows = self._grid.add(swath)
+        return [] if rows is None else self._cutter.add(*rows)
+
+    def _side_image(self, side: Side, traces: Traces, block: PingBlock, track: BottomTrack) -> SideImage:
+        waterfall = self._config.waterfall
+        max_range_m = min(traces.first_range_m + traces.n_samples * traces.spacing_m, self._config.sonar.max_range_m)
+        n_columns = max(1, math.ceil(max_range_m / waterfall.column_spacing_m))
+        first_return_m = np.maximum(track.first_return_m, 0.05)
+        ground = mean_between(traces, ground_edges_m(first_return_m, n_columns, waterfall.column_spacing_m))
+        ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * waterfall.column_spacing_m
+        # The angle response must not jump with every rock below the array; geometry follows the smoothed first return itself.
+        level_m = np.maximum(track.level_return_m, 0.05)
+        slopes = math.tan(math.radians(waterfall.min_grazing_deg)), math.tan(math.radians(waterfall.max_grazing_deg))
+        turning = self._turning(side, block, level_m, first_return_m)
+        tangent, mask = ping_masks(ground.valid, ground.saturated, turning, ground_m, slopes, waterfall.max_spacing_ratio)
+        positive = ground.valid & (ground.intensity > 0.0)
+        log_intensity = np.log(ground.intensity, out=np.zeros_like(ground.intensity), where=positive)
+        learnable = positive & ~ground.saturated
+        seabed_level = row_medians(log_intensity, learnable)
+        gain, n_steps = self._gains[side].corrections(seabed_level, self._water_level(traces, first_return_m))
+        self._counters[f"radiometry.{side}_gain_step"] += n_steps
+        log_intensity -= gain[:, None]
+        curve = self._curves[side].learn(log_intensity, learnable, tangent)
+        intensity = ground.intensity * np.exp(-gain[:, None] - curve)
+        # A few columns are enough for what changes as slowly as the angle response.
+        some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
+        reference = self._references[side].learn(log_intensity[:, some], learnable[:, some], tangent[:, some])
+        return SideImage(intensity.astype(np.float32), mask, (curve[:, some] - reference).astype(np.float32))
+
+    def _turning(self, side: Side, block: PingBlock, level_m: NDArray[np.float64], first_return_m: NDArray[np.float64]) -> Turning:
+        """Rotation that spreads or squeezes the pings on the bottom.
+
+        Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate / v.
+        """
+        speed = np.maximum(block.poses.speed_mps, _MIN_SPEED_MPS)
+        yaw = _TURN_SIGN[side] * block.yaw_rate_rad_s / speed
+        pitch = first_return_m * block.pitch_rate_rad_s / speed
+        fast = np.abs(block.yaw_rate_rad_s) > math.radians(self._config.waterfall.max_turn_rate_deg_s)
+        return Turning(level_m, pitch, yaw, fast)
+
+    def _water_level(self, traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Median ln I of the water column between ring-down and bottom per ping, (n_pings,) float64; NaN where too short."""
+        spacing_m = 0.05
+        n_bins = int(np.max(first_return_m) * _WATER_FRACTION / spacing_m)
+        edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * spacing_m
+        means = mean_between(traces, edges[None, :])
+        usable = means.valid & (means.intensity > 0.0) & (edges[None, 1:] < _WATER_FRACTION * first_return_m[:, None])
+        return row_medians(np.log(means.intensity, out=np.zeros_like(means.intensity), where=usable), usable)

@@ -1,0 +1,68 @@
+"""What a recorded session holds and how it lies in its files.
+
+A session is a folder of MCAP files (https://mcap.dev/spec), each readable without the others: uncompressed chunks with a CRC-32, a
+channel per port and direction, one message per chunk of bytes. A message's log time is UTC and its publish time the monotonic
+clock, as the bytes were read; its sequence counts the chunks of the whole session. The first message of a file says what the session is.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import msgspec
+
+from auv_mcm.clock import Stamp
+
+Direction: TypeAlias = Literal["in", "out"]
+
+PROFILE: Final = "auv-mcm-session"
+HEAD_TOPIC: Final = "session/head"
+LOST_TOPIC: Final = "session/lost"
+FILE_PATTERN: Final = "session-*.mcap"
+SEQUENCE_SPAN: Final = 2**32
+
+
+class Recorded(NamedTuple):
+    """Bytes that one read of a port gave (`in`), or that were written to it (`out`), and when. Empty ones are ticks of the clock."""
+
+    port: str
+    direction: Direction
+    stamp: Stamp
+    data: bytes
+
+
+class PortDescription(msgspec.Struct, frozen=True, kw_only=True):
+    """A port by the name that the configuration gives it. uri: where it is; device: what speaks there, by its driver's name."""
+
+    name: str
+    uri: str
+    device: str
+
+
+class SessionDescription(msgspec.Struct, frozen=True, kw_only=True):
+    """What a replay needs to know. version: of the program that recorded; config_yaml: its whole configuration; started: when."""
+
+    version: str
+    started: Stamp
+    config_yaml: str
+    ports: tuple[PortDescription, ...]
+
+
+class FileHead(msgspec.Struct, frozen=True, kw_only=True):
+    """The first message of each file. file_number: 0, 1 ... in the order of recording."""
+
+    file_number: int
+    session: SessionDescription
+
+
+class Lost(msgspec.Struct, frozen=True, kw_only=True):
+    """What came too fast for the disk, after the messages before and before those behind. n_bytes: by port."""
+
+    n_chunks: int
+    n_bytes: dict[str, int]
+    first: Stamp
+    last: Stamp
+
+
+def file_name(number: int) -> str:
+    return f"session-{number:05d}.mcap"

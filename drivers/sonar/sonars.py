@@ -1,0 +1,48 @@
+"""The sonars there are drivers for, by the name a configuration gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import SonarConfig
+from drivers.clocks import MILLISECOND_COUNTER_S
+from drivers.sonar import imagenex, jsf, ping_protocol
+from drivers.sonar.sonar_decoder import SonarDecoder, SonarSettings
+
+
+class SonarDevice(NamedTuple):
+    """How to speak with one kind of sonar.
+
+    decoder: makes a decoder for one link or log. commands: what to send so that it pings as told. sets_range, sets_gain, sets_enable: what
+    of the settings reaches the device. asked_per_ping: it pings only when the commands are sent, once for each time. counter_period_s:
+    after which its counter of time starts again at 0; None if it has none.
+    """
+
+    decoder: Callable[[SonarConfig], SonarDecoder]
+    commands: Callable[[SonarSettings], tuple[bytes, ...]]
+    sets_range: bool = True
+    sets_gain: bool = True
+    sets_enable: bool = True
+    asked_per_ping: bool = False
+    counter_period_s: float | None = None
+
+
+SONARS: Final[Mapping[str, SonarDevice]] = MappingProxyType(
+    {
+        "ping_protocol": SonarDevice(
+            lambda sonar: ping_protocol.PingDecoder(), ping_protocol.commands, counter_period_s=MILLISECOND_COUNTER_S
+        ),
+        "jsf": SonarDevice(lambda sonar: jsf.JsfDecoder(subsystem=sonar.subsystem or jsf.HIGH_FREQUENCY), jsf.commands),
+        "sportscan": SonarDevice(lambda sonar: imagenex.SportScanDecoder(), imagenex.commands, asked_per_ping=True),
+    }
+)
+
+
+def sonar_named(name: str) -> SonarDevice:
+    """Raises UsageError for a name that is not there."""
+    if name not in SONARS:
+        raise UsageError(f"there is no driver for a sonar '{name}'. Known: {', '.join(SONARS)}")
+    return SONARS[name]

@@ -1,0 +1,59 @@
+"""What the decoders of sentences have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from typing import Any
+
+from auv_mcm.clock import Stamp
+from auv_mcm.records import NAN
+from drivers.framing import Grammar, StampedFramer
+from drivers.vehicle.ascii_fields import Table
+from drivers.vehicle.dialect import Said, VehicleState, fix_of
+
+
+class AsciiDecoder(ABC):
+    """One vehicle's sentences, as records of its table; a subclass knows which of them say where it is.
+
+    counters: NAME.messages, .bytes_skipped and .refused.REASON of the framer, .malformed (checksum right, fields impossible) and .ignored
+    (kinds not known here).
+    """
+
+    def __init__(self, grammar: Grammar[str], table: Table, port: str) -> None:
+        """port: name that fixes carry."""
+        self._name = grammar.name
+        self._framer = StampedFramer(grammar)
+        self._table = table
+        self._port = port
+        self._own: Counter[str] = Counter()
+        self.bus_counters: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters + self._own
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Said]:
+        """See `VehicleDecoder.feed`."""
+        return [self._said(body, received) for body, received, _ in self._framer.feed(data, stamp)]
+
+    def _said(self, body: str, received: Stamp) -> Said:
+        try:
+            record = self._table.parse(body)
+        except (ValueError, OverflowError):
+            self._own[f"{self._name}.malformed"] += 1
+            return Said(None, received)
+        if record is None:
+            self._own[f"{self._name}.ignored"] += 1
+            return Said(None, received)
+        state = self._state(record, received)
+        return Said(record, received, state, () if state is None else (fix_of(self._port, state),))
+
+    @abstractmethod
+    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+        """Where the vehicle is by a record of the table, None if it does not say."""
+
+
+def above_zero(value: float) -> float:
+    """Units tell zero where they measured nothing."""
+    return value if value > 0.0 else NAN

@@ -1,0 +1,43 @@
+"""Sentences of a Bluefin's vehicle computer to records, and to where the vehicle is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.records import NAN
+from auv_mcm.settings.vehicle_settings import BluefinSettings
+from drivers.vehicle.bluefin_sentences import BluefinGrammar, BluefinPosition, BluefinVelocity, table_of
+from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
+from drivers.vehicle.dialect import VehicleState
+
+_VELOCITY_VALID_NS: Final = 2_000_000_000  # velocities come about once a second, in sentences of their own
+
+
+class BluefinDecoder(AsciiDecoder):
+    """Decode what a Bluefin says."""
+
+    def __init__(self, settings: BluefinSettings, port: str) -> None:
+        super().__init__(BluefinGrammar(), table_of(settings), port)
+        self._velocity: tuple[BluefinVelocity, int] | None = None
+
+    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+        if isinstance(record, BluefinVelocity):
+            self._velocity = record, received.mono_ns
+        if not isinstance(record, BluefinPosition):
+            return None
+        speed_mps = NAN
+        if self._velocity is not None and received.mono_ns - self._velocity[1] < _VELOCITY_VALID_NS:
+            speed_mps = math.hypot(self._velocity[0].east_mps, self._velocity[0].north_mps)
+        return VehicleState(
+            received=received,
+            latitude_deg=record.latitude_deg,
+            longitude_deg=record.longitude_deg,
+            heading_rad=record.heading_rad,
+            pitch_rad=record.pitch_rad,
+            roll_rad=record.roll_rad,
+            depth_m=record.depth_m,
+            altitude_m=above_zero(record.altitude_m),
+            speed_mps=speed_mps,
+        )

@@ -1,0 +1,105 @@
+"""IMC packets to messages, and to where the vehicle is."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Final, NamedTuple
+
+from auv_mcm.clock import Stamp
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import NAN
+from auv_mcm.settings.vehicle_settings import ImcSettings
+from drivers.framing import StampedFramer
+from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.dialect import Said, VehicleState, fix_of
+from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, decode
+from drivers.vehicle.imc_wire import ImcGrammar, Packet
+
+VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
+_MAX_OFFSET_M: Final = 1e5
+
+
+class ImcSaid(NamedTuple):
+    """A message and the header it came with. time_s: UTC seconds since 1970 by the sender's clock."""
+
+    message: ImcMessage
+    source: int
+    destination: int
+    time_s: float
+
+
+class ImcDecoder:
+    """Decode what an IMC vehicle, and others on its network, say.
+
+    Fixes are those of the vehicle that is configured, or of the first source that says it is one.
+
+    counters: those of the framer, imc.other_messages (kinds not known here), imc.other_source (the payload's own), imc.refused.payload.
+    """
+
+    def __init__(self, settings: ImcSettings, port: str) -> None:
+        """port: name that fixes carry."""
+        self._own_id = settings.source_id
+        self._vehicle = settings.vehicle_id or None
+        self._port = port
+        self._framer = StampedFramer(ImcGrammar())
+        self.bus_counters: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._framer.counters
+
+    def feed(self, data: bytes, stamp: Stamp) -> list[Said]:
+        """See `VehicleDecoder.feed`."""
+        return [self._said(packet, received) for packet, received, _ in self._framer.feed(data, stamp)]
+
+    def _said(self, packet: Packet, received: Stamp) -> Said:
+        if packet.source == self._own_id:
+            self.counters["imc.other_source"] += 1  # what we sent ourselves, on a wire that many hear
+            return Said(None, received)
+        if packet.number not in LAYOUTS:
+            self.counters["imc.other_messages"] += 1
+            return Said(None, received)
+        try:
+            message = decode(packet.number, packet.payload, packet.order)
+        except ValueError:
+            self.counters["imc.refused.payload"] += 1
+            return Said(None, received)
+        if self._vehicle is None and is_vehicle(message):
+            self._vehicle = packet.source
+        record = ImcSaid(message, packet.source, packet.destination, packet.time_s)
+        if not isinstance(message, imc.EstimatedState):
+            return Said(record, received)
+        state = _state_of(message, received)
+        return Said(record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle else ())
+
+
+def is_vehicle(message: ImcMessage) -> bool:
+    """Whether only a vehicle says this."""
+    return isinstance(message, imc.EstimatedState) or (isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES)
+
+
+def _state_of(message: imc.EstimatedState, received: Stamp) -> VehicleState:
+    """Position is lat, lon, height displaced by x, y, z; what cannot be is NaN."""
+    latitude_deg, longitude_deg = NAN, NAN
+    offsets_m = (message.y, message.x, -message.z)
+    place = (message.lat, message.lon, message.height)
+    believed = abs(message.lat) <= 0.5 * math.pi and abs(message.lon) <= math.pi and abs(message.height) < _MAX_OFFSET_M
+    if believed and all(abs(offset) < _MAX_OFFSET_M for offset in offsets_m):
+        frame = LocalFrame(latitude_deg=math.degrees(place[0]), longitude_deg=math.degrees(place[1]), height_m=place[2])
+        latitude_deg, longitude_deg = (float(angle) for angle in frame.to_geodetic(offsets_m)[:2])
+    return VehicleState(
+        received,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_rad=_finite(message.psi) % math.tau,
+        pitch_rad=_finite(message.theta),
+        roll_rad=_finite(message.phi),
+        depth_m=message.depth if 0.0 <= message.depth < math.inf else NAN,
+        altitude_m=message.alt if 0.0 <= message.alt < math.inf else NAN,
+        speed_mps=_finite(math.hypot(message.vx, message.vy)),
+    )
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else NAN

@@ -1,0 +1,33 @@
+"""RECON frames of a REMUS to records, and to where the vehicle is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from auv_mcm.clock import Stamp
+from auv_mcm.settings.vehicle_settings import ReconSettings
+from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
+from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.recon_sentences import ReconGrammar, ReconState, table_of
+
+
+class ReconDecoder(AsciiDecoder):
+    """Decode what a REMUS says by RECON."""
+
+    def __init__(self, settings: ReconSettings, port: str) -> None:
+        super().__init__(ReconGrammar(), table_of(settings), port)
+
+    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+        if not isinstance(record, ReconState):
+            return None
+        return VehicleState(
+            received=received,
+            latitude_deg=record.latitude_deg,
+            longitude_deg=record.longitude_deg,
+            heading_rad=record.heading_rad,
+            pitch_rad=record.pitch_rad,
+            roll_rad=record.roll_rad,
+            depth_m=record.depth_m,
+            altitude_m=above_zero(record.altitude_m),
+            speed_mps=record.speed_mps,
+        )

@@ -1,0 +1,205 @@
+"""What the talkers of sentences have in common: the word of the vehicle on control, paced reports, and its floor."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.records import NAN
+from drivers.vehicle.ascii_fields import Table, plain_text
+from drivers.vehicle.dialect import (
+    Capability,
+    Command,
+    ContactReport,
+    Granted,
+    PayloadHealth,
+    Said,
+    Steer,
+    VehicleEvent,
+    VehicleState,
+    Vertical,
+    Withheld,
+)
+
+_FLOOR_S: Final = 3.0
+_REPORT_EVERY_S: Final = 0.2  # 250 bytes take 0.13 s at 19200 baud, and commands go between them
+_HEALTH_TEXT: Final = 60  # characters
+
+
+class AsciiTalker(ABC):
+    """One vehicle's sentences; a subclass knows what they mean. `Talker[bytes]` once it has the missing methods.
+
+    Control is told of only as it changes, and granted only when it was asked for. counters: NAME.command_without_grant and .command_unfit
+    (not sent).
+    """
+
+    silent_after_s: float = 5.0
+    command_period_s: float = 1.0
+
+    def __init__(self, name: str, table: Table, capabilities: Capability) -> None:
+        self.capabilities = capabilities
+        self._name = name
+        self._table = table
+        self._own: Counter[str] = Counter()
+        self._open = False
+        self._wanted = False
+        self._granted = False
+        self._later: list[VehicleEvent] = []  # what was found out while nobody was listening
+        self._health = PayloadHealth("starting", "")
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._own
+
+    def connected(self, now_s: float) -> None:
+        self.disconnected()
+        self._open = True
+        self._greet(now_s)
+
+    def disconnected(self) -> None:
+        self._open = self._wanted = self._granted = False
+        self._later.clear()
+        self._forget()
+
+    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
+        events, self._later = self._later, []
+        for record, received, state, *_ in said:
+            if record is not None:
+                # By this computer's clock, as commands are, and not by that of a unit which gives UTC.
+                utc_ns = received.mono_ns + stamp.utc_ns - stamp.mono_ns
+                events += self._heard(record, state, Stamp(received.mono_ns, utc_ns))
+        return events
+
+    def request(self, now_s: float) -> None:
+        if self._open:
+            self._wanted = True
+            self._ask(now_s)
+
+    def command(self, command: Command, now_s: float) -> None:
+        if not (self._open and self._granted):
+            self._own[f"{self._name}.command_without_grant"] += 1
+        elif not isinstance(command, Steer) or not math.isfinite(command.heading_rad + command.vertical.value_m + command.speed_mps):
+            self._own[f"{self._name}.command_unfit"] += 1
+        else:
+            self._steer(command, now_s)
+
+    def release(self, reason: str, now_s: float) -> None:
+        wanted, self._wanted, self._granted = self._wanted, False, False
+        self._later = [event for event in self._later if not isinstance(event, Granted | Withheld)]
+        if self._open:
+            self._let_go(wanted, now_s)
+
+    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+        self._health = health
+
+    def take_outgoing(self, now_s: float) -> list[bytes]:
+        return self._outgoing(now_s) if self._open else []
+
+    def _grant(self, reason: str) -> list[VehicleEvent]:
+        if not self._wanted or self._granted:
+            return []
+        self._granted = True
+        return [Granted(reason)]
+
+    def _withhold(self, reason: str) -> list[VehicleEvent]:
+        """Control is refused or over; it has to be asked for again."""
+        if not self._wanted:
+            return []
+        self._wanted = self._granted = False
+        self._stop_commanding()
+        return [Withheld(reason)]
+
+    def _health_text(self) -> str:
+        return plain_text(f"{self._health.state} {self._health.text}".rstrip(), _HEALTH_TEXT)
+
+    @abstractmethod
+    def report(self, report: ContactReport, ticket: int, now_s: float) -> None: ...
+
+    @abstractmethod
+    def _greet(self, now_s: float) -> None:
+        """The wire has been opened."""
+
+    @abstractmethod
+    def _forget(self) -> None:
+        """The wire is gone, with everything that waited for it."""
+
+    @abstractmethod
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        """What a record of the table means. state: where the vehicle is, if the record says so."""
+
+    @abstractmethod
+    def _ask(self, now_s: float) -> None:
+        """Control is wanted."""
+
+    @abstractmethod
+    def _steer(self, steer: Steer, now_s: float) -> None:
+        """A command of finite numbers, while granted."""
+
+    @abstractmethod
+    def _stop_commanding(self) -> None:
+        """No command that was not sent yet may be sent any more."""
+
+    @abstractmethod
+    def _let_go(self, wanted: bool, now_s: float) -> None:
+        """Give control back. wanted: it was asked for until now."""
+
+    @abstractmethod
+    def _outgoing(self, now_s: float) -> list[bytes]: ...
+
+
+class PacedReports:
+    """Reports for a vehicle that acknowledges none, so spread that a slow line stays free for commands."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[int, ContactReport] = {}  # by the number of the contact
+        self._next_s = -math.inf
+
+    def add(self, report: ContactReport) -> None:
+        """It takes the place of one of the same contact."""
+        self._waiting[report.number] = report
+
+    def clear(self) -> None:
+        self._waiting.clear()
+
+    def take(self, now_s: float) -> ContactReport | None:
+        """The oldest report, if it is time for one."""
+        if not self._waiting or now_s < self._next_s:
+            return None
+        self._next_s = now_s + _REPORT_EVERY_S
+        return self._waiting.pop(next(iter(self._waiting)))
+
+
+class FloorBelow:
+    """The sea floor under the vehicle, for vehicles that hold depths alone: its depth plus its altitude, the least of the last 3 s.
+
+    The least, so that one echo too long leads nobody into the ground.
+    """
+
+    def __init__(self) -> None:
+        self._heard: deque[tuple[float, float]] = deque()  # monotonic time, depth of the floor
+
+    def clear(self) -> None:
+        self._heard.clear()
+
+    def heard(self, depth_m: float, altitude_m: float, now_s: float) -> None:
+        """Both as the vehicle told them; NaN if it did not."""
+        if math.isfinite(depth_m + altitude_m):
+            self._heard.append((now_s, depth_m + altitude_m))
+        self._drop_old(now_s)
+
+    def depth_m(self, vertical: Vertical, now_s: float) -> float:
+        """The depth to command, 0 at least; NaN for an altitude over a floor that is not known."""
+        if vertical.reference == "depth":
+            return max(vertical.value_m, 0.0)
+        self._drop_old(now_s)
+        if not self._heard:
+            return NAN
+        return max(min(floor_m for _, floor_m in self._heard) - vertical.value_m, 0.0)
+
+    def _drop_old(self, now_s: float) -> None:
+        while self._heard and now_s - self._heard[0][0] > _FLOOR_S:
+            self._heard.popleft()

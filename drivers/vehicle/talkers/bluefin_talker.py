@@ -1,0 +1,301 @@
+"""Bluefin's standard payload interface to its vehicle computer (Huxley): NMEA 0183 sentences on TCP port 29500.
+
+The vehicle is the server. A payload asks for sentences by `$BPLOG`, tells once a second that it lives by `$BPSTS`, steers by `$BPRMB` while
+it may, and ends that by `$BPRCE`. The vehicle answers each sentence by `$BFACK`; until then no other follows, and after 5 s the same one
+is said again, three times in all. Times are those of the vehicle's own clock as its last sentence had it, or this computer's until it
+told one. Source: Goby3, frontseat/bluefin (LGPL).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.records import NAN
+from auv_mcm.settings.vehicle_settings import BluefinSettings
+from drivers.navigation.device_date import DAY_S
+from drivers.navigation.nmea0183 import sentence
+from drivers.vehicle.bluefin_sentences import (
+    BluefinAnswer,
+    BluefinCancel,
+    BluefinCommand,
+    BluefinContact,
+    BluefinControl,
+    BluefinEnd,
+    BluefinLog,
+    BluefinMission,
+    BluefinShutdown,
+    BluefinStatus,
+    BluefinSteer,
+    table_of,
+)
+from drivers.vehicle.dialect import (
+    Acknowledged,
+    Capability,
+    ContactReport,
+    Rejected,
+    Steer,
+    VehicleEvent,
+    VehicleState,
+)
+from drivers.vehicle.talkers.ascii_talker import AsciiTalker
+
+RESEND_S: Final = 5.0
+ATTEMPTS: Final = 3
+_HEARTBEAT_S: Final = 1.0
+_COMMAND_VALID_S: Final = 2.0  # one that could not be said by then is old
+_PENDING_FOR_S: Final = 60.0
+_TIME_STEP_S: Final = 0.01  # between the times of two sentences, so that an answer in hundredths still tells which it is for
+_ASKED_FOR: Final = ("ACK", "NVG", "NVR", "CTL", "MIS", "MSC", "SHT", "MBS", "MBE")  # ACK first, for the others to be answered
+_WORDS_ON_CONTROL: Final = ("ACK", "CTL", "MIS")  # which may have been lost
+_INVALID, _, _DONE, _PENDING = "0123"
+_RUNNING: Final = "running"
+
+
+@dataclass(slots=True, eq=False)
+class _Item:
+    """A sentence on its way: waiting, or said and awaiting its answer. ticket: of a contact. expires_s: not said any more from then on."""
+
+    key: Hashable
+    record: Any
+    ticket: int | None = None
+    expires_s: float = math.inf
+    line: bytes = b""
+    n_said: int = 0
+    said_s: float = 0.0
+    pending: bool = False
+
+
+class BluefinTalker(AsciiTalker):
+    """Talks to a Bluefin by its standard payload interface.
+
+    Counts also bluefin.resent, .unanswered (given up after three times), .unexpected_answer, .refused_NAME (what the vehicle did not take).
+    """
+
+    def __init__(self, settings: BluefinSettings) -> None:
+        told = Capability.CONTACT if settings.contact_sentence else Capability(0)
+        always = Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | Capability.ACKNOWLEDGED
+        super().__init__("bluefin", table_of(settings), always | told)
+        self._settings = settings
+        self._waiting: dict[Hashable, _Item] = {}
+        self._said: list[_Item] = []
+        self._clock: tuple[float, float] | None = None  # monotonic time, and time of day then
+        self._last_time_s = -DAY_S
+        self._permitted = False
+        self._commanded = False  # it took a command, or may have, since control was given back last
+        self._takes_contacts: bool | None = None  # None: not known yet
+        self._heartbeat_s = self._heard_s = 0.0
+
+    def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
+        if self._takes_contacts is False:
+            self._later.append(Rejected(ticket, self._no_contacts()))
+        elif self._open and self._settings.contact_sentence:
+            self._put(_Item(("MCM", report.number), BluefinContact(NAN, report), ticket))
+
+    def _greet(self, now_s: float) -> None:
+        self._heartbeat_s = self._heard_s = now_s
+        self._ask_for(*_ASKED_FOR)
+
+    def _ask_for(self, *names: str) -> None:
+        """Before anything else, since a vehicle that started anew tells and answers nothing."""
+        first = [_Item(("LOG", name), BluefinLog(name)) for name in names]
+        self._waiting = {**{item.key: item for item in first}, **self._waiting}
+
+    def _forget(self) -> None:
+        self._waiting.clear()
+        self._said.clear()
+        self._permitted = self._commanded = False
+        self._takes_contacts = None
+
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        now_s = self._heard_s = 1e-9 * received.mono_ns
+        time_of_day_s = getattr(record, "time_of_day_s", NAN)
+        if math.isfinite(time_of_day_s):
+            self._clock = now_s, time_of_day_s
+        elif self._clock is None:
+            self._clock = now_s, 1e-9 * received.utc_ns % DAY_S
+        if state is not None:
+            yield state
+        match record:
+            case BluefinAnswer():
+                yield from self._answered(record, now_s)
+            case BluefinShutdown():
+                yield from self._permit(False, "the vehicle shuts its payloads down")
+            case BluefinControl(control="0"):
+                yield from self._permit(False, "the vehicle does not let the payload command (BFCTL 0)")
+            case BluefinControl() if self._settings.granted_by == "BFCTL":
+                yield from self._permit(True, "the vehicle lets the payload command (BFCTL 1)")
+            case BluefinMission() if _RUNNING not in record.status.lower():
+                yield from self._permit(False, f"no mission is running (BFMIS {record.status})")
+            case BluefinMission() if self._settings.granted_by == "BFMIS":
+                yield from self._permit(True, "a mission is running (BFMIS)")
+            case BluefinCommand() if self._settings.granted_by == "BFMSC":
+                yield from self._permit(True, f"the mission calls the payload (BFMSC {record.text})")
+            case BluefinEnd() if self._settings.granted_by == "BFMSC":
+                yield from self._permit(False, f"the behaviour has ended (BFMBE {record.behaviour})")
+
+    def _permit(self, permitted: bool, reason: str) -> list[VehicleEvent]:
+        self._permitted = permitted
+        if permitted:
+            return self._grant(reason)
+        self._waiting.pop("RCE", None)  # what it does now is its own, and not to be ended
+        self._said = [item for item in self._said if item.key != "RCE"]
+        return self._withhold(reason) if self._granted else []  # what was not granted yet may still be
+
+    def _ask(self, now_s: float) -> None:
+        if self._permitted:
+            self._later += self._grant("the vehicle lets the payload command")
+        else:
+            self._ask_for(*_WORDS_ON_CONTROL)
+
+    def _steer(self, steer: Steer, now_s: float) -> None:
+        mode = "1" if steer.vertical.reference == "altitude" else "0"
+        order = BluefinSteer(NAN, steer.heading_rad, steer.vertical.value_m, mode, steer.speed_mps)
+        self._put(_Item("RMB", order, expires_s=now_s + _COMMAND_VALID_S))
+
+    def _stop_commanding(self) -> None:
+        """The vehicle may still hold what it was told last; unless it took control back itself, it is told to stop that as well."""
+        self._waiting.pop("RMB", None)
+        commanded = self._commanded or any(item.key == "RMB" for item in self._said)
+        self._said = [item for item in self._said if item.key != "RMB"]
+        self._commanded = False
+        if commanded and self._permitted:
+            self._put(_Item("RCE", BluefinCancel(NAN)))
+
+    def _let_go(self, wanted: bool, now_s: float) -> None:
+        self._stop_commanding()
+
+    def _put(self, item: _Item) -> None:
+        """Into the queue, or in the place of what waits there under its key."""
+        self._waiting[item.key] = item
+
+    def _outgoing(self, now_s: float) -> list[bytes]:
+        if now_s >= self._heartbeat_s:
+            self._heartbeat_s = now_s + _HEARTBEAT_S
+            self._put(_Item("STS", BluefinStatus(NAN, "0" if self._health.state == "failure" else "1", self._health_text())))
+        if now_s - self._heard_s >= self.silent_after_s:
+            self._later += self._withhold(f"the vehicle is silent for {self.silent_after_s:.0f} s")
+            end_of_control = self._waiting.get("RCE")
+            self._forget()
+            self._greet(now_s)
+            if end_of_control is not None:
+                self._put(end_of_control)
+        lines = self._said_again(now_s)
+        while (item := self._next(now_s)) is not None:
+            del self._waiting[item.key]
+            lines.append(self._say(item, now_s))
+        return lines
+
+    def _next(self, now_s: float) -> _Item | None:
+        """What may be said now: one at a time, but the end of control at once."""
+        urgent = self._waiting.get("RCE")
+        if urgent is not None and self._clock is not None:
+            return urgent
+        if any(not item.pending for item in self._said):
+            return None
+        for key in [key for key, item in self._waiting.items() if now_s >= item.expires_s]:
+            del self._waiting[key]
+        return next((item for item in self._waiting.values() if self._clock is not None or isinstance(item.record, BluefinLog)), None)
+
+    def _say(self, item: _Item, now_s: float) -> bytes:
+        if not isinstance(item.record, BluefinLog):
+            item.record = item.record._replace(time_of_day_s=self._time_of_day_s(now_s))
+        item.line = sentence(self._table.body_of(item.record))
+        item.n_said, item.said_s, item.pending = 1, now_s, False
+        self._said.append(item)
+        return item.line
+
+    def _said_again(self, now_s: float) -> list[bytes]:
+        lines = []
+        for item in list(self._said):
+            if item.pending:
+                if now_s - item.said_s >= _PENDING_FOR_S:
+                    self._said.remove(item)
+                    self._own["bluefin.unanswered"] += 1
+                continue
+            if now_s - item.said_s < RESEND_S:
+                continue
+            again = self._waiting.pop("RMB", None) if item.key == "RMB" else item  # an old command is not said again, a new one is
+            if again is None or now_s >= again.expires_s or item.n_said >= ATTEMPTS:
+                self._give_up(item)
+                continue
+            self._own["bluefin.resent"] += 1
+            n_said = item.n_said + 1
+            if again is item:
+                item.said_s = now_s
+                lines.append(item.line)
+            else:
+                self._commanded = True  # it may have taken the one before
+                self._said.remove(item)
+                lines.append(self._say(again, now_s))
+            again.n_said = n_said
+        return lines
+
+    def _give_up(self, item: _Item) -> None:
+        if item not in self._said:
+            return
+        name = self._table.body_of(item.record)[:5]
+        self._own["bluefin.unanswered"] += 1
+        self._later += self._withhold(f"the vehicle did not answer {name}, said {item.n_said} times; if this lasts, connect anew")
+        self._said = [other for other in self._said if other is not item]
+        if not isinstance(item.record, BluefinLog):
+            self._ask_for(*_ASKED_FOR)
+        elif item.record.name == _ASKED_FOR[0]:
+            self._ask_for(_ASKED_FOR[0])
+        if item.ticket is not None and self._takes_contacts is None:
+            self._takes_contacts = False
+            refused = [item, *(other for other in self._waiting.values() if other.ticket is not None)]
+            self._waiting = {key: other for key, other in self._waiting.items() if other.ticket is None}
+            self._later += [Rejected(other.ticket, self._no_contacts()) for other in refused if other.ticket is not None]
+
+    def _no_contacts(self) -> str:
+        return f"the vehicle never answered {self._settings.contact_sentence}, so contacts are not told on this connection"
+
+    def _answered(self, answer: BluefinAnswer, now_s: float) -> Iterable[VehicleEvent]:
+        item = next((item for item in self._said if _is_for(answer, self._table.body_of(item.record)[:5], item.record)), None)
+        if item is None:
+            self._own["bluefin.unexpected_answer"] += 1
+            return
+        if item.ticket is not None:
+            self._takes_contacts = True
+        if answer.status in (_PENDING, _DONE):
+            self._commanded |= item.key == "RMB"
+        if answer.status == _PENDING:
+            if not item.pending:
+                item.pending, item.said_s = True, now_s
+            return
+        self._said.remove(item)
+        if answer.status == _DONE:
+            if item.ticket is not None:
+                yield Acknowledged(item.ticket)
+            return
+        name = self._table.body_of(item.record)[:5]
+        self._own[f"bluefin.refused_{name}"] += 1
+        reason = f"the vehicle {'calls this invalid' if answer.status == _INVALID else 'failed to do this'}: {name} {answer.text}".rstrip()
+        if item.key == "RMB":
+            yield from self._withhold(reason)
+        elif item.ticket is not None and answer.status == _INVALID:
+            yield Rejected(item.ticket, reason)
+
+    def _time_of_day_s(self, now_s: float) -> float:
+        """By the vehicle's clock, and never that of the sentence before."""
+        assert self._clock is not None
+        heard_s, then_s = self._clock
+        time_s = round((then_s + now_s - heard_s) % DAY_S, 3)
+        if (self._last_time_s + _TIME_STEP_S - time_s) % DAY_S < 1.0:
+            time_s = round((self._last_time_s + _TIME_STEP_S) % DAY_S, 3)
+        self._last_time_s = time_s
+        return time_s
+
+
+def _is_for(answer: BluefinAnswer, name: str, record: Any) -> bool:
+    """Whether this sentence is answered. Vehicles name it with or without `BP`; what has no time is known by its name alone."""
+    told = answer.name.upper()
+    if told not in (name, name[2:]):
+        return False
+    if isinstance(record, BluefinLog) or not math.isfinite(answer.of_s):
+        return True
+    return abs(math.remainder(answer.of_s - record.time_of_day_s, DAY_S)) < 0.95 * _TIME_STEP_S

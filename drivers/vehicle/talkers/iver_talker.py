@@ -1,0 +1,110 @@
+"""Iver Remote Helm of OceanServer/L3Harris: NMEA 0183 sentences on a serial line, 19200 baud.
+
+The vehicle is polled by `$OSD`; `$OSI` tells its state and `$C` its compass, `$OMS` steers it. There is no handshake: the vehicle's mode
+says whether it obeys, and a command is void after the time that it carries, so control is given back by saying nothing. Only depths
+can be commanded; an altitude becomes the depth of the sea floor below less the altitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.settings.vehicle_settings import IverSettings
+from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
+from drivers.vehicle.iver_sentences import (
+    IverContact,
+    IverHealth,
+    IverPoll,
+    IverState,
+    IverSteer,
+    line_of,
+    table_of,
+)
+from drivers.vehicle.talkers.ascii_talker import AsciiTalker, FloorBelow, PacedReports
+
+_HEALTH_EVERY_S: Final = 1.0
+_MODES: Final = {
+    "N": "normal",
+    "S": "stopped",
+    "P": "parking",
+    "M": "manual override",
+    "m": "manual parking",
+    "A": "servo",
+    "W": "mission",
+}
+_OBEYING: Final = frozenset("NAW")
+
+
+class IverTalker(AsciiTalker):
+    """Talks to an Iver under Remote Helm. Counts also iver.command_without_floor: altitudes that no depth could be made of."""
+
+    def __init__(self, settings: IverSettings) -> None:
+        told = Capability.CONTACT | Capability.HEALTH if settings.contact_sentence else Capability(0)
+        super().__init__("iver", table_of(settings), Capability.NAVIGATION | Capability.STEERING | told)
+        self.command_period_s = min(1.0, settings.command_timeout_s / 4)
+        self._settings = settings
+        self._reports = PacedReports()
+        self._floor = FloorBelow()
+        self._mode = ""
+        self._order: IverSteer | None = None
+        self._poll_s = self._health_s = 0.0
+
+    def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
+        if self._open and self._settings.contact_sentence:
+            self._reports.add(report)
+
+    def _greet(self, now_s: float) -> None:
+        self._poll_s = self._health_s = now_s
+
+    def _forget(self) -> None:
+        self._reports.clear()
+        self._floor.clear()
+        self._order = None
+        self._mode = ""
+
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        if isinstance(record, IverState):
+            yield from self._judge(record.mode[0])
+        if state is not None:
+            self._floor.heard(state.depth_m, state.altitude_m, 1e-9 * received.mono_ns)
+            yield state
+
+    def _judge(self, mode: str) -> list[VehicleEvent]:
+        self._mode = mode
+        reason = f"the vehicle is in mode {mode} ({_MODES.get(mode, 'not known')})"
+        return self._grant(reason) if mode in _OBEYING else self._withhold(reason)
+
+    def _ask(self, now_s: float) -> None:
+        self._poll_s = now_s
+
+    def _steer(self, steer: Steer, now_s: float) -> None:
+        depth_m = self._floor.depth_m(steer.vertical, now_s)
+        if depth_m != depth_m:
+            self._own["iver.command_without_floor"] += 1
+            return
+        settings = self._settings
+        self._order = IverSteer(steer.heading_rad, depth_m, settings.max_pitch_deg, steer.speed_mps, settings.command_timeout_s)
+
+    def _stop_commanding(self) -> None:
+        self._order = None
+
+    def _let_go(self, wanted: bool, now_s: float) -> None:
+        self._order = None
+
+    def _outgoing(self, now_s: float) -> list[bytes]:
+        said: list[Any] = []
+        if self._order is not None:
+            said.append(self._order)
+            self._order = None
+        if now_s >= self._poll_s:
+            self._poll_s = now_s + self._settings.poll_s
+            said.append(IverPoll())
+        if self._settings.contact_sentence and now_s >= self._health_s:
+            self._health_s = now_s + _HEALTH_EVERY_S
+            said.append(IverHealth(self._health_text()))
+        report = self._reports.take(now_s)
+        if report is not None:
+            said.append(IverContact(report))
+        return [line_of(self._table, record) for record in said]

@@ -1,0 +1,150 @@
+"""RECON, by which a payload steers a REMUS: text frames by UDP port 23456 both ways, or a serial line.
+
+`#S` tells the state, with a time of day in UTC. `#E,1` engages an override and `#E,0` ends it; `#C` sets its goals and `#V`,
+whose text is free and tells health here, keeps the connection alive while there are none. Only depths are commanded; an altitude becomes
+the depth of the sea floor below less the altitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.settings.vehicle_settings import ReconSettings
+from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
+from drivers.vehicle.recon_sentences import (
+    ReconAlive,
+    ReconContact,
+    ReconDepth,
+    ReconEngage,
+    ReconHeading,
+    ReconQuery,
+    ReconShutdown,
+    ReconSpeed,
+    ReconState,
+    frame,
+    table_of,
+)
+from drivers.vehicle.talkers.ascii_talker import AsciiTalker, FloorBelow, PacedReports
+
+_IN_MISSION: Final = 0x01
+_SUSPENDED: Final = 0x02
+_ENABLED: Final = 0x04
+_ACTIVE: Final = 0x08
+_SHORE_POWER: Final = 0x10
+_DEPTH_ONLY: Final = 0x40
+_NOT_ALLOWED: Final = 0x80
+
+_KEEP_ALIVE_S: Final = 1.0
+_ENGAGE_EVERY_S: Final = 1.0
+_ENGAGE_FOR_S: Final = 10.0
+
+
+class ReconTalker(AsciiTalker):
+    """Talks to a REMUS by RECON. Counts also recon.command_without_floor: altitudes that no depth could be made of.
+
+    An override that is active while it was not asked for, as one left by a payload that died or whose end was lost, is ended.
+    """
+
+    def __init__(self, settings: ReconSettings) -> None:
+        told = Capability.CONTACT if settings.contact_type else Capability(0)
+        super().__init__("recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | told)
+        self._reports_wanted = bool(settings.contact_type)
+        self._reports = PacedReports()
+        self._floor = FloorBelow()
+        self._orders: list[Any] = []  # to be said next, in this order
+        self._asked_s = self._engage_s = self._alive_s = self._disengage_s = 0.0
+
+    def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
+        if self._open and self._reports_wanted:
+            self._reports.add(report)
+
+    def _greet(self, now_s: float) -> None:
+        self._alive_s = self._disengage_s = now_s
+
+    def _forget(self) -> None:
+        self._reports.clear()
+        self._floor.clear()
+        self._orders.clear()
+
+    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+        now_s = 1e-9 * received.mono_ns
+        if isinstance(record, ReconShutdown):
+            yield from self._end_of_control("the vehicle shuts its payloads down", now_s)
+        elif isinstance(record, ReconState):
+            yield from self._judge(record.mode, now_s)
+        if state is not None:
+            self._floor.heard(state.depth_m, state.altitude_m, now_s)
+            yield state
+
+    def _judge(self, mode: int, now_s: float) -> list[VehicleEvent]:
+        why_not = _why_not(mode)
+        active = mode & _ACTIVE != 0
+        if active and not self._wanted and self._open and now_s >= self._disengage_s:
+            self._disengage(now_s)
+        if why_not:
+            return self._end_of_control(f"{why_not} (mode {mode:02X})", now_s)
+        if active and mode & _ENABLED:
+            return self._grant(f"override is active (mode {mode:02X})")
+        if self._granted:
+            return self._end_of_control(f"override has ended (mode {mode:02X})", now_s)
+        return []
+
+    def _end_of_control(self, reason: str, now_s: float) -> list[VehicleEvent]:
+        events = self._withhold(reason)
+        if events:
+            self._disengage(now_s)
+        return events
+
+    def _disengage(self, now_s: float) -> None:
+        self._disengage_s = now_s + _ENGAGE_EVERY_S
+        self._orders = [ReconEngage("0")]
+
+    def _ask(self, now_s: float) -> None:
+        if not self._granted:
+            self._asked_s = self._engage_s = now_s
+
+    def _steer(self, steer: Steer, now_s: float) -> None:
+        depth_m = self._floor.depth_m(steer.vertical, now_s)
+        if depth_m != depth_m:
+            self._own["recon.command_without_floor"] += 1
+            return
+        self._alive_s = now_s + 2.0 * _KEEP_ALIVE_S  # until then the command keeps the connection alive
+        self._orders = [ReconHeading(steer.heading_rad), ReconDepth(depth_m), ReconSpeed(steer.speed_mps)]
+
+    def _stop_commanding(self) -> None:
+        self._orders.clear()
+
+    def _let_go(self, wanted: bool, now_s: float) -> None:
+        self._orders.clear()
+        if wanted:
+            self._disengage(now_s)
+
+    def _outgoing(self, now_s: float) -> list[bytes]:
+        if self._wanted and not self._granted and now_s - self._asked_s >= _ENGAGE_FOR_S:
+            self._later += self._end_of_control(f"no override within {_ENGAGE_FOR_S:.0f} s", now_s)
+        said, self._orders = self._orders, []
+        if self._wanted and not self._granted and now_s >= self._engage_s:
+            self._engage_s = now_s + _ENGAGE_EVERY_S
+            said += [ReconQuery("Depth"), ReconEngage("1")]  # a REMUS has been seen to heed nothing before it was asked something
+        if now_s >= self._alive_s:
+            self._alive_s = now_s + _KEEP_ALIVE_S
+            said.append(ReconAlive(self._health_text()))
+        report = self._reports.take(now_s)
+        if report is not None:
+            said.append(ReconContact(report))
+        return [frame(self._table.body_of(record)) for record in said]
+
+
+def _why_not(mode: int) -> str:
+    """Why no override may be had in this mode; empty if it may."""
+    if mode & _SHORE_POWER:
+        return "the vehicle is on shore power"
+    if mode & _NOT_ALLOWED:
+        return "the vehicle does not allow an override"
+    if mode & _DEPTH_ONLY:
+        return "the vehicle lets depth alone be overridden"
+    if not mode & _IN_MISSION or mode & _SUSPENDED:
+        return "no mission is running"
+    return ""

@@ -1,0 +1,1 @@
+"""The subcommands of the bench, a module each. Whatever is heavy they import when they run."""

@@ -1,0 +1,45 @@
+"""Targets in a recorded log."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "augment",
+        "embed targets in a recorded log and write the log and the truth",
+        "Writes the log with the targets of SPEC in it, under its own name, and truth.json, for 'auv-mcm score'. The sea floor\n"
+        "around each place is inverted, so that shadows follow it and what stands before a target hides it. All samples that no\n"
+        "target changes stay as they are. The same log and SPEC give the same bytes.",
+        [
+            "auv-mcm augment mission.xtf --targets targets.yaml --out augmented",
+            "auv-mcm replay augmented/mission.xtf --out results",
+            "auv-mcm score results/contacts.geojson augmented/truth.json",
+        ],
+    )
+    parser.add_argument("log", metavar="LOG", type=Path, help="XTF file with side-scan pings; other formats are not written")
+    parser.add_argument("--targets", metavar="SPEC", type=Path, required=True, help="YAML file: what to put where, or how much of it")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
+    parser.add_argument("--seabed", metavar="NAME", help="what the sea floor is, as the truth and scores should name it")
+    add_config_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    config = read_config(arguments.config)
+
+    from sim_replay.augment.command import augment
+    from sim_replay.augment.targets import read_spec
+
+    spec = read_spec(arguments.targets)
+    with Progress("augment") as progress:
+        done = augment(arguments.log, spec, arguments.out, config, seabed=arguments.seabed, progress=progress.show)
+    hidden = f"; {done.n_hidden} of all hidden by the sea floor" if done.n_hidden else ""
+    print(f"{done.n_objects} objects, {done.n_targets} of them targets{hidden}; {done.area_km2:g} km² seen")
+    print(f"log: {done.log}\ntruth: {done.truth}")
+    return 0

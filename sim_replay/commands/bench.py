@@ -1,0 +1,64 @@
+"""Benches."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from typing import Final
+
+from auv_mcm.commands import Commands, Parser, command
+from auv_mcm.errors import UsageError
+
+BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
+    "waterfall": ("benches.chain", "the whole chain, cost per stage"),
+    "detect": ("benches.detect", "the detector's cost per tile"),
+    "simulate": ("benches.simulate", "the simulator's cost"),
+    "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
+    "froc": ("benches.froc", "every detector and each step after it, on missions held out from all training"),
+    "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
+    "snakes": ("studies.snakes", "contours, error beside time"),
+    "shapes": ("studies.shapes", "classification by shape, error beside time"),
+    "beliefs": ("studies.beliefs", "what views make one believe"),
+    "images": ("studies.real_images", "outlines and calls on real pictures"),
+    "cascade": ("benches.cascade", "the trained cascade's speed and budgets"),
+    "inversion": ("studies.inversion", "relief recovered from images, error beside time"),
+    "augment": ("benches.augment", "whether embedded targets can be told from simulated ones"),
+    "framers": ("benches.framers", "message framing: speed, garbage, and what damage costs"),
+    "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
+    "ports": ("benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
+    "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
+    "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
+    "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
+    "clearance": ("benches.clearance", "mines left as estimated against those really left"),
+    "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
+    "pfa": ("studies.pfa", "false alarms per km² and per decision"),
+    "tours": ("benches.tours", "plans of survey and second looks: how near to the optimum, in what time"),
+    "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
+    "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
+}
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "bench",
+        "measure speed, memory and what is found",
+        "\n".join(f"{name + ':':14}{does}" for name, (_, does) in BENCHES.items()) + "\n\nFurther arguments go to the bench.",
+        ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
+    )
+    parser.add_argument("bench", metavar="BENCH", choices=list(BENCHES), help="what to measure")
+    parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
+    parser.set_defaults(command=_run)
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    module, does = BENCHES[chosen.bench]
+    try:
+        bench = importlib.import_module(f"sim_replay.{module}")
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("sim_replay.studies"):
+            raise
+        raise UsageError(f"'{chosen.bench}' is a study, which is not installed: run it from a checkout of the sources") from error
+    parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure: {does}.")
+    bench.add_arguments(parser)
+    return int(bench.run(parser.parse_args(chosen.arguments)))

@@ -1,0 +1,211 @@
+"""What is measured rather than chosen: a detector's budget for this computer, and the tables that predict performance."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from auv_mcm.commands import Commands, add_config_option, command, read_config, whole, write_new
+from auv_mcm.errors import UsageError
+
+_SIDES: Final = 2
+_LAST_SEED: Final = 2**32 - 1
+
+_BUDGET: Final = (
+    "Measures how many comparisons of the trained cascade one core makes in a second, where nothing is rejected early, and\n"
+    "sets detect.max_evaluations_per_tile so that the cascade takes at most the share of the time that --duty allows, at the\n"
+    "highest speed over ground. Contrasts and confirmation, which have limits of their own, are not part of that share. Run\n"
+    "it on the vehicle's computer, with nothing else running."
+)
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "calibrate",
+        "measure this computer, or the payload's own performance",
+        "budget:       the detector's budget that this computer can afford; also without the word, with --speed\n"
+        "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
+        "              'detect.performance' of the configuration loads the file\n"
+        "seabed:       what kinds of sea floor look like, from simulated missions; 'detect.seabed_model' loads the file",
+        [
+            "auv-mcm calibrate --speed 2.0 --duty 0.25",
+            "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
+            "auv-mcm calibrate performance --out performance.json",
+            "auv-mcm calibrate seabed --out model.json",
+        ],
+    )
+    # As it was before there was a choice, and as scripts have it.
+    _add_budget_options(parser, required=False)
+    parser.set_defaults(command=partial(_run_without_a_word, parser))
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|performance|seabed")
+    _add_budget(kinds)
+    _add_performance(kinds)
+    _add_seabed(kinds)
+
+
+def _add_budget(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "budget",
+        "measure this computer and write the detector's budget that it can afford",
+        _BUDGET,
+        ["auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml"],
+    )
+    _add_budget_options(parser, required=True)
+    parser.set_defaults(command=_run_budget)
+
+
+def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    add_config_option(parser)
+    parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s")
+    parser.add_argument("--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="of one core's time (default 0.25)")
+    parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with that budget")
+
+
+def _add_performance(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "performance",
+        "learn how likely a look finds a mine",
+        "Flies simulated missions full of targets over all kinds of sea floor, and fits the probability that one look finds a\n"
+        "mine to what became of each look. The same seeds make the same tables, here or on a dask cluster.",
+        [
+            "auv-mcm calibrate performance --out performance.json",
+            "auv-mcm calibrate performance --seeds 800-803 --flights 1",
+            "auv-mcm calibrate performance --out performance.json --scheduler tcp://10.0.0.1:8786",
+        ],
+    )
+    _add_mission_options(parser, "800-815")
+    parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)")
+    parser.set_defaults(command=_run_performance)
+
+
+def _add_seabed(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "seabed",
+        "learn what kinds of sea floor look like",
+        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. Seeds from\n"
+        "4000 on fly missions like the named scenes, lower ones know nothing of them. The same seeds make the same model.",
+        ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"],
+    )
+    _add_mission_options(parser, "3000-3049 and 4000-4079")
+    parser.set_defaults(command=_run_seabed)
+
+
+def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
+    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for what was learnt, JSON")
+    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
+    parser.add_argument("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
+
+
+def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+    if arguments.speed is None:
+        parser.error("choose what to calibrate: budget, performance or seabed; or give --speed for the budget")
+    return _run_budget(arguments)
+
+
+def _run_budget(arguments: argparse.Namespace) -> int:
+    import msgspec
+
+    from auv_mcm.detect.cascade.choose import configured_model
+    from auv_mcm.detect.cascade.speed import budget_for, measure_speed
+    from auv_mcm.settings.config import config_yaml
+
+    config = read_config(arguments.config)
+    model = configured_model(config)
+    if model is None:
+        raise UsageError("detect.model is none: contrasts alone have no budget to calibrate")
+    grid = config.waterfall
+    period_s = grid.tile_rows * grid.row_spacing_m / arguments.speed / _SIDES
+    evaluations_per_s = measure_speed(model, grid.row_spacing_m, grid.column_spacing_m)
+    budget = budget_for(evaluations_per_s, period_s, arguments.duty)
+    print(f"{evaluations_per_s / 1e6:.0f} million comparisons per second; a tile every {period_s:.1f} s at {arguments.speed:g} m/s")
+    print(f"detect.max_evaluations_per_tile: {budget}")
+    if arguments.write is not None:
+        detect = msgspec.structs.replace(config.detect, max_evaluations_per_tile=budget)
+        text = config_yaml(msgspec.structs.replace(config, detect=detect))
+        write_new(arguments.write, text)
+    return 0
+
+
+def _run_performance(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.fitting.detection_performance.calibrate_performance import FIT_SEEDS, FLIGHTS, fly_all, tables, to_json, words_for
+    from sim_replay.fitting.detection_performance.fit_performance import fit
+
+    _check_new(arguments.out)
+    seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
+    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), _show)
+    print(file=sys.stderr)
+    looks = [look for mission in missions for look in mission]
+    performance = fit(looks, words_for(seeds, flights, looks))
+    print(performance.fitted_on)
+    print("probability that one look finds a mine, its 95 % interval, and looks fitted on\n")
+    print(tables(performance))
+    print(f"\nranges count in the height flown to the power {performance.altitude_exponent:g}")
+    print(f"of a further look, {performance.same_look_correlation:.2f} is known from one in the same direction")
+    print(f"and {performance.other_look_correlation:.2f} from one in another")
+    if arguments.out is not None:
+        write_new(arguments.out, to_json(performance).decode())
+    return 0
+
+
+def _run_seabed(arguments: argparse.Namespace) -> int:
+    import msgspec
+
+    from sim_replay.fitting.cascade.farm import Farm, run_tasks
+    from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_model, told_of
+    from sim_replay.fitting.seabed.samples import pooled, samples_of
+
+    _check_new(arguments.out)
+    seeds = arguments.seeds or FIT_SEEDS
+    farm = Farm(arguments.workers, arguments.scheduler)
+    samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: _show(done, len(seeds)))))
+    print(file=sys.stderr)
+    model = fit_model(samples, told_of(seeds, samples))
+    print(model.fitted_on)
+    if arguments.out is not None:
+        write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")
+    return 0
+
+
+def _check_new(out: Path | None) -> None:
+    """Raises UsageError for a file that cannot be made, before much is done for it."""
+    if out is None:
+        return
+    if out.exists():
+        raise UsageError(f"--out {out} exists and is left alone: name a new file, or remove that one")
+    if not out.parent.is_dir():
+        raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
+
+
+def _show(done: int, of: int) -> None:
+    print(f"\r{done} of {of} missions flown", end="", file=sys.stderr, flush=True)
+
+
+def _seeds(text: str) -> range:
+    first, dash, last = text.partition("-")
+    if dash and first.isdecimal() and last.isdecimal() and len(text) < 24 and int(first) <= int(last) <= _LAST_SEED:
+        return range(int(first), int(last) + 1)
+    raise argparse.ArgumentTypeError(f"'{text}' is not a range of seeds. Write the first and the last, as in 800-815")
+
+
+def _between(low: float, high: float) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not low < number <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number above {low:g} and up to {high:g}")
+        return number
+
+    return parse

@@ -1,0 +1,66 @@
+"""The real service between fake devices that fail on demand."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from auv_mcm.commands import Commands, command
+from auv_mcm.errors import SelfCheckError, UsageError
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "hil",
+        "run the service between fake devices with faults, and judge what it does",
+        "A SCENARIO is a YAML file or the name of one that ships with the package (--list). It says which devices are at which\n"
+        "virtual ports, what goes wrong when, and what is expected of the service then. Service and devices run as processes\n"
+        "of their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; exit\n"
+        "code 5 if any is not met.",
+        [
+            "auv-mcm hil --list",
+            "auv-mcm hil clean",
+            "auv-mcm hil sonar_replug my-scenario.yaml --out hil",
+        ],
+    )
+    parser.add_argument("scenarios", metavar="SCENARIO", nargs="*", help="YAML file, or name of a scenario that ships with the package")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("hil-out"), help="logs and results, a directory per scenario (default hil-out)"
+    )
+    parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.hil.scenario import read_scenario, shipped
+
+    if arguments.list:
+        for name in shipped():
+            print(f"{name:18} {read_scenario(name).scenario.about}")
+        return 0
+    if not arguments.scenarios:
+        raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
+
+    from auv_mcm.shell.results import write_json
+    from sim_replay.hil.run import run_scenario  # needs the bench extra, which a list does not
+    from sim_replay.hil.verdict import as_table, judge
+
+    failed = []
+    for read in [read_scenario(name) for name in arguments.scenarios]:
+        folder = arguments.out / read.name
+        print(f"{read.name}: {read.scenario.about}")
+        evidence = run_scenario(read, folder, _say)
+        verdicts = [judge(expectation, evidence) for expectation in read.scenario.expectations]
+        print(as_table(verdicts), end="\n\n", flush=True)
+        write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
+        if not all(verdict.passed for verdict in verdicts):
+            failed.append(f"{read.name} ({sum(not verdict.passed for verdict in verdicts)} of {len(verdicts)}; see {folder})")
+    if failed:
+        raise SelfCheckError(f"expectations were not met: {', '.join(failed)}")
+    return 0
+
+
+def _say(line: str) -> None:
+    print(f"  {line}", file=sys.stderr, flush=True)

@@ -1,0 +1,86 @@
+"""A recorded mission through the chain."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from auv_mcm.clean_text import clean
+from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "replay",
+        "replay recorded missions and write contacts, maps and a report",
+        "Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,\n"
+        "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
+        "in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) and\n"
+        "SonarView (.svlog) logs go through the decoders of the live ports. A session that\n"
+        "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with unless\n"
+        "another is given.",
+        [
+            "auv-mcm replay mission.xtf --out results",
+            "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
+            "auv-mcm replay survey.jsf --out results",
+            "auv-mcm replay auv-mcm-out/latest/recording --out results",
+        ],
+    )
+    parser.add_argument(
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        type=Path,
+        help="XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; what it is goes by its content",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
+    add_config_option(parser)
+    parser.add_argument(
+        "--exhaustive",
+        action="store_true",
+        help="give the cascade no budget, and score tiles that hold nothing but masked or near-nadir pixels too; the contacts are the same "
+        "wherever the budget suffices. What the stages reject early stays rejected",
+    )
+    parser.add_argument(
+        "--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work; the contacts are the same (default 1)"
+    )
+    parser.add_argument(
+        "--speed", choices=("real", "max"), default="max", help="real: as fast as it was recorded; max: as fast as possible (default)"
+    )
+    parser.add_argument(
+        "--chunk-bytes",
+        metavar="N",
+        type=whole(1, 1 << 28),
+        default=1 << 18,
+        help="read buffer; the contacts are the same (default 262144)",
+    )
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.logs.open_log import session_config
+    from sim_replay.logs.recorded import parse_speed
+    from sim_replay.replay import replay
+
+    recorded = session_config(arguments.logs) if arguments.config is None else None
+    config = read_config(arguments.config) if recorded is None else recorded
+
+    with Progress("replay") as progress:
+        summary = replay(
+            arguments.logs,
+            arguments.out,
+            config,
+            exhaustive=arguments.exhaustive,
+            threads=arguments.threads,
+            chunk_bytes=arguments.chunk_bytes,
+            speed=parse_speed(arguments.speed, "--speed"),
+            progress=progress.show,
+        )
+    speed = f", {summary['times_real_time']:g} times real time" if summary["times_real_time"] else ""
+    print(f"{summary['pings']} pings in {summary['duration_s']:.0f} s over {summary['distance_m']:.0f} m{speed}")
+    print(f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; {summary['covered_km2']:g} km² covered")
+    for notice in summary["notices"]:
+        print(f"notice: {notice['text']}" + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else ""))
+    print(f"report: {clean(str(arguments.out / 'report.html'))}")
+    return 0

@@ -1,0 +1,65 @@
+"""Training of the detector's cascade."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from auv_mcm.commands import Commands, command, whole
+
+_MAX_COUNT = 1_000_000  # a larger number is a slip: the training would run for years
+
+
+def add(commands: Commands) -> None:
+    parser = command(
+        commands,
+        "train",
+        "train the detector's cascade from simulated missions and augmented logs",
+        "Renders labelled tiles as a YAML file says, or takes those of a folder, and writes a model file for 'detect.model'.\n"
+        "Without a SPEC the set that ships is rendered. The same files and seeds give the same bytes on one platform.",
+        [
+            "auv-mcm train --out model.json",
+            "auv-mcm train theatre.yaml --out model.json --tiles tiles",
+            "auv-mcm train theatre.yaml --out model.json --scheduler tcp://10.0.0.1:8786",
+        ],
+    )
+    parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC", help="YAML file: what to render (default: the set that ships)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the model goes, JSON")
+    parser.add_argument("--tiles", type=Path, metavar="DIR", help="folder of the tiles; rendered into it unless it holds those of the spec")
+    parser.add_argument(
+        "--kind",
+        choices=("soft", "stages", "classical"),
+        default="soft",
+        help="soft cascade; for comparison: stages as in the source paper, or a discriminant on classical features (default soft)",
+    )
+    parser.add_argument(
+        "--stumps", metavar="N", type=whole(1, _MAX_COUNT), help="stumps of a soft cascade (default: as the model that ships)"
+    )
+    parser.add_argument("--workers", metavar="N", type=whole(1, _MAX_COUNT), default=2, help="tasks at once on this computer (default 2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="run the tasks on a dask cluster, tcp://HOST:PORT")
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.cascade.command import train_model
+    from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.fitting.cascade.trainer import N_STUMPS
+
+    started_s = time.monotonic()
+
+    def say(line: str) -> None:
+        print(f"{time.monotonic() - started_s:6.0f} s  {line}", file=sys.stderr, flush=True)
+
+    train_model(
+        arguments.spec,
+        arguments.out,
+        tiles=arguments.tiles,
+        kind=arguments.kind,
+        n_stumps=arguments.stumps or N_STUMPS,
+        farm=Farm(arguments.workers, arguments.scheduler),
+        say=say,
+    )
+    print(f"model: {arguments.out}")
+    return 0

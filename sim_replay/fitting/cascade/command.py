@@ -1,0 +1,58 @@
+"""Train the detector's cascade from the tiles that a specification renders, for `auv-mcm train`."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import msgspec
+
+from auv_mcm.detect.cascade.model import encode_model
+from auv_mcm.errors import UsageError
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import write_file
+from sim_replay.fitting.cascade.classical.model import format_model
+from sim_replay.fitting.cascade.classical.train import train_classical
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.cascade.spec import read_spec
+from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest, read_tiles
+from sim_replay.fitting.cascade.trainer import train
+from sim_replay.fitting.cascade.training_images import render_set, told_of
+from sim_replay.missions import untrained_alone
+
+Kind: TypeAlias = Literal["soft", "stages", "classical"]
+
+
+def train_model(
+    spec: Path | None, out: Path, *, tiles: Path | None, kind: Kind, n_stumps: int, farm: Farm, say: Callable[[str], None]
+) -> None:
+    """Train a cascade and write it to `out`, JSON.
+
+    spec: YAML file of what to render, the set that ships if None. tiles: folder that keeps the rendered tiles; those that it holds of the
+    same spec are used as they are. n_stumps: of a soft cascade. say: takes a line on how far it is.
+
+    Raises UsageError for an `out` that cannot be written, before any work, and for a spec that cannot be read.
+    """
+    if not out.parent.is_dir():
+        raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
+    with tempfile.TemporaryDirectory() as passing:
+        folder = tiles or Path(passing)
+        if not _holds_tiles_of(folder, spec):
+            for line in told_of(render_set(spec, folder, farm)).splitlines():
+                say(line)
+        if kind == "classical":
+            labelled = read_tiles(folder, read_manifest(folder), "train")
+            data = format_model(train_classical(labelled, untrained_alone(Config())))
+        else:
+            data = encode_model(train(folder, kind, farm, say, n_stumps))
+    try:
+        write_file(out, data)
+    except OSError as error:
+        raise UsageError(f"--out {out} cannot be written: {error.strerror}") from error
+
+
+def _holds_tiles_of(folder: Path, spec: Path | None) -> bool:
+    wanted = msgspec.json.decode(msgspec.json.encode(read_spec(spec)[0]))  # as the manifest gives it back: lists, not tuples
+    return (folder / MANIFEST_NAME).exists() and read_manifest(folder).made_from == wanted

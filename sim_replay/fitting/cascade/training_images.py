@@ -1,0 +1,251 @@
+"""Renders a training set: `python -m sim_replay.fitting.cascade.training_images [SPEC.yaml] --out DIR`.
+
+Missions, simulated or recorded with targets put into them, go through the pipeline up to its tiles. What lies in each tile follows from
+the truth of the mission. Every mission is a task of its own, on the cores of this computer or on a dask cluster.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from auv_mcm.clean_text import clean_lines
+from auv_mcm.detect.cascade.codes import codes_of
+from auv_mcm.detect.detect_tile import TileDetections, worth_looking
+from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, SourceEvent, Tile
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import make_directory
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.cascade.place import Thing, cropped, objects_in
+from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_spec
+from sim_replay.fitting.cascade.store import Manifest, Packed, pack, write_set
+from sim_replay.fitting.cascade.tiles import LabelledTile, Origin
+from sim_replay.logs.recorded import RecordedMission
+from sim_replay.simulate import TRUTH_NAME
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.objects import place_objects
+
+OVERLAP_M: Final = 2.0
+"""Rows kept beyond a tile's core: what windows of core pixels reach, and objects so near that they are in those windows."""
+
+
+class _AugmentedObject(msgspec.Struct, frozen=True, kw_only=True):
+    kind: str
+    lat: float
+    lon: float
+    is_target: bool
+    seabed: str | None = None
+    azimuth_deg: float | None = None
+    length_m: float | None = None
+    width_m: float | None = None
+    height_m: float | None = None
+    burial_m: float = 0.0
+
+
+class _AugmentedTruth(msgspec.Struct, frozen=True, kw_only=True):
+    background: Annotated[str, Meta(pattern=r"^[^/]+$")]  # also the name of the log
+    objects: tuple[_AugmentedObject, ...]
+
+
+def render_line(line: SimulatedLine | AugmentedLine) -> Packed:
+    """The shard of one mission. Raises BadInputError for a folder that holds no augmented log."""
+    gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
+    if isinstance(line, SimulatedLine):
+        return pack(simulated_tiles(line), line.split, line.background, "simulated")
+    background, things = _augmented_truth(line.folder / TRUTH_NAME)
+    events = RecordedMission([line.folder / background], line.config).events()
+    return pack(_labelled(events, things, line.config, background, "augmented"), line.split, background, "augmented")
+
+
+def simulated_tiles(line: SimulatedLine) -> Iterator[LabelledTile]:
+    """Fly a mission; its tiles, as they become final."""
+    mission = Mission(line.scene)
+    return _labelled(mission.events(), things_of(mission), line.config, line.background, "simulated")
+
+
+def things_of(mission: Mission) -> tuple[Thing, ...]:
+    """The objects of a simulated mission."""
+    sea = mission.sea
+    return tuple(
+        Thing(
+            latitude_deg=told["lat"],
+            longitude_deg=told["lon"],
+            floor_depth_m=sea.scene.world.depth_m - sea.world.floor_m(placed.east_m, placed.north_m),
+            kind=told["kind"],
+            is_target=told["is_target"],
+            seabed=told["seabed"],
+            azimuth_rad=placed.azimuth_rad,
+            length_m=placed.length_m,
+            width_m=placed.width_m,
+            height_m=placed.height_m,
+            burial_m=placed.burial_m,
+        )
+        for told, placed in zip(mission.truth()["objects"], sea.objects, strict=True)
+    )
+
+
+def labelled(tile: Tile, things: Sequence[Thing], config: Config, background: str, origin: Origin) -> LabelledTile:
+    """The core of a tile with OVERLAP_M on both sides, and which of `things` lie in it."""
+    reach = math.ceil(OVERLAP_M / tile.row_spacing_m)
+    start, stop = max(tile.core_start - reach, 0), min(tile.core_stop + reach, tile.mask.shape[0])
+    mask = tile.mask[start:stop]
+    valid = ((mask & VALID) != 0) & np.isfinite(tile.intensity[start:stop])
+    usable = valid & ((mask & LOW_RESOLUTION) == 0)
+    usable[: tile.core_start - start] = False
+    usable[tile.core_stop - start :] = False
+    return LabelledTile(
+        codes=codes_of(tile.intensity[start:stop], valid),
+        valid=valid,
+        usable=usable,
+        core_start=tile.core_start - start,
+        core_stop=tile.core_stop - start,
+        first_return_m=tile.first_return_m[start:stop],
+        row_spacing_m=tile.row_spacing_m,
+        column_spacing_m=tile.column_spacing_m,
+        side=tile.side,
+        objects=cropped(objects_in(tile, things, config.sonar), start, stop),
+        background=background,
+        origin=origin,
+    )
+
+
+def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
+    """Render all missions of a spec (None: the one that ships) into a folder, and say on stderr how it goes.
+
+    Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice; BadInputError for augmented
+    logs that are not there; and as run_tasks does.
+    """
+    spec, base = read_spec(spec_path)
+    lines = lines_of(spec, base)
+    for line in lines:
+        if isinstance(line, SimulatedLine):
+            _check_room(line)
+    make_directory(folder)
+    started_s = time.monotonic()
+
+    def told(done: int) -> None:
+        print(f"\r{done} of {len(lines)} missions rendered, {time.monotonic() - started_s:.0f} s", end="", file=sys.stderr, flush=True)
+
+    try:
+        return write_set(folder, _each_once(run_tasks(render_line, lines, farm, told)), msgspec.to_builtins(spec))
+    except OSError as error:
+        raise UsageError(f"{folder}: {error.strerror}. Name another folder, or make room") from error
+    finally:
+        print(file=sys.stderr)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
+    parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the shards and their manifest")
+    parser.add_argument("--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)")
+    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="render on the cluster of this dask scheduler instead")
+    chosen = parser.parse_args(arguments)
+    print(told_of(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
+    return 0
+
+
+def told_of(manifest: Manifest) -> str:
+    """What a training set holds, a line per split."""
+    lines = []
+    for split in dict.fromkeys(shard.split for shard in manifest.shards):
+        shards = [shard for shard in manifest.shards if shard.split == split]
+        by_seabed: Counter[str] = Counter()
+        for shard in shards:
+            by_seabed.update(shard.by_seabed)
+        lines.append(
+            f"{split}: {len(shards)} missions, {sum(shard.n_tiles for shard in shards)} tiles, "
+            f"{sum(shard.usable_m2 for shard in shards) / 1e6:.2f} km², {by_seabed.total()} looks at targets "
+            f"({', '.join(f'{name} {n}' for name, n in sorted(by_seabed.items()))}), "
+            f"{sum(shard.n_others for shard in shards)} at other objects"
+        )
+    return "\n".join([*lines, f"sha256 {manifest.sha256}"])
+
+
+def _check_room(line: SimulatedLine) -> None:
+    """Said now rather than after many missions."""
+    try:
+        place_objects(line.scene)
+    except UsageError as error:
+        raise UsageError(f"mission {line.background}: {error}") from error
+
+
+def _labelled(
+    events: Iterable[SourceEvent], things: Sequence[Thing], config: Config, background: str, origin: Origin
+) -> Iterator[LabelledTile]:
+    for tile in _tiles(events, config):
+        if worth_looking(tile):
+            yield labelled(tile, things, config, background, origin)
+
+
+def _tiles(events: Iterable[SourceEvent], config: Config) -> Iterator[Tile]:
+    """Tiles as they become final."""
+    pipeline = Pipeline(config, detect=_nothing)
+    for event in events:
+        yield from (told for told in pipeline.feed(event) if isinstance(told, Tile))
+    yield from (told for told in pipeline.finish() if isinstance(told, Tile))
+
+
+def _nothing(tile: Tile) -> TileDetections:
+    """What is to be found is known already."""
+    return TileDetections((), 0, 0)
+
+
+def _augmented_truth(path: Path) -> tuple[str, tuple[Thing, ...]]:
+    try:
+        truth = msgspec.json.decode(path.read_bytes(), type=_AugmentedTruth)
+    except OSError as error:
+        raise BadInputError(f"{path} cannot be read: {error.strerror}. Name a folder that `auv-mcm augment` wrote") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: {error}. Name a folder that `auv-mcm augment` wrote") from error
+    return truth.background, tuple(
+        Thing(
+            latitude_deg=thing.lat,
+            longitude_deg=thing.lon,
+            floor_depth_m=NAN,
+            kind=thing.kind,
+            is_target=thing.is_target,
+            seabed=thing.seabed or "unknown",
+            azimuth_rad=NAN if thing.azimuth_deg is None else math.radians(thing.azimuth_deg),
+            length_m=NAN if thing.length_m is None else thing.length_m,
+            width_m=NAN if thing.width_m is None else thing.width_m,
+            height_m=NAN if thing.height_m is None else thing.height_m,
+            burial_m=thing.burial_m,
+        )
+        for thing in truth.objects
+    )
+
+
+def _each_once(packed: Iterable[Packed]) -> Iterator[Packed]:
+    """Refuses a background that comes again."""
+    splits: dict[str, str] = {}
+    for item in packed:
+        background, split = item.shard.background, item.shard.split
+        if background in splits:
+            raise UsageError(
+                f"sea floor '{background}' is in the set twice, for {splits[background]} and for {split}. Give each recorded line once"
+            )
+        splits[background] = split
+        yield item
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except AuvMcmError as error:
+        print(clean_lines(f"render: {error}"), file=sys.stderr)
+        raise SystemExit(error.exit_code) from None

@@ -1,0 +1,69 @@
+"""Makes the tables of performance: missions flown over targets, what became of each look, the fit, and the tables for people to read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance
+from auv_mcm.clearance.residual import sweep_width_m
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.detection_performance.looks import Look, looks_of
+from sim_replay.fitting.detection_performance.performance_missions import target_scene
+from sim_replay.text_tables import columns
+
+FIT_SEEDS: Final = range(800, 816)
+FLIGHTS: Final = 2
+_SWEEP_STEP_M: Final = 0.25
+
+
+class Flight(NamedTuple):
+    seed: int
+    number: int
+
+
+def fly(flight: Flight) -> list[Look]:
+    """Every look of one mission."""
+    return looks_of(target_scene(flight.seed, flight.number))
+
+
+def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]) -> list[list[Look]]:
+    """Looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there are."""
+    tasks = [Flight(seed, number) for seed in seeds for number in range(flights)]
+    return list(run_tasks(fly, tasks, farm, lambda done: progress(done, len(tasks))))
+
+
+def words_for(seeds: range, flights: int, looks: Sequence[Look]) -> str:
+    """What tables were fitted on."""
+    n_missions, n_targets = len({look.mission for look in looks}), len({(look.mission, look.target) for look in looks})
+    return f"{len(looks)} looks at {n_targets} targets in {n_missions} simulated missions: seeds {seeds[0]} to {seeds[-1]}, {flights} each"
+
+
+def to_json(performance: Performance) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(performance, order="deterministic"), indent=1) + b"\n"
+
+
+def tables(performance: Performance, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str] = columns) -> str:
+    """Probability, interval and looks per floor and band, and the sweep width of one side."""
+    edges = performance.edges_m
+    header = ["floor", *(f"{near:g}-{far:g} m" for near, far in pairwise(edges)), "sweep width"]
+    rows = [
+        [floor.replace("_", ", "), *(_cell(band) for band in performance.floors[floor]), f"{width_m:.1f} m"]
+        for floor, width_m in zip(FLOORS, sweep_widths_m(performance), strict=True)
+    ]
+    return laid_out(header, rows)
+
+
+def sweep_widths_m(performance: Performance) -> list[float]:
+    """Per floor of FLOORS, of one side, at the altitude that ranges are read at and over all bands."""
+    range_m = np.arange(0.0, performance.edges_m[-1] + _SWEEP_STEP_M, _SWEEP_STEP_M)
+    altitude_m = performance.altitude_m
+    return [sweep_width_m(range_m, p) for p in performance.p_by_floor(range_m, altitude_m)]
+
+
+def _cell(band: Band) -> str:
+    return f"{band.p:.2f} ({band.low:.2f}-{band.high:.2f}) {band.n_looks}"

@@ -1,0 +1,278 @@
+"""From what became of looks to the tables of performance."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import cache
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaincinv
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.clearance.clearance_map import HIGHEST_P
+from auv_mcm.clearance.detection_performance import ASPECTS_RAD, FLOORS, RIPPLES, Band, Floor, Performance, aspect_rad
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import SEABED_TYPES
+from sim_replay.fitting.detection_performance.closed_form import p_found
+from sim_replay.fitting.detection_performance.looks import Look
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+EDGES_M: Final = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0)
+PRIOR_LOOKS: Final = 20.0  # that the closed form counts as
+_ALTITUDE_M: Final = 6.5
+_EXPONENTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+_TEXTURES: Final = tuple(float(f"{texture:.3g}") for texture in np.geomspace(0.3, 30.0, 21))
+_SAME_LOOK_RAD: Final = math.radians(15.0)
+_TAIL: Final = 0.025
+_LEAST_GROUP: Final = 5
+_DIGITS: Final = 4
+
+
+class Outcomes(NamedTuple):
+    """Looks as columns, (n,) each. floor: index into FLOORS. seabed: into SEABED_TYPES."""
+
+    mission: Ints
+    target: Ints
+    time_s: Array
+    floor: Ints
+    seabed: Ints
+    ground_range_m: Array
+    altitude_m: Array
+    look_rad: Array
+    ripple_rad: Array
+    found: NDArray[np.bool_]
+
+
+class Smoothed(NamedTuple):
+    """Per band: mean, and 95 % interval."""
+
+    p: Array
+    low: Array
+    high: Array
+
+
+def outcomes(looks: Sequence[Look]) -> Outcomes:
+    """Looks with a floor that is learnt, as columns."""
+    look_rad = np.array([look.look_rad for look in looks], dtype=np.float64)
+    ripple_rad = np.array([np.nan if look.ripple_rad is None else look.ripple_rad for look in looks], dtype=np.float64)
+    seabed = np.array([look.seabed for look in looks], dtype=np.int64)
+    return Outcomes(
+        mission=np.array([look.mission for look in looks], dtype=np.int64),
+        target=np.array([look.target for look in looks], dtype=np.int64),
+        time_s=np.array([look.time_s for look in looks], dtype=np.float64),
+        floor=floors_of(seabed, look_rad, ripple_rad),
+        seabed=seabed,
+        ground_range_m=np.array([look.ground_range_m for look in looks], dtype=np.float64),
+        altitude_m=np.array([look.altitude_m for look in looks], dtype=np.float64),
+        look_rad=look_rad,
+        ripple_rad=ripple_rad,
+        found=np.array([look.p_mine >= MINE_LIKE_P for look in looks], dtype=np.bool_),
+    )
+
+
+def floors_of(seabed: Ints, look_rad: Array, ripple_rad: Array) -> Ints:
+    """(n,) index into FLOORS; ripples by the nearest middle of aspects."""
+    table = np.array([FLOORS.index(name) if name in FLOORS else RIPPLES.start for name in SEABED_TYPES], dtype=np.int64)
+    aspect = np.nan_to_num(aspect_rad(look_rad, ripple_rad))
+    nearest = np.argmin(np.abs(aspect[:, np.newaxis] - np.array(ASPECTS_RAD)), axis=1)
+    return np.where(seabed == SEABED_TYPES.index("ripple"), RIPPLES.start + nearest, table[seabed])
+
+
+def fit(looks: Sequence[Look], fitted_on: str) -> Performance:
+    """The tables, with the altitude's exponent that predicts missions left out best.
+
+    Raises BadInputError if a floor was never looked at, or there are fewer than two missions.
+    """
+    seen = outcomes(looks)
+    if missing := [name for index, name in enumerate(FLOORS) if not (seen.floor == index).any()]:
+        raise BadInputError(f"{fitted_on}: no look at {', '.join(missing)}. Fly more missions, with --seeds")
+    if len(np.unique(seen.mission)) < 2:
+        raise BadInputError(f"{fitted_on}: one mission does not tell how missions differ. Fly more, with --seeds")
+    exponent = min(_EXPONENTS, key=lambda candidate: surprise_left_out(seen, candidate))
+    tables = fitted_tables(seen, exponent, fitted_on)
+    return with_correlations(tables, seen)
+
+
+def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performance:
+    """The tables for one exponent, looks taken for independent."""
+    band = bands_of(seen, exponent)
+    n_looks, n_found = (counts(seen.floor, band, weight) for weight in (None, seen.found))
+    effect = design_effect(seen, band)
+    floors: dict[Floor, tuple[Band, ...]] = {}
+    for index, name in enumerate(FLOORS):
+        prior = closed_form_prior(n_looks[index], n_found[index])
+        smooth = smoothed(n_found[index], n_looks[index], prior, effect)
+        floors[name] = tuple(
+            Band(
+                n_looks=int(n), n_found=int(k), p=round(float(p), _DIGITS), low=round(float(low), _DIGITS), high=round(float(high), _DIGITS)
+            )
+            for n, k, p, low, high in zip(n_looks[index], n_found[index], *smooth, strict=True)
+        )
+    return Performance(
+        fitted_on=fitted_on,
+        altitude_m=_ALTITUDE_M,
+        altitude_exponent=exponent,
+        edges_m=EDGES_M,
+        floors=floors,
+        same_look_correlation=0.0,
+        other_look_correlation=0.0,
+    )
+
+
+def bands_of(seen: Outcomes, exponent: float) -> Ints:
+    """(n,) band of each look; ranges beyond the last band count there."""
+    range_m = seen.ground_range_m * (_ALTITUDE_M / seen.altitude_m) ** exponent
+    return np.clip(np.searchsorted(EDGES_M, range_m, side="right") - 1, 0, len(EDGES_M) - 2)
+
+
+def counts(floor: Ints, band: Ints, weight: NDArray[np.bool_] | None = None) -> Array:
+    """(len(FLOORS), n_bands) looks, or those of them that `weight` counts."""
+    n_bands = len(EDGES_M) - 1
+    flat = np.bincount(floor * n_bands + band, weight, minlength=len(FLOORS) * n_bands)
+    return np.asarray(flat.reshape(len(FLOORS), n_bands), dtype=np.float64)
+
+
+def design_effect(seen: Outcomes, band: Ints) -> float:
+    """How many looks of one mission at one floor and band count as one, at least 1.
+
+    Missions differ in water, sonar and floor, so that shares found vary more from one to the next than counts alone would: the mean of
+    Pearson's residuals (P. McCullagh and J. Nelder, "Generalized Linear Models", 1989, Sec. 4.5).
+    """
+    n_bands = len(EDGES_M) - 1
+    of_cell = seen.floor * n_bands + band
+    n_cells = len(FLOORS) * n_bands
+    share = np.bincount(of_cell, seen.found, n_cells) / np.maximum(np.bincount(of_cell, minlength=n_cells), 1)
+    _, group = np.unique(seen.mission * n_cells + of_cell, return_inverse=True)
+    n, k = np.bincount(group).astype(np.float64), np.bincount(group, seen.found)
+    p = np.zeros(len(n))
+    p[group] = share[of_cell]
+    used = (n >= _LEAST_GROUP) & (p > 0.0) & (p < 1.0)
+    cells = np.zeros(len(n), dtype=np.int64)
+    cells[group] = of_cell
+    freedom = int(np.count_nonzero(used)) - len(np.unique(cells[used]))
+    if freedom < 1:
+        return 1.0
+    return max(1.0, float(((k - n * p)[used] ** 2 / (n * p * (1.0 - p))[used]).sum() / freedom))
+
+
+def closed_form_prior(n_looks: Array, n_found: Array) -> Array:
+    """(n_bands,) probabilities by the closed form with the texture under which what was found is likeliest."""
+    candidates = _closed_forms()
+    p = np.clip(candidates, 1e-3, 1.0 - 1e-3)
+    log_likelihood = (n_found * np.log(p) + (n_looks - n_found) * np.log1p(-p)).sum(axis=1)
+    return np.asarray(candidates[int(np.argmax(log_likelihood))])
+
+
+@cache
+def _closed_forms() -> Array:
+    """(n_textures, n_bands)"""
+    middle_m = 0.5 * (np.array(EDGES_M[1:]) + np.array(EDGES_M[:-1]))
+    return np.stack([p_found(middle_m, _ALTITUDE_M, texture) for texture in _TEXTURES])
+
+
+def smoothed(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> Smoothed:
+    """Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with range while
+    shadows grow, and falls as echoes fade.
+
+    The interval is that of the pooled beta distribution, no narrower than Jeffreys' (half a look found and half one not).
+    """
+    found = n_found / effect + PRIOR_LOOKS * prior
+    looks = n_looks / effect + PRIOR_LOOKS
+    block = one_hump(found / looks, looks)
+    k, n = np.bincount(block, found)[block], np.bincount(block, looks)[block]
+    p = k / n
+    a, b = np.maximum(k, 0.5), np.maximum(n - k, 0.5)
+    return Smoothed(p, np.minimum(betaincinv(a, b, _TAIL), p), np.maximum(betaincinv(a, b, 1.0 - _TAIL), p))
+
+
+def one_hump(value: Array, weight: Array) -> Ints:
+    """(n,) number of the block that each value belongs to, such that block means rise up to one of them and fall from there on, with the
+    least weighted squares (isotonic regression either side of the best mode)."""
+    best: tuple[float, Ints] | None = None
+    for mode in range(len(value) + 1):
+        up = rising(value[:mode], weight[:mode])
+        down = rising(value[mode:][::-1], weight[mode:][::-1])[::-1]
+        block = np.concatenate([up, down.max(initial=0) - down + up.max(initial=-1) + 1])
+        mean = np.bincount(block, value * weight)[block] / np.bincount(block, weight)[block]
+        loss = float((weight * (value - mean) ** 2).sum())
+        if best is None or loss < best[0] - 1e-12:
+            best = loss, block
+    assert best is not None
+    return best[1]
+
+
+def rising(value: Array, weight: Array) -> Ints:
+    """(n,) number of each value's block in the isotonic regression, by pooling adjacent violators (M. Ayer et al., Annals of Mathematical
+    Statistics 26, 1955)."""
+    blocks: list[tuple[float, float, int]] = []  # mean, weight, length
+    for v, w in zip(value.tolist(), weight.tolist(), strict=True):
+        blocks.append((v, w, 1))
+        while len(blocks) > 1 and blocks[-2][0] >= blocks[-1][0]:
+            (v1, w1, n1), (v2, w2, n2) = blocks[-2:]
+            blocks[-2:] = [((v1 * w1 + v2 * w2) / (w1 + w2), w1 + w2, n1 + n2)]
+    return np.repeat(np.arange(len(blocks)), [length for *_, length in blocks])
+
+
+def surprise_left_out(seen: Outcomes, exponent: float) -> float:
+    """Mean -ln of the probability given to what happened, each mission judged with the tables of the others."""
+    total = 0.0
+    for mission in np.unique(seen.mission):
+        out = seen.mission == mission
+        others, own = (Outcomes(*(column[chosen] for column in seen)) for chosen in (~out, out))
+        p = np.clip(predicted(fitted_tables(others, exponent, ""), own), 1e-3, 1.0 - 1e-3)
+        total -= float(np.where(own.found, np.log(p), np.log1p(-p)).sum())
+    return total / len(seen.found)
+
+
+def predicted(performance: Performance, seen: Outcomes) -> Array:
+    """(n,) probability of each look, with its true floor."""
+    return performance.p_look(seen.seabed, seen.ground_range_m, seen.altitude_m, seen.look_rad, seen.ripple_rad)
+
+
+def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
+    """The tables with what a further look adds, from pairs of looks at one target.
+
+    A look in the same direction is taken to tell no more than one in another, whatever few pairs say.
+    """
+    p = np.minimum(predicted(performance, seen), HIGHEST_P)
+    same, other = (round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3) for first, second in pairs(seen))
+    return msgspec.structs.replace(performance, same_look_correlation=max(same, other), other_look_correlation=other)
+
+
+def pairs(seen: Outcomes) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
+    """Indices of earlier and later looks at one target: from within 15 degrees of each other, and from elsewhere."""
+    of_target: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for index in np.argsort(seen.time_s, kind="stable").tolist():
+        of_target[int(seen.mission[index]), int(seen.target[index])].append(index)
+    both = np.array(
+        [(first, second) for looks in of_target.values() for k, second in enumerate(looks) for first in looks[:k]], dtype=np.int64
+    ).reshape(-1, 2)
+    apart = np.abs(np.mod(seen.look_rad[both[:, 0]] - seen.look_rad[both[:, 1]] + math.pi, 2.0 * math.pi) - math.pi)
+    same = apart <= _SAME_LOOK_RAD
+    return (both[same, 0], both[same, 1]), (both[~same, 0], both[~same, 1])
+
+
+def correlation(p_first: Array, p_second: Array, missed: NDArray[np.bool_]) -> float:
+    """rho for which targets are missed twice as often as was seen.
+
+    The mean over pairs (n,) of (1 - p_first) (1 - p_second)^(1 - rho) is then the share of `missed`. 0 or 1 where no rho does that, 0
+    without pairs.
+    """
+    if not len(missed):
+        return 0.0
+    share = float(missed.mean())
+    low, high = 0.0, 1.0
+    for _ in range(50):
+        rho = 0.5 * (low + high)
+        if float(((1.0 - p_first) * (1.0 - p_second) ** (1.0 - rho)).mean()) < share:
+            low = rho
+        else:
+            high = rho
+    return 0.5 * (low + high)

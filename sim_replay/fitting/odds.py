@@ -1,0 +1,393 @@
+"""Fits the weights with which confirmation turns what it measures into the odds of a mine: `python -m sim_replay.fitting.odds`.
+
+Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector has
+weights of its own, those of the trained cascade without the scenes that are held out from its training. With --crowded the scenes are
+flown again, over other floors, with more mines and stones, since these are hardest to tell apart; how rare mines are is told by the
+scenes as they are. Every step of the look is taken for all detections, whatever the odds. A target is the most mine-like detection within
+the gate of one, per side and passage; further detections of it count for nothing, and all else is what mines must be told from.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final, NamedTuple, get_args
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.classify.details import detection_details
+from auv_mcm.classify.features import Features, detector_features
+from auv_mcm.classify.odds import MineOdds, Tree, Weights
+from auv_mcm.clean_text import clean_lines
+from auv_mcm.confirmation import examine, region_of
+from auv_mcm.errors import AuvMcmError, UsageError
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import Detection, Detector, LookStep
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.results import make_directory, write_file
+from sim_replay.arguments import count
+from sim_replay.fitting.cascade import trees
+from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
+from sim_replay.scoring.calibration import calibration_error
+from sim_replay.scoring.matching import gates_m
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Scene, TargetKind
+from sim_replay.simulator.scene_file import read_scene
+
+Array = NDArray[np.float64]
+
+FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on, and things were tried on seeds below 500
+CROWD: Final = 3
+"""Times as many mines and rocks."""
+_CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
+_CROWD_APART_M: Final = 9.0
+_CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scenes as they are
+_GATE_M: Final = 2.0
+_CLEAR_M: Final = 3.0
+_PASSAGE_S: Final = 60.0
+_FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less than this, one in so many is kept, and counts as many
+_RIDGE: Final = 2.0
+_DIGITS: Final = 5
+_MOST_SHIFT: Final = 50.0  # nats
+_SHARES: Final = (0.3, 0.5, 0.7, 0.9)  # of targets
+_PARTS: Final = (0.25, 0.5, 1.0)  # of missions
+N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
+"""Trees of each step for the cascade's detections; of the first, fewer, since it is asked of every detection."""
+_NO_TREES: Final[Mapping[LookStep, int]] = dict.fromkeys(N_TREES, 0)
+
+
+class Example(NamedTuple):
+    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for. seed: of
+    its mission. usual: of one with as many objects as its scene has, so that it tells how rare mines are."""
+
+    scene: str
+    seed: int
+    usual: bool
+    is_target: bool
+    weight: float
+    detector: Features
+    contours: Features
+    shape: Features
+    details: dict[LookStep, Features]
+
+
+class _Seen(NamedTuple):
+    detection: Detection
+    weight: float
+    contours: Features
+    shape: Features
+    details: Features
+
+
+def crowded(scene: Scene, times: int) -> Scene:
+    """The scene with so many times as many mines and rocks strewn over it, far enough apart for none to count among another's neighbours;
+    where there are more than usual they find their places after all else."""
+    if times == 1:
+        return scene
+    others = [each for each in scene.scatter if each.kind not in _CROWDING]
+    crowd = [
+        msgspec.structs.replace(each, count=times * each.count, apart_m=max(each.apart_m, _CROWD_APART_M))
+        for each in scene.scatter
+        if each.kind in _CROWDING
+    ]
+    return msgspec.structs.replace(scene, scatter=(*others, *crowd))
+
+
+def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
+    """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the detectors."""
+    scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
+    config = _looking_at_everything(served_by(detector, config_for(scene)))
+    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    seen: list[_Seen] = []
+    not_confirmed: list[Detection] = []
+
+    def look(detection: Detection) -> Detection:
+        faint = detection.p_mine < _FAINT_P
+        if detection.surroundings is None or (faint and detection.ping_number % _FAINT_KEPT):
+            not_confirmed.append(detection)
+            return detection
+        found = examine(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
+        weight = float(_FAINT_KEPT) if faint else 1.0
+        seen.append(_Seen(detection, weight, found.contour_features, found.features, found.details))
+        return detection
+
+    mission = Mission(scene)
+    pipeline = Pipeline(config, look=look)
+    for event in mission.events():
+        pipeline.feed(event)
+    pipeline.finish()
+    return _labelled(name, seed, crowd == 1, seen, not_confirmed, mission.truth()["objects"])
+
+
+def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+    """Weights for each step, and as many trees as told; p_mine is right on average over the usual examples.
+
+    Raises UsageError if there are no targets, or nothing else, among those.
+    """
+    is_target, usual = (np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("is_target", "usual"))
+    weight = np.array([example.weight for example in examples])
+    if not is_target[usual].any() or is_target[usual].all():
+        n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
+        raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
+    prior = math.log(float(weight[is_target & usual].sum()) / float(weight[~is_target & usual].sum()))
+    steps = {}
+    for step in _STEPS:
+        features = [getattr(example, step) for example in examples]
+        sums = _fit_sum(features, is_target, weight)
+        asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
+        weights = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
+        odds = log_odds_of(weights, [known for known, told in zip(asked, usual.tolist(), strict=True) if told])
+        offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
+        steps[step] = msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
+    return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m sim_replay.fitting.odds", description=__doc__)
+    detectors: tuple[Detector, ...] = get_args(Detector)
+    parser.add_argument("--detector", choices=detectors, default="cascade", help="whose detections to weigh (default cascade)")
+    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument(
+        "--crowded", type=count, metavar="N", help=f"missions per scene with {CROWD} times as many mines and rocks (default none)"
+    )
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the weights go, JSON")
+    chosen = parser.parse_args(arguments)
+    if not chosen.out.parent.is_dir():
+        raise UsageError(f"--out {chosen.out}: there is no folder {chosen.out.parent}. Make it first")
+    if chosen.out.is_dir():
+        raise UsageError(f"--out {chosen.out} cannot be written: it is a folder. Name a file")
+    make_directory(chosen.out.parent)
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
+    scenes = [name for name in SCENES if chosen.detector == "contrast" or name not in HELD_OUT]
+    first_crowd = chosen.first_seed + max(_CROWD_SEEDS, chosen.seeds)
+    crowds = range(first_crowd, first_crowd + (chosen.crowded or 0))
+    tasks = [(name, seed, chosen.detector, crowd) for chunk, crowd in ((seeds, 1), (crowds, CROWD)) for seed in chunk for name in scenes]
+    examples: list[Example] = []
+    with ProcessPoolExecutor(min(chosen.workers, len(tasks)), mp_context=get_context("spawn")) as pool:
+        for done, found in enumerate(pool.map(examples_of, *zip(*tasks, strict=True)), 1):
+            examples += found
+            print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    # Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones tell worse than sums.
+    n_trees = N_TREES if chosen.detector == "cascade" else _NO_TREES
+    odds = fit(examples, words_for(len(examples), scenes, seeds, crowds), n_trees)
+    try:
+        write_file(chosen.out, written(odds))
+    except OSError as error:
+        raise UsageError(f"--out {chosen.out} cannot be written: {error.strerror}") from error
+    _report(examples, n_trees)
+    return 0
+
+
+def words_for(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
+    """What weights were fitted on."""
+    told = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
+    return f"{told}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else told
+
+
+def written(odds: MineOdds) -> bytes:
+    """JSON with a line per weight and per tree."""
+    told: dict[str, Any] = {"fitted_on": odds.fitted_on, "prior": odds.prior}
+    parts = [f' "{name}": {json.dumps(value)}' for name, value in told.items()]
+    for step in _STEPS:
+        weighed: Weights = getattr(odds, step)
+        weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
+        trees = ",\n".join(f"   {msgspec.json.encode(tree).decode()}" for tree in weighed.trees)
+        parts.append(f' "{step}": {{\n  "offset": {weighed.offset!r},\n  "weights": {{\n{weights}\n  }},\n  "trees": [\n{trees}\n  ]\n }}')
+    return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
+
+
+_STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
+
+
+def _looking_at_everything(config: Config) -> Config:
+    return msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000))
+
+
+def _labelled(
+    scene: str, seed: int, usual: bool, seen: list[_Seen], not_confirmed: list[Detection], objects: Sequence[dict[str, Any]]
+) -> list[Example]:
+    detections = [*(item.detection for item in seen), *not_confirmed]
+    if not detections:
+        return []
+    frame = LocalFrame(latitude_deg=detections[0].latitude_deg, longitude_deg=detections[0].longitude_deg)
+    places = np.array([frame.to_enu(d.latitude_deg, d.longitude_deg, 0.0)[:2] for d in detections])
+    things = np.array([frame.to_enu(thing["lat"], thing["lon"], 0.0)[:2] for thing in objects]).reshape(-1, 2)
+    sizes = np.array([max(thing["length_m"], thing["width_m"]) for thing in objects])
+    sigma_m = np.sqrt([max(float(np.linalg.eigvalsh(d.covariance_m2)[-1]), 0.0) for d in detections])
+    distance_m = np.hypot(*(places[:, np.newaxis] - things).transpose(2, 0, 1)) if len(objects) else np.full((len(detections), 1), np.inf)
+    nearest = distance_m.argmin(axis=1)
+    on_object = distance_m.min(axis=1) <= gates_m(_GATE_M, sigma_m)
+    best: dict[tuple[int, str, int], int] = {}
+    for index, detection in enumerate(detections):
+        if on_object[index]:
+            key = int(nearest[index]), detection.side, round(detection.time_s / _PASSAGE_S)
+            if key not in best or detection.p_mine > detections[best[key]].p_mine:
+                best[key] = index
+    stands_for_it = set(best.values())
+    examples = []
+    for index, item in enumerate(seen):
+        beside = bool(on_object[index]) or bool(len(objects) and (distance_m[index] < _CLEAR_M + 0.5 * sizes).any())
+        if beside and index not in stands_for_it:
+            continue
+        is_target = bool(on_object[index]) and bool(objects[int(nearest[index])]["is_target"])
+        known = detection_details(item.detection)
+        details: dict[LookStep, Features] = {"detector": known, "contours": known, "shape": item.details}
+        examples.append(
+            Example(scene, seed, usual, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details)
+        )
+    return examples
+
+
+def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
+    """Logistic regression on standardised features with a ridge, so that features that tell the same share their weight."""
+    names = list(features[0])
+    values = np.array([[item[name] for name in names] for item in features])
+    mean = np.average(values, axis=0, weights=weight)
+    scale = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
+    used = np.ptp(values, axis=0) > 0.0  # rounding gives what never varies a scale of its own
+    columns = np.column_stack([(values - mean) / np.where(used, scale, 1.0), np.ones(len(values))])
+    found = _logistic(columns, is_target.astype(np.float64), weight)
+    slopes = np.where(used, found[:-1] / np.where(used, scale, 1.0), 0.0)
+    offset = float(found[-1] - slopes @ mean)
+    return Weights(
+        offset=round(offset, _DIGITS), weights={name: round(float(slope), _DIGITS) for name, slope in zip(names, slopes, strict=True)}
+    )
+
+
+def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int) -> tuple[Tree, ...]:
+    """Trees that add to `sums` what it misses."""
+    names = list(features[0])
+    values = np.array([[item[name] for name in names] for item in features])
+    start = np.array([sums.log_odds(item) for item in features])
+    return tuple(
+        Tree(
+            ask=tuple((names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)),
+            nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
+        )
+        for tree in trees.boost(values, is_target, weight, start, n_trees)
+    )
+
+
+def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
+    """What to add to log-odds (n,) so that their probabilities add up to the number of targets."""
+    from scipy.optimize import brentq
+
+    n_targets = float(weight[is_target].sum())
+
+    def too_many(shift: float) -> float:
+        return float(weight @ np.exp(-np.logaddexp(0.0, -(odds + shift)))) - n_targets
+
+    return float(brentq(too_many, -_MOST_SHIFT, _MOST_SHIFT, xtol=1e-9))
+
+
+def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
+    """(n,) what `weights.log_odds` says of each, all at once and to the same bits."""
+    column = {name: number for number, name in enumerate(features[0])}
+    values = np.array([list(map(item.__getitem__, column)) for item in features])
+    weighed = np.zeros(len(values))
+    for name, weight in weights.weights.items():
+        weighed += weight * values[:, column[name]]
+    total = weights.offset + weighed
+    for tree in weights.trees:
+        asked, thresholds = zip(*tree.ask, strict=True)
+        grown = trees.Tree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
+        total += grown.nats[trees.leaves(grown, values)]
+    return total
+
+
+def _rounded(value: float) -> float:
+    """To as many significant digits as tell neighbouring values apart."""
+    return float(f"{value:.{_DIGITS + 2}g}")
+
+
+def _logistic(columns: Array, target: Array, weight: Array) -> Array:
+    """(k,) coefficients of the least log-loss plus ridge for columns (n, k), the last of which is the constant and goes free."""
+    from scipy.optimize import minimize
+
+    ridge = np.full(columns.shape[1], _RIDGE)
+    ridge[-1] = 0.0
+
+    def loss(at: Array) -> tuple[float, Array]:
+        odds = columns @ at
+        value = float(weight @ (np.logaddexp(0.0, odds) - target * odds) + 0.5 * ridge @ at**2)
+        return value, columns.T @ (weight * (np.exp(-np.logaddexp(0.0, -odds)) - target)) + ridge * at
+
+    return np.asarray(minimize(loss, np.zeros(columns.shape[1]), jac=True, method="BFGS", options={"gtol": 1e-4}).x)
+
+
+def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> None:
+    """What each step is worth on scenes it was not fitted on, every scene as it is judged with the weights of all others; and what more
+    missions would bring."""
+    usual = [example for example in examples if example.usual]
+    is_target, weight = _labels(usual)
+    p = {step: np.zeros(len(usual)) for step in _STEPS}
+    for scene in sorted({example.scene for example in usual}):
+        inside = [example for example in usual if example.scene == scene]
+        others = fit([example for example in examples if example.scene != scene], "others", n_trees)
+        at = np.array([example.scene == scene for example in usual])
+        for step in _STEPS:
+            p[step][at] = _p_mine(others, step, inside)
+    raw = 1.0 / (1.0 + np.exp([-example.detector["detector_odds"] for example in usual]))
+    print(f"{is_target.sum()} looks at targets, {weight[~is_target].sum():.0f} others; each scene judged with the weights of the others\n")
+    print(f"{'':<24}others above the p_mine that this share of targets reaches")
+    print(f"{'step':<24}{''.join(f'{share:>9.0%}' for share in _SHARES)}{'calibration error':>20}")
+    for name, values in (("detector as it is", raw), *p.items()):
+        repeated = np.repeat(np.arange(len(values)), weight.astype(int))
+        error = calibration_error(values[repeated], is_target[repeated])
+        print(f"{name:<24}{_above(values, is_target, weight)}{error:>20.4f}")
+    _report_learning(examples, n_trees)
+
+
+def _report_learning(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> None:
+    """Missions of the last seed as they are, judged with weights from a part of the other seeds of every scene."""
+    seeds, crowds = (sorted({example.seed for example in examples if example.usual is usual}) for usual in (True, False))
+    *seeds, last = seeds
+    judged = [example for example in examples if example.usual and example.seed == last]
+    is_target, weight = _labels(judged)
+    if not seeds or not is_target.any():
+        return
+    print(f"\nseed {last}, {is_target.sum()} looks at targets, judged with the weights of other seeds, all steps\n")
+    print(f"{'looks at targets':<24}others above the p_mine that this share of targets reaches")
+    print(f"{'learned from':<24}{''.join(f'{share:>9.0%}' for share in _SHARES)}")
+    for part in _PARTS:
+        learned = {seed for some in (seeds, crowds) for seed in some[: math.ceil(part * len(some))]}
+        some = [example for example in examples if example.seed in learned]
+        values = _p_mine(fit(some, "a part", n_trees), "shape", judged)
+        print(f"{sum(example.is_target for example in some):<24}{_above(values, is_target, weight)}")
+
+
+def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
+    """Which are targets, and what each stands for, (n,)."""
+    return np.array([example.is_target for example in examples]), np.array([example.weight for example in examples])
+
+
+def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
+    """(n,) p_mine of each example by itself."""
+    log_odds = log_odds_of(getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples])
+    return np.asarray(np.exp(-np.logaddexp(0.0, -log_odds)))
+
+
+def _above(p_mine: Array, is_target: NDArray[np.bool_], weight: Array) -> str:
+    """How many others lie above what each of _SHARES of the targets reaches."""
+    least = np.quantile(p_mine[is_target], 1.0 - np.array(_SHARES))
+    return "".join(f"{weight[~is_target & (p_mine >= at)].sum():>9.0f}" for at in least)
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except AuvMcmError as error:
+        print(clean_lines(f"calibrate: {error}"), file=sys.stderr)
+        raise SystemExit(error.exit_code) from None

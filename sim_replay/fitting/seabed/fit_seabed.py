@@ -1,0 +1,71 @@
+"""Fit the model of sea floors to textures of cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.seabed.seabed_model import INPUTS, Layer, SeabedModel, as_stored, bounded, fitted_gaussian, standardised
+from sim_replay.fitting.seabed.network import Units, fitted_network
+from sim_replay.fitting.seabed.samples import KINDS, Samples
+from sim_replay.fitting.seabed.seabed_missions import FIRST_LIKE_SCENE
+
+FIT_SEEDS: Final = (*range(3000, 3050), *range(FIRST_LIKE_SCENE, FIRST_LIKE_SCENE + 80))
+"""Missions drawn freely, and missions like the named scenes; see `missions`."""
+
+_HIDDEN: Final = (96, 48)
+_EPOCHS: Final = 14
+_WEIGHT_DECAY: Final = 0.3
+_SEED: Final = 1
+_SHRINKAGE: Final = 0.05
+_RIDGE: Final = 1e-3
+_KEPT: Final = 0.99  # of the textures learnt are not novel; recorded floors, which lie farther out, are so in 10 to 15 % of cells
+_MIN_SHARE: Final = 0.01  # of all cells that each kind must be
+
+
+def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
+    """Fit the model to samples, in which all kinds weigh the same. Raises BadInputError if there are too few, or none of a kind."""
+    of_kind = samples.shares.mean(axis=0, dtype=np.float64)
+    if missing := [kind for kind, share in zip(KINDS, of_kind.tolist(), strict=True) if not share >= _MIN_SHARE]:
+        raise BadInputError(f"{fitted_on}: too little of {', '.join(missing)}. Fly more missions, with --seeds")
+    features, cot_grazing = samples.features.astype(np.float64), samples.cot_grazing.astype(np.float64)
+    raw = standardised(features, cot_grazing, np.zeros(len(INPUTS)), np.ones(len(INPUTS)))
+    centre, scale = as_stored(raw.mean(axis=0)), as_stored(np.maximum(raw.std(axis=0), 1e-6))
+    x = standardised(features, cot_grazing, np.array(centre), np.array(scale))
+    try:
+        learnt = fitted_gaussian(x, _SHRINKAGE, _RIDGE, _KEPT)
+    except ValueError as error:
+        raise BadInputError(f"{fitted_on}: {error}") from error
+    weight = (samples.shares @ (1.0 / (len(KINDS) * of_kind))).astype(np.float32)
+    network = fitted_network(
+        bounded(x).astype(np.float32),
+        samples.shares,
+        weight,
+        n_hidden=_HIDDEN,
+        epochs=_EPOCHS,
+        weight_decay=_WEIGHT_DECAY,
+        seed=_SEED,
+    )
+    return SeabedModel(
+        fitted_on=fitted_on,
+        inputs=INPUTS,
+        kinds=KINDS,
+        centre=centre,
+        scale=scale,
+        layers=tuple(_stored(units) for units in network),
+        learnt=learnt,
+    )
+
+
+def _stored(units: Units) -> Layer:
+    weights, constants = (part.astype(np.float64) for part in (units.weights.T, units.constants))
+    return Layer(weights=tuple(map(as_stored, weights)), constants=as_stored(constants))
+
+
+def told_of(seeds: Sequence[int], samples: Samples) -> str:
+    """Say what a model was fitted on."""
+    counts = ", ".join(f"{share:.0%} {kind}" for kind, share in zip(KINDS, samples.shares.mean(axis=0).tolist(), strict=True))
+    return f"{len(seeds)} simulated missions of seeds {seeds[0]} to {seeds[-1]}, {len(samples.shares)} cells: {counts}"

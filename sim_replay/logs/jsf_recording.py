@@ -1,0 +1,213 @@
+"""An EdgeTech log (.jsf) as the ports that would have received it.
+
+Layouts are those of EdgeTech's "JSF Data File Description" (0023492). Side-scan messages (type 80) of one subsystem go
+to a port `sonar`, NMEA strings (type 2002) to a port `nmea`, pitch and roll (type 2020), put into NMEA 0183, to a port
+`motion`. Each is stamped with its own time in the log; a ping with the time at which its last echo was back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from struct import Struct
+from typing import Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import NAN, Notice
+from drivers.navigation.nmea0183 import sentence
+from drivers.navigation.sentences import Pashr, body_of
+from drivers.recording.session_layout import Recorded
+from drivers.sonar.jsf import SIDE_SCAN_SUBSYSTEMS, JsfGrammar
+from drivers.sonar.jsf_messages import (
+    DATA_HEADER,
+    PORT,
+    SIDE_SCAN,
+    STARBOARD,
+    Command,
+    JsfMessage,
+    SideScanHeader,
+    to_wire,
+)
+from sim_replay.logs.log_order import TimeOrder
+from sim_replay.logs.message_file import MessageFile
+
+SONAR_PORT: Final = "sonar"
+NMEA_PORT: Final = "nmea"
+MOTION_PORT: Final = "motion"
+NO_NAVIGATION: Final = (
+    "neither its side-scan messages (type 80, validity bit 0, in minutes of arc: metres of an unknown projection do "
+    "not serve) nor NMEA strings (type 2002) give one. Record with the navigation connected to the sonar, or replay the "
+    "session that 'auv-mcm run' recorded, which holds every port."
+)
+
+NMEA_STRING, PITCH_ROLL = 2002, 2020
+_TIME: Final = Struct("<ii")  # seconds since 1970, milliseconds: the first fields of types 2002 and 2020
+_STRING_AT: Final = 12
+_ATTITUDE: Final = Struct("<24xhh6xHI")  # pitch, roll: 180 / 32768 deg, bow up, port up; heading: 0.01 deg; validity
+_PITCH_VALID, _ROLL_VALID, _HEADING_VALID = 1 << 6, 1 << 7, 1 << 9
+
+_PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
+_PROBE_MESSAGES: Final = 400
+_STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers
+_MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
+_DAY_S: Final = 86_400.0
+
+
+class JsfRecording:
+    """One JSF file as what its ports received. Every iteration starts anew.
+
+    Counts reader.not_used.subsystem_N, reader.other_messages, reader.time_invalid (side-scan or navigation without a
+    time, left out), reader.short (too short for their type), and those of `MessageFile` and `TimeOrder`.
+    """
+
+    def __init__(self, path: Path, subsystem: int | None, chunk_bytes: int) -> None:
+        """subsystem: the one to use; None for the only one that the file holds.
+
+        Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there or has
+        to be chosen.
+        """
+        self._file = MessageFile(path, JsfGrammar(), chunk_bytes)
+        self._own: Counter[str] = Counter()
+        self.notices: list[Notice] = []
+        self.subsystem = self._chosen(subsystem)
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        return {self._file.path: self._file.size_bytes}
+
+    @property
+    def bytes_read(self) -> int:
+        return self._file.bytes_read
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._own + self._file.counters
+
+    def __iter__(self) -> Iterator[Recorded]:
+        self._own = Counter()
+        self.notices = []
+        order = TimeOrder(self._own)
+        for framed in self._file:
+            recorded = self._recorded(framed.message, framed.offset)
+            if recorded is not None:
+                yield from order.add(recorded)
+        yield from order.finish()
+        if (damage := self._file.damage()) is not None:
+            self.notices.append(damage)
+        if n_back := self._own["reader.time_backwards"]:
+            self._notify("reader.time_backwards", f"time went backwards {n_back} times; check the recorder's clock", self._file.path.name)
+
+    def _chosen(self, wanted: int | None) -> int:
+        path = self._file.path
+        found = self._subsystems()
+        names = " and ".join(map(str, found))
+        if not found:
+            raise BadInputError(
+                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22), but {self._inventory()}. "
+                "Give a log recorded with side scan switched on."
+            )
+        if wanted is not None and wanted not in found:
+            raise UsageError(f"sonar.subsystem is {wanted}, but {path} holds side scan of subsystem {names}. Set one that it holds.")
+        if wanted is None and len(found) > 1:
+            raise UsageError(f"{path} holds side scan of subsystems {names}: set sonar.subsystem to the one to use.")
+        return found[0] if wanted is None else wanted
+
+    def _subsystems(self) -> list[int]:
+        """List the side-scan subsystems at the beginning of the file, without those of a few damaged headers."""
+        seen: Counter[int] = Counter()
+        for framed in self._file:
+            if _is_side_scan(framed.message):
+                seen[framed.message.subsystem] += 1
+                if seen.total() >= _PROBE_MESSAGES or framed.offset > _PROBE_BYTES:
+                    break
+        needed = _STRAY_FRACTION * max(seen.values(), default=0)
+        return sorted(subsystem for subsystem, n_messages in seen.items() if n_messages >= needed)
+
+    def _inventory(self) -> str:
+        kinds: Counter[str] = Counter()
+        for framed in self._file:
+            message = framed.message
+            name = f"type {message.message_type}" + (f" of subsystem {message.subsystem}" if message.message_type == SIDE_SCAN else "")
+            kinds[name] += 1
+        return ", ".join(f"{n} of {name}" for name, n in kinds.most_common(8)) or "no whole message"
+
+    def _recorded(self, message: JsfMessage, offset: int) -> Recorded | None:
+        """What a message is to a port; None for one that is not used, which is counted."""
+        if message.command in (Command.REPLY, Command.ERROR):
+            self._own["reader.other_messages"] += 1
+            return None
+        if message.message_type == SIDE_SCAN:
+            if _is_side_scan(message) and message.subsystem == self.subsystem:
+                return self._of_ping(message, offset)
+            self._own[f"reader.not_used.subsystem_{message.subsystem}"] += 1
+            return None
+        if message.message_type == NMEA_STRING:
+            return self._of_string(message.body, offset)
+        if message.message_type == PITCH_ROLL:
+            return self._of_motion(message.body, offset)
+        self._own["reader.other_messages"] += 1
+        return None
+
+    def _of_ping(self, message: JsfMessage, offset: int) -> Recorded | None:
+        header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
+        time_ns = self._time_ns(header.time_s, header.milliseconds_today, offset)
+        if time_ns is None:
+            return None
+        echo_s = (header.start_depth_samples + header.n_samples - 0.5) * header.sample_interval_s
+        if not 0.0 < echo_s < _MAX_ECHO_S:
+            echo_s = 0.0
+        return _received(SONAR_PORT, to_wire(message), time_ns + round(1e9 * echo_s))
+
+    def _of_string(self, body: bytes, offset: int) -> Recorded | None:
+        if len(body) <= _STRING_AT:
+            self._own["reader.short"] += 1
+            return None
+        seconds, milliseconds = _TIME.unpack_from(body)
+        time_ns = self._time_ns(seconds, milliseconds, offset)
+        return None if time_ns is None else _received(NMEA_PORT, body[_STRING_AT:].rstrip(b"\0\r\n ") + b"\r\n", time_ns)
+
+    def _of_motion(self, body: bytes, offset: int) -> Recorded | None:
+        if len(body) < _ATTITUDE.size:
+            self._own["reader.short"] += 1
+            return None
+        seconds, milliseconds = _TIME.unpack_from(body)
+        time_ns = self._time_ns(seconds, milliseconds, offset)
+        if time_ns is None:
+            return None
+        pitch, roll, heading, validity = _ATTITUDE.unpack_from(body)
+        record = Pashr(
+            time_of_day_s=1e-9 * time_ns % _DAY_S,
+            heading_rad=math.radians(0.01 * heading) if validity & _HEADING_VALID else NAN,
+            roll_rad=math.pi * roll / 32768.0 if validity & _ROLL_VALID else NAN,
+            pitch_rad=math.pi * pitch / 32768.0 if validity & _PITCH_VALID else NAN,
+        )
+        return _received(MOTION_PORT, sentence(body_of(record)), time_ns)
+
+    def _time_ns(self, seconds: int, milliseconds: int, offset: int) -> int | None:
+        """Since 1970; None, counted, for a clock that was never set."""
+        if seconds > 0:
+            return seconds * 1_000_000_000 + milliseconds % 1000 * 1_000_000
+        self._own["reader.time_invalid"] += 1
+        if self._own["reader.time_invalid"] == 1:
+            text = "a message has no time; such messages are left out and counted: set the sonar's clock"
+            self._notify("reader.time_invalid", text, f"{self._file.path.name}, byte {offset}")
+        return None
+
+    def _notify(self, code: str, text: str, place: str) -> None:
+        self.notices.append(Notice(code=code, text=text, place=place))
+
+
+def _is_side_scan(message: JsfMessage) -> bool:
+    return (
+        message.message_type == SIDE_SCAN
+        and message.subsystem in SIDE_SCAN_SUBSYSTEMS
+        and message.channel in (PORT, STARBOARD)
+        and message.command not in (Command.REPLY, Command.ERROR)
+    )
+
+
+def _received(port: str, data: bytes, time_ns: int) -> Recorded:
+    return Recorded(port, "in", Stamp(time_ns, time_ns), data)

@@ -1,0 +1,64 @@
+"""The messages of a file, read in chunks: memory does not depend on its length."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import Notice
+from auv_mcm.safe_files import open_regular
+from drivers.framing import Framed, Framer, Grammar
+
+M = TypeVar("M")
+
+
+class MessageFile(Generic[M]):
+    """The messages of one file. Iterate for them with their offsets; every iteration starts anew.
+
+    `counters`: those of the framer behind `reader.`, e.g. reader.jsf.bytes_skipped.
+    """
+
+    def __init__(self, path: Path, grammar: Grammar[M], chunk_bytes: int) -> None:
+        """Raises BadInputError for a file that cannot be read."""
+        self.path = path
+        self.bytes_read = 0
+        self._grammar = grammar
+        self._chunk_bytes = chunk_bytes
+        self._framer = Framer(grammar)
+        try:
+            self.size_bytes = os.stat(path).st_size
+        except OSError as error:
+            raise _unreadable(path, error) from error
+
+    @property
+    def counters(self) -> Counter[str]:
+        return Counter({f"reader.{name}": n for name, n in self._framer.counters.items()})
+
+    def damage(self) -> Notice | None:
+        """Tell how much of what was read so far belongs to no message, None if nothing."""
+        n_bytes = self._framer.counters[f"{self._grammar.name}.bytes_skipped"]
+        if not n_bytes:
+            return None
+        text = f"{n_bytes} bytes of {self.path} belong to no whole message and are left out. If it is much, fetch the file again."
+        return Notice(code="reader.damaged_bytes", text=text, place=self.path.name)
+
+    def __iter__(self) -> Iterator[Framed[M]]:
+        """Raises BadInputError where the file can no longer be read."""
+        self.bytes_read = 0
+        self._framer = framer = Framer(self._grammar)
+        try:
+            with open_regular(self.path, 0) as file:
+                while chunk := file.read(self._chunk_bytes):
+                    self.bytes_read += len(chunk)
+                    yield from framer.feed(chunk)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+        yield from framer.finish()
+
+
+def _unreadable(path: Path, error: OSError) -> BadInputError:
+    return BadInputError(f"{path} cannot be read: {error.strerror}. Check the path and its permissions.")

@@ -1,0 +1,225 @@
+"""One door to recorded logs: what a file is goes by its content, never by its name."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, Literal, Protocol, TypeAlias
+
+from msgspec import structs
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import SourceEvent
+from auv_mcm.safe_files import open_regular
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
+
+CHUNK_BYTES: Final = 1 << 18
+
+LogFormat: TypeAlias = Literal["xtf", "jsf", "svlog", "session"]
+FORMAT_NAMES: Final[dict[LogFormat, str]] = {
+    "xtf": "XTF",
+    "jsf": "EdgeTech JSF",
+    "svlog": "Ping Protocol (svlog)",
+    "session": "recorded session",
+}
+
+_XTF_FIRST: Final = b"\x7b"
+_MCAP_FIRST: Final = b"\x89MCAP0\r\n"
+_JSF_FIRST: Final = b"\x01\x16"
+_SVLOG_FIRST: Final = b"BR"
+_LOOK_BYTES: Final = 1 << 20  # in a damaged log the first whole message is looked for this far
+_NO_LINK: Final = "tcp://127.0.0.1:1"  # ports need one; those of a log are never opened
+# The sonar's own messages serve first; where they lack something, its motion sensor does, then sentences of others.
+_HEADER_PRIORITY, _MOTION_PRIORITY, _NMEA_PRIORITY = 1, 2, 3
+_UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from other ports
+
+
+class Log(Protocol):
+    """One recorded log. Iterate for its events in the order of time; every iteration starts anew, with new counters."""
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each file in use, in order of time."""
+        ...
+
+    @property
+    def bytes_read(self) -> int: ...
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What reading skipped or mended so far."""
+        ...
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970. Raises BadInputError for a log that nothing can be made of."""
+        ...
+
+    def __iter__(self) -> Iterator[SourceEvent]: ...
+
+
+def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
+    """Open an XTF, JSF or svlog file, or a recorded session: its folder, or one .mcap file of it.
+
+    Ports are decoded as `config` says, a session's as they were recorded where it says nothing. `chunk_bytes` sizes the
+    read buffer and nothing else. Raises BadInputError for what is none of these or holds no side scan, UsageError where
+    the subsystem must be chosen.
+    """
+    match log_format(path):
+        case "xtf":
+            from sim_replay.logs.xtf import XtfLog
+
+            return XtfLog(path, config.sonar, chunk_bytes=chunk_bytes)
+        case "jsf":
+            return _open_jsf(path, config, chunk_bytes)
+        case "svlog":
+            return _open_svlog(path, config, chunk_bytes)
+        case "session":
+            return _open_session(path, config)
+
+
+def log_format(path: Path) -> LogFormat:
+    """Tell by its content what a log is. Raises BadInputError for what is none, or cannot be read."""
+    from drivers.recording.session_layout import FILE_PATTERN
+
+    if path.is_dir():
+        if any(path.glob(FILE_PATTERN)):
+            return "session"
+        raise BadInputError(f"{path} is a directory without a recorded session ({FILE_PATTERN}). Name a log inside it.")
+    if not path.exists():
+        raise BadInputError(f"{path} does not exist. Check the path.")
+    try:
+        with open_regular(path) as file:
+            head = file.read(_LOOK_BYTES)
+    except OSError as error:
+        raise BadInputError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from error
+    if not head:
+        raise BadInputError(f"{path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
+    found = _format_of(head)
+    if found is None:
+        raise BadInputError(
+            f"{path} is no log that can be read: it begins with 0x{head[:4].hex()}, and no message of a known format is "
+            f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
+            "(0x4252) and sessions that 'auv-mcm run' recorded (.mcap or their folder). Export the log as one of these."
+        )
+    return found
+
+
+def describe_log(path: Path, config: Config) -> str:
+    """Say in a line what a log is and when its first ping was. Raises BadInputError or UsageError as a replay would."""
+    log = open_log(path, config)
+    first_s = log.first_time_s()
+    if not math.isfinite(first_s):
+        raise BadInputError(f"{path} holds no ping. Check that a sonar was connected.")
+    when = datetime.fromtimestamp(first_s, UTC).isoformat(" ", "seconds")
+    return f"{FORMAT_NAMES[log_format(path)]}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
+
+
+def session_config(paths: list[Path]) -> Config | None:
+    """Read the configuration that the session among `paths` was recorded with, None if there is no session.
+
+    Raises BadInputError.
+    """
+    from sim_replay.logs.session_reader import Session, recorded_config
+
+    return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
+
+
+def is_session(path: Path) -> bool:
+    """Tell whether `path` is a recorded session's folder or file; False for what cannot be read at all."""
+    try:
+        return log_format(path) == "session"
+    except BadInputError:
+        return False
+
+
+def _format_of(head: bytes) -> LogFormat | None:
+    if head.startswith(_XTF_FIRST):
+        return "xtf"
+    if head.startswith(_MCAP_FIRST):
+        return "session"
+    from drivers.framing import Framer
+    from drivers.sonar.jsf import JsfGrammar
+    from drivers.sonar.ping_protocol import PingGrammar
+
+    n_jsf, n_svlog = len(Framer(JsfGrammar()).feed(head)), len(Framer(PingGrammar()).feed(head))
+    if n_jsf or n_svlog:
+        return "jsf" if n_jsf > n_svlog else "svlog"
+    if head.startswith(_JSF_FIRST):
+        return "jsf"
+    return "svlog" if head.startswith(_SVLOG_FIRST) else None
+
+
+def _open_jsf(path: Path, config: Config, chunk_bytes: int) -> Log:
+    from drivers.port_intake import PortIntake
+    from sim_replay.logs.jsf_recording import MOTION_PORT, NMEA_PORT, NO_NAVIGATION, SONAR_PORT, JsfRecording
+    from sim_replay.logs.log_order import PAUSE_S
+    from sim_replay.logs.port_log import SonarLog
+
+    recording = JsfRecording(path, config.sonar.subsystem, chunk_bytes)
+    given = _only(config, "jsf")
+    header = NavUnitSettings(priority=_HEADER_PRIORITY if given is None else _UNWANTED_PRIORITY)
+    if given is not None and given.navigation is not None:
+        header = given.navigation
+    ports = (
+        _sonar_port(SONAR_PORT, "jsf", given, header),
+        _nmea_port(NMEA_PORT, _nmea_settings(config)),
+        _nmea_port(MOTION_PORT, NavUnitSettings(priority=_MOTION_PRIORITY, delivers=("heading", "attitude"))),
+    )
+    used = structs.replace(config, ports=ports, sonar=structs.replace(config.sonar, subsystem=recording.subsystem))
+    return SonarLog(recording, lambda: PortIntake(used), path, NO_NAVIGATION, PAUSE_S)
+
+
+def _open_svlog(path: Path, config: Config, chunk_bytes: int) -> Log:
+    from drivers.port_intake import PortIntake
+    from sim_replay.logs.log_order import PAUSE_S
+    from sim_replay.logs.port_log import SonarLog
+    from sim_replay.logs.svlog_recording import MAVLINK_PORT, NMEA_PORT, NO_NAVIGATION, SONAR_PORT, SvlogRecording
+
+    unit = structs.replace(_nmea_settings(config), use_unit_time=True)  # arrival is known to a ping interval only
+    ports = (
+        _sonar_port(SONAR_PORT, "ping_protocol", _only(config, "ping_protocol"), None),
+        _nmea_port(NMEA_PORT, unit),
+        _nmea_port(MAVLINK_PORT, NavUnitSettings(priority=_MOTION_PRIORITY, use_unit_time=True)),
+    )
+    used = structs.replace(config, ports=ports)
+    return SonarLog(SvlogRecording(path, chunk_bytes), lambda: PortIntake(used), path, NO_NAVIGATION, PAUSE_S)
+
+
+def _open_session(path: Path, config: Config) -> Log:
+    from drivers.port_intake import PortIntake
+    from sim_replay.logs.port_log import PortLog
+    from sim_replay.logs.session_reader import Session, recorded_config
+
+    session = Session(path)
+    used = config if config.ports else structs.replace(config, ports=recorded_config(session).ports)
+    return PortLog(session, lambda: PortIntake(used))
+
+
+def _only(config: Config, device: str) -> PortConfig | None:
+    """The configured port with this device; None if there is none, or several."""
+    found = [port for port in config.ports if port.device == device]
+    return found[0] if len(found) == 1 else None
+
+
+def _sonar_port(name: str, device: SonarName, given: PortConfig | None, navigation: NavUnitSettings | None) -> PortConfig:
+    """The sonar mounted as configured; a log holds both sides, so one-sided heads are taken as the sonar says."""
+    swapped = given is not None and given.sonar is not None and given.sonar.sides == "swapped"
+    sides = SonarPortConfig(sides="swapped" if swapped else "as_told")
+    return PortConfig(name=name, link=_NO_LINK, device=device, sonar=sides, navigation=navigation)
+
+
+def _nmea_settings(config: Config) -> NavUnitSettings:
+    """Those of the one NMEA 0183 unit that is configured: its sentences are the ones in the log."""
+    given = _only(config, "nmea0183")
+    settings = None if given is None else given.navigation
+    if settings is None:
+        return NavUnitSettings(priority=_NMEA_PRIORITY if given is None else 1)
+    return structs.replace(settings, baud=None, gives_utc=False, pulse_link=None)
+
+
+def _nmea_port(name: str, settings: NavUnitSettings) -> PortConfig:
+    return PortConfig(name=name, link=_NO_LINK, device="nmea0183", navigation=settings)

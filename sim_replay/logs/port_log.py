@@ -1,0 +1,149 @@
+"""What came in at the ports of a mission, through the same decoders and merging as live, with the recorded stamps.
+
+A session holds every port as it was read. A sonar's own log (JSF, svlog) is read as the ports that would have received
+it: see `jsf_recording` and `svlog_recording`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+from auv_mcm.clock import Stamp
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from drivers.recording.session_layout import Recorded
+
+
+class Intake(Protocol):
+    """Decoders and merging of all ports.
+
+    Its events depend on the configuration and on what is fed alone: it reads no clock.
+    """
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def feed(self, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
+        """Decode bytes of one port, in the order in which they were read. Empty ones only advance the time."""
+        ...
+
+    def finish(self) -> list[SourceEvent]:
+        """Release what waits: no bytes follow."""
+        ...
+
+
+class PortRecording(Protocol):
+    """What ports received.
+
+    Iterate for it in the order of recording; every iteration starts anew, with new counters and notices.
+    """
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each file in use, in the order of recording."""
+        ...
+
+    @property
+    def bytes_read(self) -> int: ...
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    @property
+    def notices(self) -> list[Notice]:
+        """What a person should know, in the order in which it was found."""
+        ...
+
+    def __iter__(self) -> Iterator[Recorded]: ...
+
+
+class PortLog:
+    """A recording of ports as a log to replay. Iterate for its events; every iteration starts anew."""
+
+    def __init__(self, recording: PortRecording, make_intake: Callable[[], Intake], *, pause_s: float = math.inf) -> None:
+        """make_intake: a new intake, from the same configuration as the recorded one.
+
+        pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
+        infinite for stamps of one computer's monotonic clock.
+        """
+        self._recording = recording
+        self._make_intake = make_intake
+        self._pause_ns = pause_s * 1e9
+        self._intake = make_intake()
+        self._finished: Counter[str] = Counter()  # of intakes before the one in use
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each file in use, in the order of recording."""
+        return self._recording.sizes_bytes
+
+    @property
+    def bytes_read(self) -> int:
+        return self._recording.bytes_read
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What reading and decoding skipped or mended so far."""
+        return self._recording.counters + self._finished + self._intake.counters
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970; infinite without one."""
+        return next((event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
+
+    def __iter__(self) -> Iterator[SourceEvent]:
+        self._intake, self._finished = self._make_intake(), Counter()
+        n_notices, last_ns = 0, None
+        for recorded in self._recording:
+            yield from self._recording.notices[n_notices:]
+            n_notices = len(self._recording.notices)
+            if recorded.direction != "in":
+                continue
+            if last_ns is not None and math.isfinite(self._pause_ns) and not 0 <= recorded.stamp.mono_ns - last_ns <= self._pause_ns:
+                yield from self._intake.finish()
+                self._finished += self._intake.counters
+                self._intake = self._make_intake()
+            last_ns = recorded.stamp.mono_ns
+            yield from self._intake.feed(recorded.port, recorded.data, recorded.stamp)
+        yield from self._recording.notices[n_notices:]
+        yield from self._intake.finish()
+
+
+class SonarLog(PortLog):
+    """A sonar's own log.
+
+    Without pings, or without a position for any, it is refused before anything is done with it.
+    """
+
+    def __init__(
+        self, recording: PortRecording, make_intake: Callable[[], Intake], place: Path, no_navigation: str, pause_s: float
+    ) -> None:
+        """no_navigation: for the message, where a log of this format would hold positions, and what to do."""
+        super().__init__(recording, make_intake, pause_s=pause_s)
+        self._place = place
+        self._no_navigation = no_navigation
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970.
+
+        Raises BadInputError for a log without usable pings or without positions.
+        """
+        first_s: float | None = None
+        has_position = False
+        for event in self:
+            if isinstance(event, Ping) and first_s is None and math.isfinite(event.time_s):
+                first_s = event.time_s
+            elif isinstance(event, NavSample) and math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+                has_position = True
+            if first_s is not None and has_position:
+                return first_s
+        if first_s is None:
+            seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "nothing"
+            raise BadInputError(
+                f"{self._place} holds no usable side-scan ping ({seen}). Check that the recording was not stopped at once and that the "
+                "file was fetched whole."
+            )
+        raise BadInputError(f"{self._place} holds pings but not one position: {self._no_navigation}")

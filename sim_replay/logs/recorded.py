@@ -1,0 +1,163 @@
+"""Recorded logs as one mission: read at once by the bench, or paced as a source of the service."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import AsyncGenerator, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from auv_mcm.clock import Clock
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.settings.config import Config
+from auv_mcm.source import SourceUri
+from sim_replay.logs.open_log import CHUNK_BYTES, Log, is_session, open_log
+
+MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
+_BATCH: Final = 32  # events read at once off the event loop
+
+
+def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> RecordedMission:
+    """Open logs of pings, or one recorded session of ports, as one mission. Raises UsageError or BadInputError."""
+    sessions = [path for path in paths if is_session(path)]
+    if sessions and len(paths) > 1:
+        raise UsageError(f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart.")
+    return RecordedMission(paths, config, chunk_bytes)
+
+
+class RecordedMission:
+    """The logs of one mission, of any formats, in the order of their first pings, whatever order they are named in."""
+
+    def __init__(self, paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> None:
+        """Open every log and look for its first ping.
+
+        A log without anything usable is left out with a notice if others are usable. Raises UsageError for a log named
+        twice, BadInputError for one that is not there, or if no log is usable.
+        """
+        _refuse_repeated(paths)
+        self._notices: list[Notice] = []
+        self._counters: Counter[str] = Counter()
+        found: list[tuple[float, int, Log]] = []
+        for place, path in enumerate(paths):
+            try:
+                log = open_log(path, config, chunk_bytes)
+                found.append((log.first_time_s(), place, log))
+            except BadInputError as error:
+                if len(paths) == 1:
+                    raise
+                self._counters["replay.log_unusable"] += 1
+                self._notices.append(Notice(code="log_unusable", text=f"log left out: {error}", place=str(path)))
+        if not found:
+            raise BadInputError("none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices))
+        found.sort(key=lambda item: item[:2])
+        self._logs = [log for _, _, log in found]
+        self._done_bytes = 0
+        self._reading: Log | None = None
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of each file in use, in order of time."""
+        return {path: size for log in self._logs for path, size in log.sizes_bytes.items()}
+
+    @property
+    def fraction_done(self) -> float:
+        """How much of the files `events` has read, 0..1."""
+        reading_bytes = 0 if self._reading is None else self._reading.bytes_read
+        return min(1.0, (self._done_bytes + reading_bytes) / sum(self.sizes_bytes.values()))
+
+    def counters(self) -> Counter[str]:
+        """What the readers skipped or mended so far."""
+        return sum((log.counters for log in self._logs), self._counters)
+
+    def events(self) -> Iterator[SourceEvent]:
+        """Read every log once, in order of time."""
+        yield from self._notices
+        self._done_bytes = 0
+        for log in self._logs:
+            self._reading = log
+            yield from log
+            self._done_bytes += sum(log.sizes_bytes.values())
+            self._reading = None
+
+
+class Pace:
+    """When events are due at `speed` times real time; inf: at once."""
+
+    def __init__(self, speed: float, clock: Clock) -> None:
+        self._speed = speed
+        self._clock = clock
+        self._due_s = -math.inf
+        self._last_s = math.nan
+
+    def wait_s(self, event: SourceEvent) -> float:
+        """Seconds until `event` is due. Times that step back or leap do not make up or cost waiting time."""
+        if math.isinf(self._speed) or not isinstance(event, Ping | NavSample) or not math.isfinite(event.time_s):
+            return 0.0
+        now_s = self._clock.monotonic_s()
+        if math.isnan(self._last_s):
+            self._due_s, self._last_s = now_s, event.time_s
+        step_s = min(event.time_s - self._last_s, MAX_WAIT_S)
+        if step_s > 0.0 or step_s < -MAX_WAIT_S:
+            self._last_s = event.time_s
+        self._due_s += max(step_s, 0.0) / self._speed
+        return max(self._due_s - now_s, 0.0)
+
+
+class ReplaySource:
+    """A recorded mission as the service's source; it waits for the service, so that nothing is lost however slow the computer is."""
+
+    lossless = True
+
+    def __init__(self, mission: RecordedMission, pace: Pace) -> None:
+        self._mission = mission
+        self._pace = pace
+
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+        stream = self._mission.events()
+        while batch := await asyncio.to_thread(lambda: list(islice(stream, _BATCH))):
+            for event in batch:
+                if (wait_s := self._pace.wait_s(event)) > 0.0:
+                    await asyncio.sleep(wait_s)
+                yield event
+
+    def counters(self) -> Counter[str]:
+        return self._mission.counters()
+
+
+def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
+    """Open replay:///path/to/mission.xtf?speed=1, of any log that `open_log` takes; speed: times real time, or max.
+
+    Raises UsageError or BadInputError.
+    """
+    unknown = sorted(set(uri.options) - {"speed"})
+    if unknown:
+        raise UsageError(f"service.source '{uri.text}': unknown option '{unknown[0]}'. Known: speed")
+    if not uri.path:
+        raise UsageError(f"service.source '{uri.text}' names no log. Example: replay:///data/mission.xtf?speed=1")
+    speed = parse_speed(uri.options.get("speed", "1"), f"service.source '{uri.text}'")
+    return ReplaySource(open_mission([Path(uri.path)], config), Pace(speed, clock))
+
+
+def parse_speed(text: str, place: str) -> float:
+    """`real` (1), `max` (inf) or a number of times real time. Raises UsageError."""
+    try:
+        speed = {"real": 1.0, "max": math.inf}.get(text) or float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0.0:
+        raise UsageError(f"{place}: speed '{text}' is neither real, max nor a number above 0")
+    return speed
+
+
+def _refuse_repeated(paths: Sequence[Path]) -> None:
+    seen: set[Path] = set()
+    for path in paths:
+        if not path.exists():
+            raise BadInputError(f"{path} does not exist. Check the path.")
+        if path.resolve() in seen:
+            raise UsageError(f"{path} is given twice: its pings would count as two passes. Name each log once.")
+        seen.add(path.resolve())

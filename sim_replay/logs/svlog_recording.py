@@ -1,0 +1,251 @@
+"""A SonarView log (.svlog) as the ports that would have received it.
+
+The log is what the sonar sent, packet after packet, with what SonarView heard of the vehicle between (Cerulean,
+"Cerulean Ping Protocol", General Packet Definitions): JSON_WRAPPER (10, the log's head with its `timestamp`),
+NMEA_WRAPPER (109, a sentence), MAVLINK_WRAPPER (150, a message as JSON). Side-scan profiles (2198) go to a port
+`sonar`, sentences to a port `nmea`, positions and attitudes of MAVLink, put into NMEA 0183, to a port `mavlink`.
+
+No packet says when it was written. Pings have the sonar's counter of milliseconds, which starts at the head's time
+stamp; what stands between two pings is stamped with the later one, no more than one interval too late, which the times
+in the sentences take off again (`NavUnitSettings.use_unit_time`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter, deque
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from struct import Struct
+from typing import Any, Final
+
+from auv_mcm.clock import Stamp
+from auv_mcm.records import NAN, Notice
+from drivers.navigation.nmea0183 import sentence
+from drivers.navigation.sentences import Gga, Pashr, Record, Vtg, body_of
+from drivers.recording.session_layout import Recorded
+from drivers.sonar import ping_messages
+from drivers.sonar.ping_messages import JsonWrapper, PingMessage, decode, to_wire
+from drivers.sonar.ping_protocol import PingGrammar
+from sim_replay.logs.message_file import MessageFile
+
+SONAR_PORT: Final = "sonar"
+NMEA_PORT: Final = "nmea"
+MAVLINK_PORT: Final = "mavlink"
+NO_NAVIGATION: Final = (
+    "there is none in NMEA sentences (packet 109: GGA, RMC or GLL) nor in MAVLink (packet 150: GLOBAL_POSITION_INT). "
+    "Record with the vehicle's navigation connected to SonarView, or replay the session that 'auv-mcm run' recorded, "
+    "which holds every port."
+)
+
+_PROFILE: Final = Struct("<4xIII8xH")  # start_mm, length_mm, timestamp_ms, and behind 8 bytes the sound speed, dm/s
+_CHANNEL_AT: Final = 26
+_COUNTER_MS: Final = 2**32
+_MAX_WAITING: Final = 256  # navigation packets before the next ping
+_RESTART_MS: Final = 1000  # a counter that goes back by more was started anew; heads send within that of each other
+_RESTART_GAP_NS: Final = 100_000_000  # between the last ping before and the first one after, of which nothing is known
+_SAME_TIME_NS: Final = 2_000_000_000  # a further head that says this much else begins another log
+_MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
+_DAY_S: Final = 86_400.0
+_NO_HEADING: Final = 65535  # cdeg, of GLOBAL_POSITION_INT
+
+
+class SvlogRecording:
+    """One svlog file as what its ports received. Every iteration starts anew.
+
+    Counts reader.sonar_restarted, reader.navigation_dropped (more than 256 packets without a ping),
+    reader.mavlink_malformed, reader.other_messages, and those of `MessageFile`.
+    """
+
+    def __init__(self, path: Path, chunk_bytes: int) -> None:
+        """Raises BadInputError for a file that cannot be read."""
+        self._file = MessageFile(path, PingGrammar(), chunk_bytes)
+        self._begin()
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        return {self._file.path: self._file.size_bytes}
+
+    @property
+    def bytes_read(self) -> int:
+        return self._file.bytes_read
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._own + self._file.counters
+
+    def _begin(self) -> None:
+        self._own: Counter[str] = Counter()
+        self.notices: list[Notice] = []
+        self._clock = _SonarTime()
+        self._waiting: deque[bytes | dict[str, Any]] = deque(maxlen=_MAX_WAITING)
+        self._mavlink = _Mavlink()
+
+    def __iter__(self) -> Iterator[Recorded]:
+        self._begin()
+        stamp: Stamp | None = None
+        for framed in self._file:
+            message: PingMessage = framed.message
+            match message.message_id:
+                case ping_messages.OS_MONO_PROFILE:
+                    stamp = self._stamp(message, framed.offset)
+                    yield from self._navigation(stamp)
+                    yield Recorded(SONAR_PORT, "in", stamp, to_wire(message))
+                case ping_messages.NMEA_WRAPPER:
+                    self._wait(message.payload.rstrip(b"\0\r\n ") + b"\r\n")
+                case ping_messages.MAVLINK_WRAPPER:
+                    self._wait_mavlink(message.payload)
+                case ping_messages.JSON_WRAPPER:
+                    self._read_head(message)
+                case _:
+                    self._own["reader.other_messages"] += 1
+        if stamp is not None:
+            yield from self._navigation(stamp)
+        if (damage := self._file.damage()) is not None:
+            self.notices.append(damage)
+
+    def _stamp(self, message: PingMessage, offset: int) -> Stamp:
+        """Tell when the last echo of a profile was back."""
+        start_mm, length_mm, counter_ms, sound_speed_dmps = _PROFILE.unpack_from(message.payload)
+        echo_s = 2e-3 * (start_mm + length_mm) / (0.1 * sound_speed_dmps) if sound_speed_dmps else 0.0
+        if not 0.0 < echo_s < _MAX_ECHO_S:
+            echo_s = 0.0
+        place = f"{self._file.path.name}, byte {offset}"
+        if not self._clock.is_known and not self._clock.is_used:
+            text = "the log's head says no time: times count from 1970-01-01, and contacts carry them"
+            self.notices.append(Notice(code="reader.time_unknown", text=text, place=place))
+        time_ns = self._clock.time_ns(message.payload[_CHANNEL_AT], counter_ms, round(1e9 * echo_s))
+        if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
+            self._own["reader.sonar_restarted"] = self._clock.n_restarts
+            text = "the sonar's counter started anew: later times are too early by as long as it was off, which is not in the log"
+            self.notices.append(Notice(code="reader.sonar_restarted", text=text, place=place))
+        return Stamp(time_ns, time_ns)
+
+    def _wait(self, packet: bytes | dict[str, Any]) -> None:
+        self._own["reader.navigation_dropped"] += len(self._waiting) == _MAX_WAITING
+        self._waiting.append(packet)
+
+    def _wait_mavlink(self, payload: bytes) -> None:
+        try:
+            packet = json.loads(payload.rstrip(b"\0"))
+            body = packet["message"]
+            if not isinstance(body, dict):
+                raise TypeError
+        except (ValueError, RecursionError, KeyError, TypeError):
+            self._own["reader.mavlink_malformed"] += 1
+            return
+        if body.get("type") in _MAVLINK_TYPES:
+            self._wait(body)
+        else:
+            self._own["reader.other_messages"] += 1
+
+    def _navigation(self, stamp: Stamp) -> Iterator[Recorded]:
+        """Release what waits for the next ping, stamped with it."""
+        for packet in self._waiting:
+            if isinstance(packet, bytes):
+                yield Recorded(NMEA_PORT, "in", stamp, packet)
+                continue
+            try:
+                records = self._mavlink.records(packet, stamp)
+                data = b"".join(sentence(body_of(record)) for record in records)
+            except (KeyError, TypeError, ValueError, OverflowError):
+                self._own["reader.mavlink_malformed"] += 1
+                continue
+            yield Recorded(MAVLINK_PORT, "in", stamp, data)
+        self._waiting.clear()
+
+    def _read_head(self, message: PingMessage) -> None:
+        head = decode(message)
+        text = head.content.get("timestamp") if isinstance(head, JsonWrapper) and isinstance(head.content, dict) else None
+        try:
+            when = datetime.fromisoformat(text) if isinstance(text, str) else None
+        except ValueError:
+            when = None
+        if when is None:
+            self._own["reader.other_messages"] += 1
+            return
+        if when.tzinfo is None:
+            when = when.replace(tzinfo=UTC)
+        self._clock.start(round(when.timestamp() * 1e3) * 1_000_000)
+
+
+class _SonarTime:
+    """UTC of profiles, from a log's start and the counters of the sonar's heads, each powered up at its own time."""
+
+    def __init__(self) -> None:
+        self.is_known = False
+        self.is_used = False
+        self.n_restarts = 0
+        self._next_ns: int | None = 0
+        self._last_ns = 0
+        self._counters: dict[int, tuple[int, int]] = {}  # by channel: the last counter, ms, and UTC where it was 0
+
+    def start(self, utc_ns: int) -> None:
+        """Take the time stamp of a log's head; a further one of about the time reached changes nothing."""
+        if self.is_used and abs(utc_ns - self._last_ns) <= _SAME_TIME_NS:
+            return
+        self.is_known = True
+        self._next_ns = utc_ns
+        self._counters.clear()
+
+    def time_ns(self, channel: int, counter_ms: int, echo_ns: int) -> int:
+        """Tell when the last echo of a ping was back; it never goes back but where a new log begins."""
+        self.is_used = True
+        known = self._counters.get(channel)
+        if known is not None and (counter_ms - known[0]) % _COUNTER_MS < _COUNTER_MS // 2:
+            zero_ns = known[1] + (_COUNTER_MS * 1_000_000 if counter_ms < known[0] else 0)
+        elif known is not None and known[0] - counter_ms <= _RESTART_MS:
+            zero_ns = known[1]  # an older packet
+        elif self._next_ns is not None:
+            zero_ns = self._next_ns - counter_ms * 1_000_000
+        else:
+            zero_ns = self._zero_of_another(channel, counter_ms, restarted=known is not None)
+        if self._next_ns is not None:
+            self._last_ns, self._next_ns = 0, None
+        self._counters[channel] = counter_ms, zero_ns
+        self._last_ns = max(zero_ns + counter_ms * 1_000_000 + echo_ns, self._last_ns)
+        return self._last_ns
+
+    def _zero_of_another(self, channel: int, counter_ms: int, *, restarted: bool) -> int:
+        for other, (last_ms, zero_ns) in self._counters.items():
+            if other != channel and abs(counter_ms - last_ms) <= _RESTART_MS:
+                return zero_ns
+        self.n_restarts += restarted
+        return self._last_ns + _RESTART_GAP_NS * restarted - counter_ms * 1_000_000
+
+
+class _Mavlink:
+    """MAVLink as JSON, put into NMEA 0183.
+
+    The vehicle's time since boot becomes a time of day by one offset for the whole log.
+    """
+
+    def __init__(self) -> None:
+        self._boot_s: float | None = None
+        self._has_attitude = False
+
+    def records(self, body: dict[str, Any], stamp: Stamp) -> list[Record]:
+        """Raises KeyError, TypeError or ValueError for fields that are not there or no numbers."""
+        since_boot_s = 1e-3 * float(body["time_boot_ms"])
+        if self._boot_s is None:
+            self._boot_s = stamp.utc_ns * 1e-9 - since_boot_s
+        time_of_day_s = (self._boot_s + since_boot_s) % _DAY_S
+        if body["type"] == "ATTITUDE":
+            self._has_attitude = True
+            roll_rad, pitch_rad, yaw_rad = (float(body[name]) for name in ("roll", "pitch", "yaw"))
+            return [Pashr(time_of_day_s, yaw_rad % math.tau, roll_rad, pitch_rad)]
+        north_mps, east_mps = 0.01 * float(body["vx"]), 0.01 * float(body["vy"])
+        course_rad = math.atan2(east_mps, north_mps) % math.tau
+        records: list[Record] = [
+            Gga(time_of_day_s, 1e-7 * float(body["lat"]), 1e-7 * float(body["lon"]), 1.0),
+            Vtg(course_rad, math.hypot(north_mps, east_mps), "A"),
+        ]
+        heading_cdeg = float(body.get("hdg", _NO_HEADING))
+        if not self._has_attitude and 0.0 <= heading_cdeg < 36_000.0:
+            records.append(Pashr(time_of_day_s, math.radians(0.01 * heading_cdeg), NAN, NAN))
+        return records
+
+
+_MAVLINK_TYPES: Final = ("GLOBAL_POSITION_INT", "ATTITUDE")

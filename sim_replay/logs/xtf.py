@@ -1,0 +1,619 @@
+"""XTF side-scan logs as a stream of navigation samples, pings and notices.
+
+Layouts are pyxtf's; its reading loop is not used, because it loads a pickled index it finds beside the log, stops at the first
+damaged packet and never ends on a packet of length zero. Conventions of the format (Triton Imaging, "eXtended Triton Format", rev. 42):
+header times are UTC with 10 ms resolution; pitch is positive bow up, roll positive starboard down, headings are degrees true; speed is
+in knots; a stored slant range is the far end of the last sample.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter, deque
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+import numpy as np
+import pyxtf
+from numpy.typing import NDArray
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
+from auv_mcm.safe_files import open_regular
+from auv_mcm.settings.config import SonarConfig
+from sim_replay.logs.ping_clock import spread_ties
+from sim_replay.logs.port_order import DECISIVE, PortOrderEvidence, port_order_evidence
+from sim_replay.logs.xtf_header import (
+    GROUND_RANGE,
+    LATITUDE_LONGITUDE,
+    SIDE_SCAN,
+    Channel,
+    channels,
+    first_pair,
+    header_channel,
+    kind_name,
+    name_channels,
+)
+from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, Damage, FileHeader, Packet, header_bytes, read_packets
+
+KNOT_MPS: Final = 1852.0 / 3600.0
+PROBE_PINGS: Final = 50
+
+_SONAR: Final = 0  # packet type: side scan and sub-bottom
+_PING_HEADER: Final = 256
+_CHANNEL_HEADER: Final = 64
+_DAMAGES_TOLD: Final = 10
+# What the reader mends, leaves out and counts, or was set to do: nobody has to act.
+_MENDED: Final = frozenset(
+    f"reader.{name}"
+    for name in (
+        *("ping_empty", "side_empty", "time_tied", "clock_stuck", "joined_log", "other_channel", "sound_speed_overridden"),
+        *("sample_type_change", "sample_count_change", "weight_change", "sample_not_finite", "time_delay"),
+    )
+)
+
+
+class _Trace(NamedTuple):
+    samples: NDArray[Any]  # as stored
+    range_m: float
+    delay_s: float
+    weight: int
+
+
+class _RawPing(NamedTuple):
+    offset: int
+    header: Any
+    time_s: float
+    interval_s: float
+    port: _Trace | None
+    starboard: _Trace | None
+
+
+class _Habits(NamedTuple):
+    """What the first pings say about the recorder."""
+
+    port_far_to_near: bool
+    ship_position: bool
+    ship_gyro: bool
+    ship_speed: bool
+
+
+class XtfLog:
+    """One XTF file. Iterate for NavSample, Ping and Notice; `counters` fill meanwhile.
+
+    Pings come in file order, each after its NavSample and after what there is to say about it. Memory does not depend on the length of
+    the log. Every iteration starts anew.
+
+    Navigation: a header that repeats all navigation of the one before brings no NavSample; a position is given only where it differs from
+    the one before, so that interpolation runs between distinct fixes and a frozen navigation ages until it counts as stale. Zero means
+    unknown for a position and for a header without any navigation; an altitude of zero is delivered as it is, and refused by intake.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], sonar: SonarConfig, *, chunk_bytes: int = 1 << 18) -> None:
+        """Open and check the file header. `chunk_bytes` sizes the read buffer and nothing else.
+
+        Raises BadInputError for whatever is no XTF file with side-scan channels in slant range and geographic coordinates.
+        """
+        self._path = Path(path)
+        self._sonar = sonar
+        self._chunk_bytes = max(chunk_bytes, 2)  # 1 would ask for line buffering
+        self.counters: Counter[str] = Counter()
+        self.bytes_read = 0
+        self._notices: deque[Notice] = deque()
+        self._said: set[str] = set()
+        self._reference_weight: dict[str, int] = {}
+        self._n_samples: dict[str, tuple[int, str]] = {}
+        self._last_navigation: tuple[float, ...] = ()
+        with self._open() as file:
+            self.size_bytes = os.fstat(file.fileno()).st_size
+            self._first_packet, header = self._read_file_header(file)
+            try:
+                self._use_header(header, 0)
+            except _NoSideScanError as error:
+                raise BadInputError(f"{error} It holds {self._inventory(file)}. Give a log recorded with side scan switched on.") from error
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Size of the file."""
+        return {self._path: self.size_bytes}
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970. Raises BadInputError if there is none."""
+        return next((event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
+
+    def __iter__(self) -> Iterator[SourceEvent]:
+        """Raises BadInputError if there is no usable ping at all."""
+        self.counters.clear()
+        self.bytes_read = 0
+        self._notices.clear()
+        self._said.clear()
+        self._reference_weight.clear()
+        self._n_samples.clear()
+        self._last_navigation = ()
+        with self._open() as file:
+            _, header = self._read_file_header(file)
+            self._use_header(header, 0)
+            self._tell_other_channels(header)
+            raw_pings = self._raw_pings(file)
+            probe = list(islice(raw_pings, PROBE_PINGS))
+            if not probe:
+                raise BadInputError(self._no_ping_text())
+            habits = self._habits(probe)
+            for number, (time_s, raw) in enumerate(spread_ties(chain(probe, raw_pings), self.counters)):
+                yield from self._notices
+                self._notices.clear()
+                navigation = self._navigation(raw, time_s, habits)
+                if navigation is not None:
+                    yield navigation
+                ping = self._ping(raw, time_s, number, habits)
+                yield from self._notices
+                self._notices.clear()
+                yield ping
+            self.bytes_read = self.size_bytes
+            self._tell_totals()
+            yield from self._notices
+            self._notices.clear()
+
+    # --- file and file header ---
+
+    def _open(self) -> BinaryIO:
+        if self._path.is_dir():
+            raise BadInputError(f"{self._path} is a directory. Name the XTF file inside it.")
+        try:
+            return open_regular(self._path, self._chunk_bytes)
+        except FileNotFoundError as error:
+            raise BadInputError(f"{self._path} does not exist. Check the path.") from error
+        except OSError as error:
+            raise BadInputError(f"{self._path} cannot be read: {error.strerror}. Check its permissions.") from error
+
+    def _read_file_header(self, file: BinaryIO) -> tuple[int, bytes]:
+        size = os.fstat(file.fileno()).st_size
+        if size == 0:
+            raise BadInputError(f"{self._path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
+        first = file.read(1)
+        if first[0] != FILE_FORMAT:
+            raise BadInputError(
+                f"{self._path} is no XTF file: byte 0 is 0x{first[0]:02x}, an XTF file starts with 0x{FILE_FORMAT:02x}. "
+                "Give the XTF export of this log."
+            )
+        if size < HEADER_BLOCK:
+            raise BadInputError(f"{self._path} ends inside its file header ({size} of {HEADER_BLOCK} bytes). Fetch the file again.")
+        length = header_bytes(file, 0, size) or HEADER_BLOCK
+        file.seek(0)
+        return length, file.read(length)
+
+    def _use_header(self, data: bytes, offset: int) -> None:
+        """Learn channels and units from a file header. Raises BadInputError."""
+        place = f"{self._path}" if offset == 0 else f"{self._path} (file header at byte {offset})"
+        header = pyxtf.XTFFileHeader.from_buffer_copy(data)
+        self._file_header = header
+        self._channels = channels(header, data)
+        side_scan = [c for c in self._channels if c.kind in SIDE_SCAN]
+        if not side_scan:
+            raise _NoSideScanError(f"{place} has no side-scan channel ({name_channels(self._channels)}).")
+        port, starboard = first_pair(side_scan)
+        self._port_number = port.number if port is not None else -1
+        self._starboard_number = starboard.number if starboard is not None else -1
+        for channel in (port, starboard):
+            if channel is None:
+                continue
+            if channel.dtype is None:
+                raise BadInputError(
+                    f"{place}: channel {channel.number} ({channel.name}) has a sample format that cannot be read "
+                    "(known: 1, 2 and 4 byte integers, IEEE float). Export the log again with integer samples."
+                )
+            if header_channel(header, data, channel.number).CorrectionFlags == GROUND_RANGE:
+                raise BadInputError(
+                    f"{place}: channel {channel.number} ({channel.name}) is already corrected to ground range; slant range is needed. "
+                    "Export the log without slant-range correction."
+                )
+        if header.NavUnits != LATITUDE_LONGITUDE:
+            raise BadInputError(
+                f"{place}: positions are projected coordinates in metres (NavUnits {header.NavUnits}) and the projection is not given. "
+                "Export the log with latitude and longitude (NavUnits 3)."
+            )
+
+    def _inventory(self, file: BinaryIO) -> str:
+        kinds: Counter[str] = Counter()
+        for item in read_packets(file, self._first_packet, self.size_bytes, (), lambda _: None):
+            if isinstance(item, Packet):
+                kinds[kind_name(item.kind)] += 1
+        return ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) + " packets" if kinds else "no packets"
+
+    def _no_ping_text(self) -> str:
+        seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "no packets"
+        return (
+            f"{self._path} has side-scan channels but no usable side-scan ping ({seen}). Check that the recording was not stopped at once."
+        )
+
+    # --- packets to raw pings ---
+
+    def _raw_pings(self, file: BinaryIO) -> Iterator[_RawPing]:
+        for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR,), self._content_bytes):
+            self.bytes_read = item.offset
+            if isinstance(item, Damage):
+                self._tell_damage(item)
+            elif isinstance(item, FileHeader):
+                self._tell_joined(item)
+            elif item.kind != _SONAR:
+                self.counters[f"reader.packet_not_side_scan.{kind_name(item.kind)}"] += 1
+            else:
+                ping = self._raw_ping(item)
+                if ping is not None:
+                    yield ping
+
+    def _content_bytes(self, data: bytes) -> int | None:
+        end = _PING_HEADER
+        for _, start, n_bytes, _ in self._extents(data):
+            if n_bytes is None:
+                return None
+            end = start + n_bytes
+        return end if end <= len(data) else None
+
+    def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, Any]]:
+        """Per channel of a ping packet: its description, offset and length of its samples (None: beyond the packet), its header."""
+        if len(data) < _PING_HEADER:
+            yield None, 0, None, None
+            return
+        n_channels = int.from_bytes(data[4:6], "little")
+        offset = _PING_HEADER
+        for index in range(n_channels):
+            if offset + _CHANNEL_HEADER > len(data):
+                yield None, offset, None, None
+                return
+            header = pyxtf.XTFPingChanHeader.from_buffer_copy(data, offset)
+            offset += _CHANNEL_HEADER
+            number = header.ChannelNumber
+            if number >= len(self._channels):
+                number = index
+            if number >= len(self._channels):
+                yield None, offset, None, None
+                return
+            channel = self._channels[number]
+            width = channel.dtype.itemsize if channel.dtype is not None else 1
+            n_samples = header.NumSamples
+            if n_samples == 0 and offset + channel.legacy_samples * width <= len(data):
+                n_samples = channel.legacy_samples  # before rev. X26 the file header said it for all pings
+            n_bytes = n_samples * width
+            if offset + n_bytes > len(data):
+                yield channel, offset, None, header
+                return
+            yield channel, offset, n_bytes, header
+            offset += n_bytes
+
+    def _raw_ping(self, packet: Packet) -> _RawPing | None:
+        data = packet.data
+        place = self._place(packet.offset)
+        traces: dict[int, _Trace] = {}
+        empty = False
+        interval = NAN
+        for channel, start, n_bytes, header in self._extents(data):
+            if n_bytes is None or channel is None:
+                self._tell_damage(Damage(packet.offset, len(data), "a ping's channels do not fit into its packet", at_end=False))
+                return None
+            if channel.number not in (self._port_number, self._starboard_number) or channel.dtype is None:
+                self.counters["reader.other_channel"] += 1
+                continue
+            n_samples = n_bytes // channel.dtype.itemsize
+            range_m = float(header.SlantRange)
+            if n_samples == 0 or not 0.0 < range_m < 1e4:
+                empty = True
+                continue
+            samples = np.frombuffer(data, channel.dtype, n_samples, start)
+            interval = float(header.SecondsPerPing)
+            traces[channel.number] = _Trace(samples, range_m, float(header.TimeDelay), int(header.Weight))
+        if not traces:
+            code = "reader.ping_empty" if empty else "reader.ping_without_side_scan"
+            self.counters[code] += 1
+            if empty:
+                self._tell_once(code, "a ping has no samples or no slant range; such pings are skipped and counted", place)
+            return None
+        if empty:
+            self.counters["reader.side_empty"] += 1
+            self._tell_once(
+                "reader.side_empty", "one side of a ping has no samples or no slant range; that side is left out and counted", place
+            )
+        header = pyxtf.XTFPingHeader.from_buffer_copy(data)
+        time_s = _utc_seconds(header)
+        if time_s is None:
+            self.counters["reader.time_invalid"] += 1
+            self._tell_once(
+                "reader.time_invalid",
+                f"a ping's date or time is impossible ({header.Year}-{header.Month}-{header.Day} "
+                f"{header.Hour}:{header.Minute}:{header.Second}); such pings are skipped and counted: set the recorder's clock",
+                place,
+            )
+            return None
+        return _RawPing(packet.offset, header, time_s, interval, traces.get(self._port_number), traces.get(self._starboard_number))
+
+    # --- what the first pings say ---
+
+    def _habits(self, probe: list[_RawPing]) -> _Habits:
+        headers = [raw.header for raw in probe]
+
+        def all_unknown(field: str) -> bool:
+            return all(_number(getattr(h, field)) == 0.0 for h in headers)
+
+        def any_known(field: str) -> bool:
+            return any(_number(getattr(h, field)) != 0.0 for h in headers)
+
+        ship_position = all_unknown("SensorYcoordinate") and all_unknown("SensorXcoordinate") and any_known("ShipYcoordinate")
+        if ship_position:
+            self._tell_once(
+                "reader.ship_position",
+                "the log has no sensor positions; the vessel's are used, without layback. For a towed sonar log sensor positions",
+                self._place(probe[0].offset),
+            )
+        return _Habits(
+            port_far_to_near=self._port_order(probe) == "far_to_near",
+            ship_position=ship_position,
+            ship_gyro=all_unknown("SensorHeading") and any_known("ShipGyro"),
+            ship_speed=all_unknown("SensorSpeed") and any_known("ShipSpeed"),
+        )
+
+    def _port_order(self, probe: list[_RawPing]) -> str:
+        wanted = self._sonar.port_order
+        evidence = _probe_port_order(probe, self._sonar.blank_m)
+        place = self._place(probe[0].offset)
+        if evidence is None:
+            return "far_to_near"  # no port channel: nothing to turn
+        seen = None
+        if abs(evidence.total) >= DECISIVE:
+            seen = "far_to_near" if evidence.total > 0.0 else "near_to_far"
+        cues = (
+            f"water column {evidence.water_column:+.2f}, ring-down {evidence.ring_down:+.2f}, "
+            f"likeness to starboard {evidence.starboard:+.2f}; positive speaks for far_to_near"
+        )
+        if wanted == "auto":
+            order = seen or "far_to_near"
+            text = (
+                f"port samples are taken as stored {order} ({cues})"
+                if seen
+                else f"the order of port samples cannot be seen in the first pings ({cues}); {order} is assumed. "
+                "If port looks mirrored, set sonar.port_order"
+            )
+            self._say("reader.port_order", text, place, for_the_record=seen is not None)
+            return order
+        if seen is not None and seen != wanted and abs(evidence.total) >= 2 * DECISIVE:
+            self._say(
+                "reader.port_order_disagrees",
+                f"sonar.port_order is {wanted}, but the first pings look {seen} ({cues}). The setting is obeyed; check the port waterfall",
+                place,
+            )
+        return wanted
+
+    # --- raw pings to records ---
+
+    def _navigation(self, raw: _RawPing, time_s: float, habits: _Habits) -> NavSample | None:
+        h = raw.header
+        place = self._place(raw.offset)
+        latitude = _number(h.ShipYcoordinate if habits.ship_position else h.SensorYcoordinate)
+        longitude = _number(h.ShipXcoordinate if habits.ship_position else h.SensorXcoordinate)
+        heading = _number(h.ShipGyro if habits.ship_gyro else h.SensorHeading)
+        speed = _number(h.ShipSpeed if habits.ship_speed else h.SensorSpeed)
+        pitch, roll, depth = _number(h.SensorPitch), _number(h.SensorRoll), _number(h.SensorDepth)
+        altitude = _number(h.SensorPrimaryAltitude)
+        if latitude == longitude == heading == altitude == 0.0:
+            self.counters["reader.zero_navigation"] += 1
+            self._tell_once("reader.zero_navigation", "a ping has no navigation (all zero); it is taken as unknown", place)
+            return None
+        values = (latitude, longitude, heading, pitch, roll, depth, altitude, speed)
+        if any(map(math.isnan, values)):
+            self.counters["reader.nan_navigation"] += 1
+            self._tell_once("reader.nan_navigation", "navigation holds NaN or infinity; those quantities are taken as unknown", place)
+        if latitude == longitude == 0.0:
+            self.counters["reader.zero_position"] += 1
+            self._tell_once(
+                "reader.zero_position", "a ping has heading or altitude but no position (0, 0); the position is taken as unknown", place
+            )
+            latitude = longitude = NAN
+        elif abs(latitude) > 90.0 or abs(longitude) > 360.0:
+            self.counters["reader.impossible_position"] += 1
+            self._tell_once("reader.impossible_position", f"impossible position {latitude}, {longitude}; taken as unknown", place)
+            latitude = longitude = NAN
+        elif not -180.0 <= longitude < 180.0:
+            longitude = (longitude + 180.0) % 360.0 - 180.0
+        last = self._last_navigation
+        self._last_navigation = (latitude, longitude, *values[2:])
+        if last and all(a == b or (a != a and b != b) for a, b in zip(last, self._last_navigation, strict=True)):
+            self.counters["reader.repeated_navigation"] += 1
+            return None
+        if last and latitude == last[0] and longitude == last[1]:
+            latitude = longitude = NAN
+        if math.isnan(latitude) or math.isnan(longitude):
+            latitude = longitude = NAN  # half a position is none
+        return NavSample(
+            time_s=time_s,
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            heading_rad=math.radians(heading),
+            pitch_rad=math.radians(pitch),
+            roll_rad=math.radians(roll),
+            depth_m=depth,
+            altitude_m=altitude,
+            speed_mps=speed * KNOT_MPS,
+        )
+
+    def _ping(self, raw: _RawPing, time_s: float, number: int, habits: _Habits) -> Ping:
+        place = self._place(raw.offset)
+        logged = self._sound_speed(_number(raw.header.SoundVelocity), place)
+        speed = self._sonar.sound_speed_mps or logged
+        if speed != logged:
+            self._tell_once(
+                "reader.sound_speed_overridden",
+                f"sonar.sound_speed_mps {speed:g} replaces the log's {logged:g} m/s; slant ranges are scaled by {speed / logged:.4f}",
+                place,
+            )
+        altitude = _number(raw.header.SensorPrimaryAltitude)
+        self.counters["reader.pings"] += 1
+        return Ping(
+            number=number,
+            time_s=time_s,
+            port=self._echo("port", raw.port, speed, logged, habits.port_far_to_near, place),
+            starboard=self._echo("starboard", raw.starboard, speed, logged, False, place),
+            sound_speed_mps=speed,
+            altitude_m=altitude if altitude > 0.0 else NAN,
+            place=f"{place}, ping {number}",
+        )
+
+    def _echo(self, side: str, trace: _Trace | None, speed: float, logged: float, turned: bool, place: str) -> EchoTrace | None:
+        if trace is None:
+            return None
+        samples = trace.samples
+        form = (samples.shape[0], samples.dtype.str)
+        known = self._n_samples.setdefault(side, form)
+        if form != known:
+            self._n_samples[side] = form
+            what = "sample_type" if form[1] != known[1] else "sample_count"
+            self.counters[f"reader.{what}_change"] += 1
+            self._tell_once(
+                f"reader.{what}_change",
+                f"{side} changes from {known[0]} samples of {known[1]} to {form[0]} of {form[1]}; later changes are counted",
+                place,
+            )
+        reference = self._reference_weight.setdefault(side, trace.weight)
+        if trace.weight != reference:
+            # A sample's value is stored * 2^-weight; only a change against the first ping matters, absolute gain does not.
+            samples = np.ldexp(samples.astype(np.float32), max(-60, min(60, reference - trace.weight)))
+            self.counters["reader.weight_change"] += 1
+            self._tell_once("reader.weight_change", f"{side} changes its weight factor; samples are scaled to the first ping's", place)
+        if samples.dtype.kind == "f" and not np.all(np.isfinite(samples)):
+            self.counters["reader.sample_not_finite"] += 1
+            self._tell_once("reader.sample_not_finite", f"{side} holds samples that are NaN or infinite; they are delivered as such", place)
+        spacing = trace.range_m * speed / logged / samples.shape[0]
+        delay = trace.delay_s if 0.0 < trace.delay_s < 10.0 else 0.0
+        if delay:
+            self._tell_once(
+                "reader.time_delay",
+                f"{side} was recorded from {delay:g} s after the transmission on; its ranges start {delay * speed / 2:.2f} m out",
+                place,
+            )
+        return EchoTrace(
+            samples=np.ascontiguousarray(samples[::-1]) if turned else samples,
+            first_range_m=delay * speed / 2.0 + 0.5 * spacing,
+            spacing_m=spacing,
+        )
+
+    def _sound_speed(self, stored: float, place: str) -> float:
+        speed = stored if 1400.0 <= stored <= 1600.0 else 2.0 * stored
+        if 1400.0 <= speed <= 1600.0:
+            return speed
+        self.counters["reader.sound_speed_absurd"] += 1
+        text = f"sound velocity {stored:g} m/s is absurd; 1500 is used. Set sonar.sound_speed_mps if you know it"
+        self._tell_once("reader.sound_speed_absurd", text, place)
+        return 1500.0
+
+    # --- telling ---
+
+    def _place(self, offset: int) -> str:
+        return f"{self._path.name}, byte {offset}"
+
+    def _say(self, code: str, text: str, place: str, *, for_the_record: bool = False) -> None:
+        remark = for_the_record or code in _MENDED
+        self._notices.append(Notice(code=code, text=text, place=place, for_the_record=remark))
+
+    def _tell_once(self, code: str, text: str, place: str) -> None:
+        if code not in self._said:
+            self._said.add(code)
+            self._say(code, text, place)
+
+    def _tell_damage(self, damage: Damage) -> None:
+        self.counters["reader.damaged_packet"] += 1
+        self.counters["reader.damaged_bytes"] += damage.n_bytes
+        told = self.counters["reader.damaged_packet"]
+        if told > _DAMAGES_TOLD:
+            return
+        outcome = "everything before it is used" if damage.at_end else "reading goes on after it"
+        more = "; further damage is only counted" if told == _DAMAGES_TOLD else ""
+        self._say(
+            "reader.damaged_packet", f"{damage.what}; {damage.n_bytes} bytes are left out, {outcome}{more}", self._place(damage.offset)
+        )
+
+    def _tell_joined(self, item: FileHeader) -> None:
+        self.counters["reader.joined_log"] += 1
+        place = self._place(item.offset)
+        try:
+            self._use_header(item.data, item.offset)
+            self._tell_once("reader.joined_log", "another file header starts here: logs were joined; its channels hold from here on", place)
+        except BadInputError as error:
+            self._channels, self._port_number, self._starboard_number = [], -1, -1
+            self._tell_once("reader.joined_log_unusable", f"{error} Its pings are skipped", place)
+
+    def _tell_other_channels(self, data: bytes) -> None:
+        others = [c for c in self._channels if c.kind in SIDE_SCAN and c.number not in (self._port_number, self._starboard_number)]
+        if others:
+            self._say(
+                "reader.other_channel",
+                f"channels {self._port_number} and {self._starboard_number} are used; "
+                f"further side-scan channels are left out and counted: {name_channels(others)}",
+                self._place(0),
+            )
+        header = self._file_header
+        offsets = [
+            f"channel {c.number} offset {info.OffsetX:g}, {info.OffsetY:g}, {info.OffsetZ:g} m"
+            for c in self._channels
+            if c.number in (self._port_number, self._starboard_number)
+            for info in (header_channel(header, data, c.number),)
+            if info.OffsetX or info.OffsetY or info.OffsetZ
+        ]
+        if header.NavigationLatency:
+            offsets.append(f"navigation latency {header.NavigationLatency} ms")
+        if offsets:
+            self._say(
+                "reader.mounting_not_applied",
+                f"the log states {'; '.join(offsets)}. It is not known whether positions include it: "
+                "nothing is applied, set sonar.lever_arm_m if needed",
+                self._place(0),
+            )
+
+    def _tell_totals(self) -> None:
+        place = self._path.name
+        tied, stuck, backwards = (self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards"))
+        if tied:
+            text = f"{tied} pings shared a time stamp with the one before; they are spread evenly"
+            self._say("reader.time_tied", text, place)
+        if stuck:
+            text = f"the clock stood still for {stuck} pings; they are timed by their interval"
+            self._say("reader.clock_stuck", text, place)
+        if backwards:
+            self._say("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
+
+
+class _NoSideScanError(BadInputError):
+    """No side-scan channel: the caller completes the message with what the file holds instead."""
+
+
+def _number(value: float) -> float:
+    """Finite or NaN."""
+    return value if math.isfinite(value) else NAN
+
+
+def _utc_seconds(header: Any) -> float | None:
+    if header.HSeconds > 99 or header.Year < 1980:
+        return None
+    try:
+        whole = datetime(header.Year, header.Month, header.Day, header.Hour, header.Minute, min(header.Second, 59), tzinfo=UTC)
+    except ValueError:
+        return None
+    if header.Second > 60:
+        return None
+    leap = 1 if header.Second == 60 else 0
+    hundredths: int = header.HSeconds
+    return whole.timestamp() + leap + hundredths / 100.0
+
+
+def _probe_port_order(probe: list[_RawPing], blank_m: float) -> PortOrderEvidence | None:
+    """Evidence from the probed pings of the commonest port form; None without a port channel."""
+    forms = Counter((raw.port.samples.shape[0], raw.port.range_m) for raw in probe if raw.port is not None)
+    if not forms:
+        return None
+    n_samples, range_m = forms.most_common(1)[0][0]
+    chosen = [raw for raw in probe if raw.port is not None and (raw.port.samples.shape[0], raw.port.range_m) == (n_samples, range_m)]
+    port = np.stack([raw.port.samples for raw in chosen if raw.port is not None])
+    others = [raw.starboard.samples for raw in chosen if raw.starboard is not None and raw.starboard.samples.shape[0] == n_samples]
+    starboard = np.stack(others) if others else None
+    return port_order_evidence(np.nan_to_num(port), None if starboard is None else np.nan_to_num(starboard), range_m / n_samples, blank_m)

@@ -1,0 +1,82 @@
+"""What an XTF file header says about the recording: channels, sample formats, units."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyxtf
+
+from sim_replay.logs.xtf_packets import HEADER_BLOCK
+
+PORT: Final = 1
+STARBOARD: Final = 2
+SIDE_SCAN: Final = (PORT, STARBOARD)
+GROUND_RANGE: Final = 2  # correction flag of a channel
+LATITUDE_LONGITUDE: Final = 3  # navigation unit
+
+_CHANNEL_BYTES: Final = 128
+_IBM_FLOAT: Final = 1
+_DTYPE_OF_FORMAT: Final = {2: "<u4", 3: "<u2", 5: "<f4", 8: "u1"}
+_DTYPE_OF_WIDTH: Final = {1: "u1", 2: "<u2", 4: "<u4"}
+
+
+class Channel(NamedTuple):
+    """One channel as the file header describes it. legacy_samples: samples per ping where pings do not say it themselves."""
+
+    number: int
+    kind: int
+    dtype: np.dtype[Any] | None  # None: a sample format nothing is known about
+    legacy_samples: int
+    frequency: float
+    name: str
+
+
+def header_channel(header: Any, data: bytes, number: int) -> Any:
+    """Channel description `number` of a file header (pyxtf.XTFChanInfo); those beyond six follow in further blocks."""
+    if number < len(header.ChanInfo):
+        return header.ChanInfo[number]
+    return pyxtf.XTFChanInfo.from_buffer_copy(data, HEADER_BLOCK + _CHANNEL_BYTES * (number - len(header.ChanInfo)))
+
+
+def channels(header: Any, data: bytes) -> list[Channel]:
+    """All channels of a pyxtf.XTFFileHeader; `data` holds all its bytes."""
+    capacity = len(header.ChanInfo) + (len(data) - HEADER_BLOCK) // _CHANNEL_BYTES
+    found = []
+    for number in range(min(header.channel_count(), capacity)):
+        info = header_channel(header, data, number)
+        form = _DTYPE_OF_FORMAT.get(info.SampleFormat) or (
+            _DTYPE_OF_WIDTH.get(info.BytesPerSample) if info.SampleFormat != _IBM_FLOAT else None
+        )
+        found.append(
+            Channel(
+                number,
+                info.TypeOfChannel,
+                np.dtype(form) if form is not None else None,
+                info.Reserved,
+                info.Frequency,
+                info.ChannelName.decode("ascii", "replace").strip(),
+            )
+        )
+    return found
+
+
+def first_pair(side_scan: list[Channel]) -> tuple[Channel | None, Channel | None]:
+    """The first port channel and the starboard channel of its frequency (else the first)."""
+    port = next((c for c in side_scan if c.kind == PORT), None)
+    starboards = [c for c in side_scan if c.kind == STARBOARD]
+    twin = next((c for c in starboards if port is not None and c.frequency == port.frequency), None)
+    return port, twin or next(iter(starboards), None)
+
+
+def name_channels(some: list[Channel]) -> str:
+    names = {0: "sub-bottom", PORT: "port", STARBOARD: "starboard", 3: "bathymetry"}
+    return ", ".join(f"{c.number} {names.get(c.kind, 'unknown')} {c.name}".rstrip() for c in some) or "no channels at all"
+
+
+def kind_name(kind: int) -> str:
+    """Name of a packet type."""
+    try:
+        return str(pyxtf.XTFHeaderType(kind).name)
+    except ValueError:
+        return f"type_{kind}"

@@ -1,0 +1,62 @@
+"""Tiles of even sea floor on a straight track."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import LOW_RESOLUTION, VALID, PoseTrack, Side, Tile
+
+ROW_M, COLUMN_M = 0.12, 0.25
+FIRST_RETURN_M = 5.0
+
+
+def track(n_rows: int, *, heading_deg: float = 0.0, latitude_deg: float = 43.7, longitude_deg: float = 10.3) -> PoseTrack:
+    """Straight, one pose at each row's centre; the upper edge of row 0 at the given place. Standing still during each ping."""
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    heading = math.radians(heading_deg)
+    along_m = (np.arange(n_rows) + 0.5) * ROW_M
+    latitude, longitude, _ = frame.to_geodetic(
+        np.stack((along_m * math.sin(heading), along_m * math.cos(heading), np.zeros(n_rows)), axis=-1)
+    )
+    columns: dict[str, Any] = dict.fromkeys(("depth_m", "pitch_rad", "roll_rad", "speed_mps"), np.zeros(n_rows))
+    return PoseTrack(
+        time_s=np.asarray(100.0 + np.arange(n_rows) * 0.07, dtype=np.float64),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        heading_rad=np.full(n_rows, heading),
+        altitude_m=np.full(n_rows, FIRST_RETURN_M),
+        stale=np.zeros(n_rows, dtype=np.bool_),
+        **columns,
+    )
+
+
+def tile_of(mask: NDArray[np.uint8], pose: PoseTrack | None = None, side: Side = "starboard", core: tuple[int, int] | None = None) -> Tile:
+    n_rows = mask.shape[0]
+    return Tile(
+        side=side,
+        index=3,
+        first_row=0,
+        core_start=0 if core is None else core[0],
+        core_stop=n_rows if core is None else core[1],
+        row_spacing_m=ROW_M,
+        column_spacing_m=COLUMN_M,
+        intensity=np.ones(mask.shape, dtype=np.float32),
+        mask=mask,
+        pose=track(n_rows) if pose is None else pose,
+        first_return_m=np.full(n_rows, FIRST_RETURN_M),
+        first_return_sigma_m=np.full(n_rows, 0.1),
+        ping_number=np.arange(n_rows, dtype=np.int64),
+    )
+
+
+def plain(n_rows: int = 200, n_columns: int = 80) -> NDArray[np.uint8]:
+    """Six metres of water column and steep bottom, then clear sea floor."""
+    mask = np.full((n_rows, n_columns), VALID, dtype=np.uint8)
+    mask[:, :8] = VALID | LOW_RESOLUTION
+    mask[:, 72:] = 0
+    return mask

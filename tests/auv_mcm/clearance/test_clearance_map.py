@@ -1,0 +1,242 @@
+"""The map of clearance against adding up looks one cell at a time."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, ClearanceMap, look_bit
+from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side, SurveyedCells
+
+
+class Model(NamedTuple):
+    """A look finds what lies near with what probability its range says."""
+
+    same_look_correlation: float = 0.8
+    other_look_correlation: float = 0.1
+
+    def p_look(
+        self,
+        seabed: NDArray[np.uint8],
+        ground_range_m: NDArray[np.float32],
+        altitude_m: NDArray[np.float32],
+        look_rad: NDArray[np.float32],
+        ripple_rad: NDArray[np.float32],
+    ) -> NDArray[np.float64]:
+        return np.asarray(1.0 - ground_range_m.astype(np.float64) / 50.0)
+
+
+class Told(NamedTuple):
+    """One patch, as a test draws it."""
+
+    start_s: float
+    side: Side
+    look_deg: float
+    places: list[tuple[int, int, float, float]]  # east, north, fraction, ground range
+
+
+def patch(told: Told, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0) -> CoveragePatch:
+    n = len(told.places)
+    east, north, fraction, ground = (np.array([place[i] for place in told.places]) for i in range(4))
+    cells = SurveyedCells(
+        origin_latitude_deg=origin_deg,
+        origin_longitude_deg=5.0,
+        cell_m=4.0,
+        east_index=east.astype(np.int32),
+        north_index=north.astype(np.int32),
+        fraction=fraction.astype(np.float32),
+        ground_range_m=ground.astype(np.float32),
+        altitude_m=np.full(n, 5.0, dtype=np.float32),
+        look_rad=np.full(n, math.radians(told.look_deg), dtype=np.float32),
+        seabed=np.full(n, SEABED_TYPES.index(seabed), dtype=np.uint8),
+        confidence=np.full(n, confidence, dtype=np.float32),
+        ripple_rad=np.full(n, np.nan, dtype=np.float32),
+        wavelength_m=np.full(n, np.nan, dtype=np.float32),
+    )
+    return CoveragePatch(
+        side=told.side,
+        tile_index=0,
+        start_s=told.start_s,
+        stop_s=told.start_s + 30.0,
+        rings_deg=(),
+        covered_m2=0.0,
+        lost_m2={},
+        cells=cells,
+    )
+
+
+def snapshot(*patches: CoveragePatch, model: Model | None = None) -> Clearance:
+    searched = ClearanceMap(model or Model())
+    for each in patches:
+        searched.add(each)
+    told = searched.snapshot()
+    assert told is not None
+    return told
+
+
+def p_at(told: Clearance, east: int, north: int) -> float:
+    return float(told.p_detected[north - told.first_north, east - told.first_east])
+
+
+def one_by_one(patches: list[Told], model: Model) -> dict[tuple[int, int], float]:
+    """Exponent per cell: passes in order, a look per pass and cell, each less what earlier ones told."""
+    looks: dict[tuple[int, int], dict[int, list[tuple[float, float, float]]]] = defaultdict(lambda: defaultdict(list))
+    last: dict[Side, tuple[int, float, float]] = {}
+    n_passes = 0
+    for told in patches:
+        known = last.get(told.side)
+        if known is None or abs(told.start_s - known[2]) > 60.0 or abs((told.look_deg - known[1] + 180.0) % 360.0 - 180.0) > 15.0:
+            known = (n_passes, told.look_deg, 0.0)
+            n_passes += 1
+        last[told.side] = (known[0], known[1], told.start_s + 30.0)
+        for east, north, fraction, ground in told.places:
+            looks[east, north][known[0]].append((fraction, 1.0 - ground / 50.0, told.look_deg))
+    exponents = {}
+    for cell, by_pass in looks.items():
+        before: list[float] = []
+        total = 0.0
+        for parts in by_pass.values():  # in the order in which they saw it first
+            p = min(sum(fraction * min(p, HIGHEST_P) for fraction, p, _ in parts), max(min(p, HIGHEST_P) for _, p, _ in parts))
+            look = parts[0][2]
+            share = 1.0
+            if any(abs((look - other + 180.0) % 360.0 - 180.0) <= 15.0 for other in before):
+                share = 1.0 - model.same_look_correlation
+            elif before:
+                share = 1.0 - model.other_look_correlation
+            total -= share * math.log1p(-p)
+            before.append(look)
+        exponents[cell] = total
+    return exponents
+
+
+def drawn(seed: int) -> list[Told]:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    told = []
+    start_s = 0.0
+    for _ in range(int(rng.integers(1, 9))):
+        start_s += float(rng.choice([30.0, 200.0]))
+        chosen = rng.choice(25, int(rng.integers(1, 20)), replace=False)
+        places = [(int(c) % 5 - 2, int(c) // 5 - 3, float(rng.uniform(0.05, 1.0)), float(rng.uniform(0.0, 49.0))) for c in chosen]
+        told.append(
+            Told(start_s, "port" if rng.uniform() < 0.5 else "starboard", float(rng.choice([0.0, 8.0, 90.0, 181.0, 355.0])), places)
+        )
+    return told
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), same=st.floats(0.0, 1.0), other=st.floats(0.0, 1.0))
+def test_looks_add_up_as_one_by_one(seed: int, same: float, other: float) -> None:
+    told, model = drawn(seed), Model(same, other)
+    clearance = snapshot(*(patch(each) for each in told), model=model)
+    expected = one_by_one(told, model)
+    assert int(clearance.seen.sum()) == len(expected)
+    for (east, north), exponent in expected.items():
+        assert clearance.exponent[north - clearance.first_north, east - clearance.first_east] == pytest.approx(exponent, rel=1e-5, abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_more_looks_never_lower_clearance(seed: int) -> None:
+    told = drawn(seed)
+    searched = ClearanceMap(Model())
+    before: dict[tuple[int, int], float] = {}
+    for each in told:
+        searched.add(patch(each))
+        now = searched.snapshot()
+        assert now is not None
+        for (east, north), p in before.items():
+            assert p_at(now, east, north) >= p - 1e-9
+        rows, columns = np.nonzero(now.seen)
+        before = {
+            (int(c) + now.first_east, int(r) + now.first_north): float(now.p_detected[r, c]) for r, c in zip(rows, columns, strict=True)
+        }
+
+
+def test_one_sure_look_clears_no_further_than_looks_can() -> None:
+    assert p_at(snapshot(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 0.0)]))), 0, 0) == pytest.approx(HIGHEST_P)
+
+
+def test_a_look_from_the_other_side_counts_more_than_the_same_again() -> None:
+    first = Told(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)])
+    again, opposite = (Told(500.0, "port", look, [(0, 0, 1.0, 25.0)]) for look in (12.0, 190.0))
+    once, twice, both = (p_at(snapshot(*map(patch, told)), 0, 0) for told in ([first], [first, again], [first, opposite]))
+    assert once < twice < both
+    assert once == pytest.approx(0.5)
+
+
+def test_a_cell_seen_in_two_tiles_of_a_pass_is_seen_once() -> None:
+    halves = [Told(start, "port", 10.0, [(0, 0, 0.5, 25.0)]) for start in (0.0, 30.0)]
+    told = snapshot(*map(patch, halves))
+    assert p_at(told, 0, 0) == pytest.approx(0.5)
+    assert int(told.looks.max()) == 1
+
+
+def test_the_surest_look_tells_the_sea_floor() -> None:
+    place = [(0, 0, 1.0, 25.0)]
+    told = snapshot(
+        patch(Told(0.0, "port", 0.0, place), seabed="rough", confidence=0.6),
+        patch(Told(500.0, "port", 90.0, place), seabed="ripple", confidence=0.8),
+        patch(Told(900.0, "port", 180.0, place), seabed="flat", confidence=0.7),
+    )
+    assert SEABED_TYPES[int(told.seabed[0, 0])] == "ripple"
+
+
+def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:
+    searched = ClearanceMap(Model())
+    searched.add(CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={}))
+    assert searched.snapshot() is None
+
+
+def test_cells_of_another_mission_are_refused() -> None:
+    searched = ClearanceMap(Model())
+    searched.add(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)])))
+    with pytest.raises(ValueError, match="two missions"):
+        searched.add(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)]), origin_deg=44.0))
+
+
+def test_directions_a_hair_apart_share_a_bit_and_opposite_ones_never_do() -> None:
+    turned = 0.001 + np.linspace(0.0, 2.0 * math.pi, 640, endpoint=False)
+    bits = look_bit(turned)
+    assert (np.bitwise_count(bits) == 1).all()
+    assert len(np.unique(bits)) == 64
+    assert (look_bit(turned + math.pi) != bits).all()
+    assert (look_bit(turned + 2.0 * math.pi) == bits).all()
+
+
+def test_the_map_holds_the_directions_that_each_cell_was_looked_at_in() -> None:
+    told = [Told(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)]), Told(500.0, "port", 100.0, [(0, 0, 1.0, 25.0), (1, 0, 1.0, 25.0)])]
+    towards = snapshot(*map(patch, told)).towards
+    north, east = look_bit(np.radians([10.0, 100.0]))
+    assert towards.tolist() == [[north | east, east]]
+
+
+def test_cells_seen_far_from_the_others_are_not_laid_out_but_counted() -> None:
+    site = [(east, north, 1.0, 10.0) for east in range(40) for north in range(30)]
+    far = [(east + 14_000, north - 9_000, 1.0, 10.0) for east in range(5) for north in range(5)]
+    tracemalloc.start()
+    try:
+        told = snapshot(patch(Told(0.0, "port", 0.0, far)), patch(Told(1000.0, "port", 0.0, site)))
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 20e6
+    assert told.looks.shape == (30, 40)
+    assert (told.looks == 1).all()
+    assert told.n_elsewhere == 25
+    alone = snapshot(patch(Told(1000.0, "port", 0.0, site)))
+    np.testing.assert_array_equal(told.exponent, alone.exponent)
+    assert alone.n_elsewhere == 0
+
+
+def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:
+    told = snapshot(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])), patch(Told(1000.0, "port", 0.0, [(900, 700, 1.0, 10.0)])))
+    assert told.looks.shape == (701, 901)
+    assert told.n_elsewhere == 0

@@ -1,0 +1,205 @@
+"""Tables of performance: read one place at a time against read as arrays, and files that are none."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from auv_mcm.clearance.clearance_map import LookModel
+from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance, aspect_rad, parse_performance, shipped_performance
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import SEABED_TYPES
+
+EDGES_M = (0.0, 10.0, 20.0, 40.0)
+ALTITUDE_M = 6.0
+UNKNOWN = SEABED_TYPES.index("unknown")
+RIPPLE = SEABED_TYPES.index("ripple")
+
+
+def tables(exponent: float = 1.0) -> Performance:
+    by_floor = {
+        "flat": (0.5, 0.9, 0.7),
+        "ripple_across": (0.4, 0.8, 0.6),
+        "ripple_oblique": (0.3, 0.6, 0.3),
+        "ripple_along": (0.1, 0.2, 0.1),
+        "rough": (0.2, 0.3, 0.05),
+        "vegetation": (0.3, 0.1, 0.2),
+    }
+    floors = {
+        name: tuple(Band(n_looks=100, n_found=int(100 * p), p=p, low=0.9 * p, high=min(1.1 * p, 1.0)) for p in by_floor[name])
+        for name in FLOORS
+    }
+    return Performance(
+        fitted_on="a test",
+        altitude_m=ALTITUDE_M,
+        altitude_exponent=exponent,
+        edges_m=EDGES_M,
+        floors=floors,
+        same_look_correlation=0.4,
+        other_look_correlation=0.2,
+    )
+
+
+def one_by_one(told: Performance, kind: str, ground_m: float, altitude_m: float, look_rad: float, ripple_rad: float) -> float:
+    """Read by hand, without arrays."""
+    if not (altitude_m > 0.0 and math.isfinite(ground_m)) or math.degrees(math.atan2(altitude_m, ground_m)) > 70.0:
+        return 0.0
+    range_m: float = ground_m * (told.altitude_m / altitude_m) ** told.altitude_exponent
+    if range_m > told.edges_m[-1]:
+        return 0.0
+
+    def of(floor: Any) -> float:
+        middles = [(near + far) / 2.0 for near, far in zip(told.edges_m[:-1], told.edges_m[1:], strict=True)]
+        p: list[float] = [band.p for band in told.floors[floor]]
+        if range_m <= middles[0]:
+            return p[0]
+        for k in range(1, len(middles)):
+            if range_m <= middles[k]:
+                part = (range_m - middles[k - 1]) / (middles[k] - middles[k - 1])
+                return p[k - 1] + part * (p[k] - p[k - 1])
+        return p[-1]
+
+    if kind == "unknown":
+        return min(of(floor) for floor in FLOORS)
+    if kind != "ripple":
+        return of(kind)
+    if math.isnan(ripple_rad):
+        return min(of("ripple_across"), of("ripple_oblique"), of("ripple_along"))
+    degrees = math.degrees(look_rad - ripple_rad) % 180.0
+    degrees = min(degrees, 180.0 - degrees)
+    if degrees <= 15.0:
+        return of("ripple_across")
+    if degrees >= 75.0:
+        return of("ripple_along")
+    if degrees <= 45.0:
+        return of("ripple_across") + (degrees - 15.0) / 30.0 * (of("ripple_oblique") - of("ripple_across"))
+    return of("ripple_oblique") + (degrees - 45.0) / 30.0 * (of("ripple_along") - of("ripple_oblique"))
+
+
+PLACES = st.tuples(
+    st.sampled_from(SEABED_TYPES),
+    st.floats(0.0, 100.0),
+    st.floats(0.5, 30.0),
+    st.floats(0.0, 2.0 * math.pi),
+    st.one_of(st.just(math.nan), st.floats(0.0, math.pi)),
+)
+
+
+@settings(max_examples=40)
+@given(st.lists(PLACES, min_size=1, max_size=20), st.sampled_from([0.0, 0.5, 1.0]))
+def test_arrays_of_places_read_as_each_alone(places: list[tuple[str, float, float, float, float]], exponent: float) -> None:
+    told = tables(exponent)
+    kind = np.array([SEABED_TYPES.index(place[0]) for place in places], dtype=np.uint8)
+    columns = [np.array([place[i] for place in places]) for i in range(1, 5)]
+    p = told.p_look(kind, *columns)
+    assert p.dtype == np.float64
+    # A grazing angle of 70 degrees, or the last edge, may fall to either side by rounding.
+    ground, altitude = columns[0], columns[1]
+    on_edge = np.isclose(ground * math.tan(math.radians(70.0)), altitude) | np.isclose(
+        ground * (told.altitude_m / altitude) ** exponent, told.edges_m[-1]
+    )
+    expected = np.array([one_by_one(told, *place) for place in places])
+    np.testing.assert_allclose(np.where(on_edge, 0.0, p), np.where(on_edge, 0.0, expected), atol=1e-12)
+
+
+@settings(max_examples=40)
+@given(PLACES)
+def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious(place: tuple[str, float, float, float, float]) -> None:
+    told = tables()
+    _, *where = place
+    p = {name: float(told.p_look(index, *where)) for index, name in enumerate(SEABED_TYPES)}
+    for index, name in enumerate(SEABED_TYPES):
+        low, high = (float(end) for end in told.interval(index, *where))
+        assert 0.0 <= low <= p[name] + 1e-12
+        assert p[name] <= high + 1e-12
+        assert high <= 1.0
+    assert p["unknown"] <= min(p.values())
+
+
+@pytest.mark.parametrize(
+    ("ground_m", "altitude_m"),
+    [(1.0, 6.0), (0.0, 6.0), (41.0, 6.0), (1e9, 6.0), (math.nan, 6.0), (math.inf, 6.0), (15.0, math.nan), (15.0, 0.0), (15.0, -3.0)],
+)
+def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(ground_m: float, altitude_m: float) -> None:
+    for kind in range(len(SEABED_TYPES)):
+        assert tables().p_look(kind, ground_m, altitude_m, 0.0, 0.0) == 0.0
+        assert max(tables().interval(kind, ground_m, altitude_m, 0.0, 0.0)) == 0.0
+
+
+def test_a_lower_flight_reads_the_table_farther_out() -> None:
+    told = tables()
+    assert told.p_look(0, 15.0, 3.0, 0.0, math.nan) == told.p_look(0, 30.0, 6.0, 0.0, math.nan) == pytest.approx(0.7)
+    assert tables(exponent=0.0).p_look(0, 15.0, 3.0, 0.0, math.nan) == pytest.approx(0.9)
+
+
+def test_ripples_are_read_by_the_angle_to_them_whichever_way_round() -> None:
+    told = tables()
+    for turn in (0.0, math.pi):
+        assert told.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn, 0.3) == pytest.approx(0.8)
+        assert told.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn + math.pi / 2.0, 0.3) == pytest.approx(0.2)
+    assert told.p_look(RIPPLE, 15.0, 6.0, 0.3, math.nan) == pytest.approx(0.2)
+    assert aspect_rad(3.1, 0.0) == pytest.approx(math.pi - 3.1)
+    assert np.isnan(aspect_rad(0.0, math.nan))
+
+
+def test_scalars_and_nothing_at_all_are_read() -> None:
+    told: LookModel = tables()
+    none = np.empty(0, dtype=np.float32)
+    assert told.p_look(np.empty(0, dtype=np.uint8), none, none, none, none).shape == (0,)
+    assert told.same_look_correlation == 0.4
+
+
+def test_a_seabed_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match="SEABED_TYPES"):
+        tables().p_look(len(SEABED_TYPES), 10.0, 6.0, 0.0, 0.0)
+
+
+def test_tables_come_back_from_json_as_they_were() -> None:
+    assert parse_performance(msgspec.json.encode(tables()), "here") == tables()
+
+
+def test_the_shipped_tables_know_every_floor_and_are_no_better_than_sure() -> None:
+    told = shipped_performance()
+    for name in FLOORS:
+        assert all(0.0 < band.p < 1.0 for band in told.floors[name])
+    flat, rough = (told.p_look(SEABED_TYPES.index(name), 25.0, told.altitude_m, 0.0, np.nan) for name in ("flat", "rough"))
+    assert 0.0 < rough < flat < 1.0
+
+
+def _broken(**changes: Any) -> bytes:
+    return json.dumps(json.loads(msgspec.json.encode(tables())) | changes).encode()
+
+
+_BAND = {"n_looks": 4, "n_found": 2, "p": 0.5, "low": 0.2, "high": 0.8}
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "truncated"),
+        (b"\xff\xfe", "malformed|utf"),
+        (b"[]", "object"),
+        (_broken(altitude_m=0.0), "altitude_m"),
+        (_broken(altitude_m="6"), "altitude_m"),
+        (_broken(edges_m=[0.0, 10.0, 10.0, 40.0]), "rise"),
+        (_broken(edges_m=[0.0, 10.0]), "rise"),
+        (_broken(edges_m=[0.0, 10.0, 20.0, 40.0, 60.0]), "3 bands where edges_m makes 4"),
+        (_broken(floors={}), "no table of"),
+        (_broken(floors={"sand": [_BAND] * 3}), "sand"),
+        (_broken(floors={name: [_BAND | {"low": 0.6}] * 3 for name in FLOORS}), "outside its interval"),
+        (_broken(floors={name: [_BAND | {"n_found": 5}] * 3 for name in FLOORS}), "5 found in 4 looks"),
+        (_broken(floors={name: [_BAND | {"p": 1.5}] * 3 for name in FLOORS}), "p"),
+        (_broken(same_look_correlation=-0.1), "same_look_correlation"),
+        (_broken(more=1), "more"),
+    ],
+)
+def test_a_file_that_is_no_table_is_named_with_what_to_run(data: bytes, says: str) -> None:
+    with pytest.raises(BadInputError, match=rf"^p\.json: .*({says}).*calibrate performance"):
+        parse_performance(data, "p.json")

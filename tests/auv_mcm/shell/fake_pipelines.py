@@ -1,0 +1,271 @@
+"""Small pipelines for tests of the service around them; module level, so that a spawned process can find them."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Sequence
+from unittest import mock
+
+import msgspec
+import numpy as np
+
+from auv_mcm.contacts.ledger import Contacts
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import (
+    NAN,
+    Contact,
+    CoveragePatch,
+    EchoTrace,
+    NavSample,
+    Notice,
+    Ping,
+    PipelineEvent,
+    PoseTrack,
+    ShapeModel,
+    SourceEvent,
+    Tile,
+)
+from auv_mcm.settings.config import Config
+from tests.auv_mcm.classify import drawn_looks
+
+START_S = 1_700_000_000.0
+
+
+def trace(seed: int, n_samples: int = 32, dtype: str = "uint16") -> EchoTrace:
+    samples = np.random.default_rng(seed).integers(0, 200, n_samples).astype(dtype)
+    return EchoTrace(samples=samples, first_range_m=0.05, spacing_m=0.1)
+
+
+def ping(number: int, port: EchoTrace | None = None, starboard: EchoTrace | None = None) -> Ping:
+    return Ping(
+        number=number,
+        time_s=START_S + number,
+        port=port or trace(2 * number),
+        starboard=starboard or trace(2 * number + 1),
+        altitude_m=5.0,
+        place=f"ping {number}",
+    )
+
+
+def navigation(number: int) -> NavSample:
+    return NavSample(time_s=START_S + number, latitude_deg=43.0 + 1e-5 * number, longitude_deg=5.0, heading_rad=0.0)
+
+
+def contact(number: int, n_views: int = 0) -> Contact:
+    return Contact(
+        id=f"C{number:04d}",
+        time_s=START_S + number,
+        latitude_deg=43.0,
+        longitude_deg=5.0,
+        covariance_m2=np.eye(2),
+        p_mine=0.25,
+        classification="unknown",
+        belief={"unknown": 1.0},
+        length_m=NAN,
+        width_m=NAN,
+        height_m=NAN,
+        aspects_deg=(),
+        reasons=(f"view {n_views}",),
+        views=(),
+    )
+
+
+class Base:
+    """A contact and a coverage patch for every third ping; one more contact at the end."""
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        self.undecided: tuple[Contact, ...] = ()
+        self.counters: Counter[str] = Counter()
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        return self.undecided
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Notice):
+            return [event]
+        if not isinstance(event, Ping):
+            return []
+        self.counters["ping.received"] += 1
+        if event.number % 3:
+            return []
+        return [contact(event.number), patch(event.number)]
+
+    def finish(self) -> list[PipelineEvent]:
+        return [contact(9999)]
+
+
+class Digesting(Base):
+    """Answers each ping with a digest of everything in it, and with a tile, which must not come across."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        return [empty_tile(), Notice(code="digest", text=digest(event))]
+
+
+class Cluttered(Base):
+    """Everything it finds is clutter."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        return _as_clutter(super().feed(event))
+
+    def finish(self) -> list[PipelineEvent]:
+        return _as_clutter(super().finish())
+
+
+def _as_clutter(events: Sequence[PipelineEvent]) -> list[PipelineEvent]:
+    return [msgspec.structs.replace(event, classification="clutter") if isinstance(event, Contact) else event for event in events]
+
+
+class Seeing(Base):
+    """A contact with a view at its first ping."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        outline = np.zeros((3, 2))
+        solid = ShapeModel(classification="sphere", sizes={"radius_m": 0.4}, sigma={}, highlight=outline, shadow=outline)
+        labels = np.zeros((4, 6), np.uint8)
+        close = drawn_looks.confirmation(2.0, labels=labels, highlight=outline, shadow=outline, model=solid)
+        view = drawn_looks.detection(snippet=np.full((4, 6), 100, np.uint8), score=7.5, confirmation=close)
+        return [drawn_looks.contact(id="C00001", views=(view,))]
+
+    def finish(self) -> list[PipelineEvent]:
+        return []
+
+
+class Undecided(Base):
+    """The first contact is a likely mine that another look may decide."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        events = super().feed(event)
+        if isinstance(event, Ping) and event.number == 0:
+            self.undecided = (msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,)),)
+            return [*self.undecided]
+        return events
+
+
+class Failing(Base):
+    """Has a defect at ping 5."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            raise ZeroDivisionError("division by zero")
+        return super().feed(event)
+
+
+class Quoting(Base):
+    """Has a defect that quotes what a device said."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        raise ValueError("no such mode: x\x1b[2J\n2026-01-01T00:00:00.000Z INFO ready")
+
+
+class Refusing(Base):
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        raise BadInputError("no such sonar")
+
+
+class Laying(Base):
+    """Lays its contacts where it is told to, on a disk that is full from the second contact on."""
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        super().__init__(config, kept)
+        self._kept = kept
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        events = super().feed(event)
+        full = mock.patch.object(os, "pwrite", side_effect=OSError(28, "No space left on device"))
+        with full if len(self._kept) else contextlib.nullcontext():
+            for found in events:
+                if isinstance(found, Contact):
+                    self._kept.append(found)
+        return events
+
+
+class Unstartable(Base):
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        raise RuntimeError("no model file")
+
+
+class Dying(Base):
+    """Is killed at ping 5, as by the kernel when memory runs out."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().feed(event)
+
+
+class SeeingThenDying(Seeing):
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().feed(event)
+
+
+class Slow(Base):
+    """Takes longer for a ping than any source in these tests needs to make one."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        time.sleep(0.002)
+        return super().feed(event)
+
+
+class Pondering(Base):
+    """Works on ping 5 for many of the tests' health periods."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            time.sleep(0.5)
+        return super().feed(event)
+
+
+class Stuck(Base):
+    """Never ends its work."""
+
+    def finish(self) -> list[PipelineEvent]:
+        while True:
+            time.sleep(1.0)
+
+
+def patch(number: int) -> CoveragePatch:
+    ring = np.array([[5.0, 43.0], [5.001, 43.0], [5.001, 43.001], [5.0, 43.0]])
+    return CoveragePatch(
+        side="port", tile_index=number, start_s=START_S, stop_s=START_S + 1, rings_deg=(ring,), covered_m2=100.0, lost_m2={"turn": 1.0}
+    )
+
+
+def empty_tile() -> Tile:
+    none = np.empty(0)
+    names = ("time_s", "latitude_deg", "longitude_deg", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m")
+    return Tile(
+        side="port",
+        index=0,
+        first_row=0,
+        core_start=0,
+        core_stop=0,
+        row_spacing_m=0.1,
+        column_spacing_m=0.1,
+        intensity=np.empty((0, 0), np.float32),
+        mask=np.empty((0, 0), np.uint8),
+        pose=PoseTrack(**dict.fromkeys(names, none), stale=np.empty(0, np.bool_)),
+        first_return_m=none,
+        first_return_sigma_m=none,
+        ping_number=np.empty(0, np.int64),
+    )
+
+
+def digest(event: SourceEvent) -> str:
+    """Everything in an event, samples to the bit."""
+    if not isinstance(event, Ping):
+        return repr(event)
+    parts = [repr((event.number, event.time_s, event.sound_speed_mps, event.altitude_m, event.place))]
+    for side in (event.port, event.starboard):
+        if side is None:
+            parts.append("none")
+        else:
+            content = hashlib.sha256(np.ascontiguousarray(side.samples).tobytes()).hexdigest()
+            parts.append(repr((side.samples.dtype.str, side.samples.shape, content, side.first_range_m, side.spacing_m)))
+    return " ".join(parts)

@@ -1,0 +1,171 @@
+"""Perception in its own process: everything arrives unchanged and in order, and no way of failing hangs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from auv_mcm.clean_text import is_clean
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import Contact, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError, Ring
+from tests.auv_mcm.shell import fake_pipelines as fake
+
+
+@given(st.lists(st.integers(0, 400) | st.none(), max_size=60))
+def test_ring_never_hands_out_the_same_byte_twice(steps: list[int | None]) -> None:
+    ring = Ring(1024)
+    held: deque[range] = deque()
+    for step in steps:
+        if step is None:
+            if held:
+                ring.give_back()
+                held.popleft()
+            continue
+        offset = ring.take(step)
+        if offset is None:
+            assert held, "an empty ring has room"
+            continue
+        piece = range(offset, offset + step)
+        assert piece.stop <= 1024
+        assert all(piece.stop <= other.start or other.stop <= piece.start for other in held if len(other) and len(piece))
+        held.append(piece)
+    while held:
+        ring.give_back()
+        held.popleft()
+    assert ring.take(1024) == 0
+
+
+class Answered(NamedTuple):
+    """All events of a worker, in order, the last picture of each contact, and the last answer."""
+
+    events: list[PipelineEvent]
+    snippets: dict[str, bytes]
+    finished: Finished
+
+
+async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes: int = 1 << 16) -> Answered:
+    perception = Perception(Config(), make, ring_bytes)
+
+    async def feed() -> None:
+        for event in events:
+            await perception.feed(event)
+        await perception.finish()
+
+    feeding: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    try:
+        await perception.start()
+        feeding = asyncio.ensure_future(feed())
+        answered: list[PipelineEvent] = []
+        snippets: dict[str, bytes] = {}
+        while not isinstance(answer := await perception.answer(), Finished):
+            assert isinstance(answer, Fed)
+            answered += answer.events
+            snippets |= answer.snippets
+        await feeding
+        assert perception.in_flight == 0
+        return Answered(answered, snippets, answer)
+    finally:
+        feeding.cancel()
+        await asyncio.gather(feeding, return_exceptions=True)
+        perception.close()
+
+
+def test_pings_arrive_to_the_bit_and_in_order_through_a_ring_smaller_than_they_are_together() -> None:
+    backwards = np.arange(64, dtype="uint16")[::-1]
+    pings: list[SourceEvent] = [
+        fake.ping(0),
+        fake.ping(1, port=fake.trace(1, 500, "uint8"), starboard=fake.trace(2, 700, "float32")),
+        fake.navigation(1),
+        msgspec.structs.replace(fake.ping(2), port=None),
+        fake.ping(3, port=EchoTrace(samples=backwards, first_range_m=1.0, spacing_m=0.5)),
+        fake.ping(4, port=fake.trace(1, 0), starboard=fake.trace(2, 33, ">u4")),
+        Notice(code="x", text="y"),
+        *(fake.ping(number, port=fake.trace(number, 7 * number)) for number in range(5, 200)),
+    ]
+    received = asyncio.run(answers(pings, fake.Digesting, ring_bytes=8192)).events
+    assert [event.text for event in received if isinstance(event, Notice)] == [fake.digest(event) for event in pings]
+    assert len(received) == len(pings) + 1, "no tiles, and the contact that finishing gave"
+
+
+def test_contacts_come_without_what_their_pictures_were_made_of() -> None:
+    answered = asyncio.run(answers([fake.ping(0)], fake.Seeing))
+    (contact,) = (event for event in answered.events if isinstance(event, Contact))
+    (view,) = contact.views
+    assert view.confirmation is not None
+    assert view.confirmation.model is not None
+    outlines: list[NDArray[Any]] = [view.confirmation.highlight, view.confirmation.model.shadow]
+    assert [array.size for array in (view.snippet, view.confirmation.labels, *outlines)] == [0, 0, 0, 0]
+    assert (contact.id, view.score, view.confirmation.log_ratio) == ("C00001", 7.5, 2.0)
+    assert answered.snippets["C00001"].startswith(b"\x89PNG")
+
+
+def test_a_disk_that_takes_no_more_contacts_is_told_of_once_and_counted() -> None:
+    answered = asyncio.run(answers([fake.ping(number) for number in range(12)], fake.Laying))
+    assert [event.code for event in answered.events if isinstance(event, Notice)] == ["perception.disk_full"]
+    assert len([event for event in answered.events if isinstance(event, Contact)]) == 5
+    assert answered.finished.counters == {"ping.received": 12, "perception.kept_in_memory": 3}
+
+
+def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
+    async def run() -> None:
+        perception = Perception(Config(), fake.Base, ring_bytes=4096)
+        try:
+            await perception.start()
+            with pytest.raises(ValueError, match="does not fit"):
+                await perception.feed(fake.ping(0, port=fake.trace(0, 10_000)))
+            await perception.feed(fake.ping(3))
+            answer = await perception.answer()
+            assert isinstance(answer, Fed)
+            assert len(answer.events) == 2
+        finally:
+            perception.close()
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (fake.Failing, PerceptionError, r"ping 5.*ZeroDivisionError.*defect"),
+        (fake.Refusing, BadInputError, "no such sonar"),
+        (fake.Unstartable, PerceptionError, "at its start.*no model file"),
+        (fake.Dying, PerceptionError, "killed by SIGKILL"),
+    ],
+)
+def test_a_worker_that_fails_is_an_error_with_its_reason_and_never_a_hang(
+    make: MakePipeline, error: type[Exception], message: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pings: list[Ping] = [fake.ping(number) for number in range(300)]
+    with pytest.raises(error, match=message):
+        asyncio.run(answers(pings, make))
+
+
+def test_words_of_a_device_in_a_traceback_forge_no_line_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(PerceptionError):
+        asyncio.run(answers([fake.ping(0)], fake.Quoting))
+    first, *others = capfd.readouterr().err.strip("\n").split("\n")
+    assert first.startswith("Traceback")
+    assert any("2026-01-01" in line for line in others)
+    assert all(line.startswith("  ") and is_clean(line) for line in others)
+
+
+def test_closing_what_never_started_or_still_works_ends_at_once() -> None:
+    async def run() -> None:
+        Perception(Config()).close()
+        perception = Perception(Config(), fake.Stuck)
+        await perception.start()
+        await perception.finish()
+        perception.close()
+
+    asyncio.run(run())

@@ -1,0 +1,224 @@
+"""The service and a vehicle: contacts told once they are on disk, health as it is, legs asked for, and parted from on every way out."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections import Counter
+from collections.abc import AsyncGenerator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from auv_mcm.errors import AuvMcmError
+from auv_mcm.records import Contact, Notice, SourceEvent, Waypoint
+from auv_mcm.settings.config import Config, PlanConfig, ServiceConfig
+from auv_mcm.settings.vehicle_settings import VehicleConfig
+from auv_mcm.shell.perception import MakePipeline
+from auv_mcm.shell.service import Service
+from auv_mcm.source import Record
+from tests.auv_mcm.shell import fake_pipelines as fake
+
+FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (43.01, 5.01), (43.01, 4.99)))
+
+
+class Vehicle:
+    """What the service says to it, in order."""
+
+    def __init__(self) -> None:
+        self.authority = "listening"
+        self.counters: Counter[str] = Counter({"vehicle.told": 1})
+        self.said: list[tuple[str, Any]] = []
+        self.on_contact: Callable[[Contact], None] = lambda contact: None
+
+    def health(self) -> str:
+        return f"vehicle={self.authority}"
+
+    def take_notices(self) -> list[Notice]:
+        return []
+
+    def tell(self, contact: Contact) -> None:
+        self.said.append(("contact", contact.id))
+        self.on_contact(contact)
+
+    def propose(self, plan: tuple[Waypoint, ...]) -> None:
+        self.said.append(("plan", plan))
+
+    def tell_health(self, state: str, text: str) -> None:
+        self.said.append((state, text))
+
+    def release(self, reason: str) -> None:
+        self.said.append(("release", reason))
+
+    def words(self) -> list[str]:
+        return [word for word, _ in self.said]
+
+
+class Ports:
+    """A live source with a vehicle; it gives pings and navigation at 100 Hz until it is stopped."""
+
+    lossless = False
+
+    def __init__(self, vehicle: Vehicle | None = None) -> None:
+        self.vehicle = vehicle or Vehicle()
+        self.wrong: list[str] = []
+        self.is_served = False
+        self._stopped = False
+
+    def record_with(self, record: Record) -> None: ...
+
+    def stop(self) -> None:
+        self._stopped = True
+
+    def health(self) -> str:
+        return "ports=one:up"
+
+    def faults(self) -> list[str]:
+        return list(self.wrong)
+
+    def counters(self) -> Counter[str]:
+        return self.vehicle.counters
+
+    async def serve_vehicle(self) -> None:
+        self.is_served = True
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.is_served = False
+
+    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+        number = 0
+        while not self._stopped:
+            yield fake.navigation(number % 10)
+            yield fake.ping(number)
+            number += 1
+            await asyncio.sleep(0.01)
+
+
+def serve(
+    folder: Path,
+    ports: Ports,
+    until: Callable[[], bool],
+    make: MakePipeline = fake.Base,
+    vehicle: VehicleConfig = FENCED,
+    cancel: bool = False,
+    plan: PlanConfig | None = None,
+) -> Path:
+    """Serve until something is so, then stop."""
+
+    async def main() -> Path:
+        service_config = ServiceConfig(output_directory=str(folder), record=False)
+        config = Config(service=service_config, vehicle=vehicle, plan=plan or PlanConfig())
+        service = Service(config, ports, console=lambda line: None, make_pipeline=make)
+        serving = asyncio.ensure_future(service.run())
+        async with asyncio.timeout(30.0):
+            while not until() and not serving.done():
+                await asyncio.sleep(0.01)
+        if cancel:
+            serving.cancel()
+        service.stop()
+        return await serving
+
+    return asyncio.run(main())
+
+
+def test_contacts_are_told_once_they_are_on_disk_and_the_vehicle_is_left_in_order(tmp_path: Path) -> None:
+    def is_on_disk(contact: Contact) -> None:
+        assert contact.id in (tmp_path / "latest" / "contacts.jsonl").read_text()
+
+    ports = Ports()
+    ports.vehicle.on_contact = is_on_disk
+    results = serve(tmp_path, ports, lambda: ports.vehicle.words().count("contact") >= 3)
+    said = ports.vehicle.words()
+    assert said[0] == "starting"
+    assert said.index("normal") < said.index("release") < said.index("failure")
+    assert said[-2:] == ["release", "failure"]
+    last = max(k for k, word in enumerate(said) if word == "contact")
+    assert ports.vehicle.said[last] == ("contact", "C9999")  # those of the very end as well
+    assert said.index("release") < last  # but control goes back as soon as the service is to stop
+    assert not ports.is_served
+    summary = json.loads((results / "summary.json").read_bytes())
+    assert summary["vehicle"] == "vehicle=listening"
+    assert summary["counters"]["vehicle.told"] == 1
+
+
+def test_what_is_wrong_is_told_and_that_it_is_well_again(tmp_path: Path) -> None:
+    ports = Ports()
+    steps = iter(range(3))
+
+    def healths() -> list[tuple[str, Any]]:
+        return [said for said in ports.vehicle.said if said[0] in ("normal", "fault")]
+
+    def until() -> bool:
+        if healths()[-1:] == [("normal", "")] and not ports.wrong:
+            ports.wrong = ["port sonar is down"]
+            return next(steps) == 1
+        if healths()[-1:] == [("fault", "port sonar is down")]:
+            ports.wrong = []
+        return False
+
+    serve(tmp_path, ports, until)
+    assert healths()[:3] == [("normal", ""), ("fault", "port sonar is down"), ("normal", "")]
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"), [(fake.Failing, "perception failed"), (fake.Dying, "was killed by SIGKILL"), (fake.Unstartable, "no model file")]
+)
+def test_a_perception_that_fails_is_told_and_control_goes_back(tmp_path: Path, make: MakePipeline, reason: str) -> None:
+    ports = Ports()
+    with pytest.raises(AuvMcmError, match=reason):
+        serve(tmp_path, ports, lambda: False, make)
+    assert [word for word, _ in ports.vehicle.said[-2:]] == ["release", "failure"]
+    assert all(reason in text for _, text in ports.vehicle.said[-2:])
+    assert not ports.is_served
+
+
+def test_a_service_that_is_ended_at_once_gives_control_back_all_the_same(tmp_path: Path) -> None:
+    ports = Ports()
+    with pytest.raises(asyncio.CancelledError):
+        serve(tmp_path, ports, lambda: "contact" in ports.vehicle.words(), cancel=True)
+    assert "release" in ports.vehicle.words()
+    assert not ports.is_served
+
+
+def test_legs_are_asked_for_and_what_was_asked_last_is_among_the_results(tmp_path: Path) -> None:
+    ports = Ports()
+    results = serve(tmp_path, ports, lambda: "plan" in ports.vehicle.words(), fake.Undecided)
+    plan = next(what for word, what in ports.vehicle.said if word == "plan")
+    assert {point.contact_id for point in plan} == {"C0000"}
+    written = json.loads((results / "waypoints.geojson").read_bytes())["features"]
+    assert "C0000" in json.dumps(written)
+    assert "plan" not in ports.vehicle.words()[ports.vehicle.words().index("release") :]
+
+
+@pytest.mark.parametrize("vehicle", [VehicleConfig(), VehicleConfig(fence_deg=FENCED.fence_deg)])
+def test_nothing_is_asked_for_unless_it_is_wanted(tmp_path: Path, vehicle: VehicleConfig) -> None:
+    ports = Ports()
+    serve(
+        tmp_path, ports, lambda: ports.vehicle.words().count("contact") > 2 and "normal" in ports.vehicle.words(), fake.Undecided, vehicle
+    )
+    assert "plan" not in ports.vehicle.words()
+
+
+@pytest.mark.parametrize("vehicle", [VehicleConfig(), FENCED])
+def test_how_far_an_area_is_cleared_is_told_to_the_vehicle_and_left_in_the_results(tmp_path: Path, vehicle: VehicleConfig) -> None:
+    ports = Ports()
+    plan = PlanConfig(area_deg=((43.0, 5.0), (43.0, 5.001), (43.001, 5.001)))
+    told = ("normal", "clearance 0.00 of 0.90")
+    results = serve(tmp_path, ports, lambda: told in ports.vehicle.said, vehicle=vehicle, plan=plan)
+    summary = json.loads((results / "summary.json").read_bytes())
+    assert summary["area"]["p_detected_mean"] == 0.0
+    assert summary["area"]["km2"] == pytest.approx(0.5 * 0.111 * 0.0815, rel=0.1)
+    assert summary["vehicle"] == "vehicle=listening clearance 0.00 of 0.90"
+    assert ("plan", ()) not in ports.vehicle.said
+
+
+def test_a_vehicle_that_is_out_of_reach_is_asked_for_nothing(tmp_path: Path) -> None:
+    ports = Ports()
+    ports.vehicle.authority = "down"
+    until = time.monotonic() + 2.0
+    serve(tmp_path, ports, lambda: time.monotonic() > until, fake.Undecided)
+    assert "contact" in ports.vehicle.words()
+    assert "plan" not in ports.vehicle.words()

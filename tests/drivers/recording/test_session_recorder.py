@@ -1,0 +1,190 @@
+"""Recording beside an event loop: nothing lost without a word, whatever the disk does and whenever the process dies."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.clock import Stamp
+from auv_mcm.errors import UsageError
+from drivers.recording.session_layout import Recorded, file_name
+from drivers.recording.session_recorder import SessionRecorder
+from drivers.recording.session_writer import DurableFile, SessionWriter
+from sim_replay.logs.session_reader import Session
+from tests.drivers.recording.session_samples import FullDisk, description, traffic
+
+RECORD_FOR_EVER = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from tests.drivers.recording.session_samples import description, traffic
+from drivers.recording.session_recorder import SessionRecorder
+recorder = SessionRecorder(Path(sys.argv[1]), description(), file_bytes=40_000)
+for chunk in traffic(1, 5_000):
+    recorder.record(*chunk)
+    print(recorder.counters["session.chunks_recorded"], flush=True)
+    time.sleep(0.001)
+"""
+
+
+def n_bytes(chunks: list[Recorded]) -> int:
+    return sum(len(chunk.data) for chunk in chunks)
+
+
+def test_what_was_handed_over_is_recorded(tmp_path: Path) -> None:
+    chunks = traffic(1, 500)
+    recorder = SessionRecorder(tmp_path / "new" / "folder", description())
+    for chunk in chunks:
+        recorder.record(*chunk)
+    recorder.close()
+    assert list(session := Session(tmp_path / "new" / "folder")) == chunks
+    assert session.description == description()
+    assert recorder.counters == {"session.chunks_recorded": 500, "session.bytes_recorded": n_bytes(chunks)}
+    assert recorder.take_notices() == []
+    assert recorder.queued_bytes == 0
+
+
+def test_a_file_of_little_ends_as_well_since_its_index_is_kept_in_memory(tmp_path: Path) -> None:
+    chunks = traffic(1, 50)
+    writer = SessionWriter(tmp_path, description(), file_flushes=7)
+    for chunk in chunks:
+        writer.add(chunk)
+        writer.flush()
+    writer.close()
+    assert len((session := Session(tmp_path)).sizes_bytes) == 50 // 7 + 1
+    assert list(session) == chunks
+    assert not session.counters
+
+
+def test_ports_that_were_not_foreseen_are_recorded_too(tmp_path: Path) -> None:
+    chunks = [Recorded("bus", "in", Stamp(1, 2), b"abc")]
+    recorder = SessionRecorder(tmp_path, description())
+    recorder.record(*chunks[0])
+    recorder.close()
+    assert list(Session(tmp_path)) == chunks
+
+
+def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    class Disk(FullDisk):
+        room_bytes = 9000
+
+    chunks = traffic(1, 400)
+    recorder = SessionRecorder(tmp_path, description(), open_file=Disk)
+    for chunk in chunks:
+        recorder.record(*chunk)
+    recorder.close()
+    counters = recorder.counters
+    assert counters["session.chunks_lost"] == 400
+    assert counters["session.bytes_lost"] == n_bytes(chunks)
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped"]
+    recorder.record(*chunks[0])  # the mission goes on
+    assert recorder.counters["session.chunks_lost"] == 401
+    read = list(session := Session(tmp_path))
+    assert read == chunks[: len(read)]
+    assert session.counters["session.files_unfinished"] == 1
+
+
+def test_a_reserve_of_the_disk_is_kept(tmp_path: Path) -> None:
+    free = [10_000_000]
+    recorder = SessionRecorder(tmp_path, description(), reserve_bytes=5_000_000, free_bytes=lambda folder: free[0])
+    recorder.record("gps", "in", Stamp(1, 1), b"before")
+    while not recorder.counters["session.chunks_recorded"]:
+        threading.Event().wait(0.01)
+    free[0] = 5_000_010
+    recorder.record("gps", "in", Stamp(2, 2), b"after")
+    recorder.close()
+    assert [chunk.data for chunk in Session(tmp_path)] == [b"before"]
+    assert recorder.counters == {
+        "session.chunks_recorded": 1,
+        "session.bytes_recorded": 6,
+        "session.chunks_lost": 1,
+        "session.bytes_lost": 5,
+    }
+    (notice,) = recorder.take_notices()
+    assert "kept for others" in notice.text
+
+
+def test_a_disk_that_is_full_from_the_start_is_told(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, description(), free_bytes=lambda folder: 0)
+    recorder.record("gps", "in", Stamp(1, 1), b"abc")
+    recorder.close()
+    assert recorder.counters == {"session.chunks_lost": 1, "session.bytes_lost": 3}
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped"]
+
+
+def test_a_disk_that_is_too_slow_loses_what_does_not_fit_and_marks_the_place(tmp_path: Path) -> None:
+    stalled, go_on = threading.Event(), threading.Event()
+
+    class SlowFile(DurableFile):
+        n_syncs = 0
+
+        def sync(self) -> None:
+            self.n_syncs += 1
+            if self.n_syncs == 2:  # the first is that of the file's head
+                stalled.set()
+                assert go_on.wait(30.0)
+            super().sync()
+
+    chunks = traffic(1, 300)
+    recorder = SessionRecorder(tmp_path, description(), queue_bytes=40_000, open_file=SlowFile)
+    recorder.record(*chunks[0])
+    assert stalled.wait(30.0)
+    for chunk in chunks[1:]:
+        recorder.record(*chunk)
+    assert recorder.queued_bytes <= 40_000
+    n_lost, bytes_lost = recorder.counters["session.chunks_lost"], recorder.counters["session.bytes_lost"]
+    assert n_lost > 0
+    go_on.set()
+    while recorder.counters["session.chunks_recorded"] < len(chunks) - n_lost:
+        threading.Event().wait(0.01)
+    recorder.record(*chunks[0])
+    recorder.close()
+    assert recorder.counters["session.chunks_lost"] == n_lost
+    assert [notice.code for notice in recorder.take_notices()] == ["session_bytes_lost"]
+    assert list(session := Session(tmp_path)) == [*chunks[: len(chunks) - n_lost], chunks[0]]
+    assert session.counters == {"session.chunks_lost": n_lost, "session.bytes_lost": bytes_lost}
+    assert [notice.code for notice in session.notices] == ["session_bytes_lost"]
+
+
+def test_a_defect_of_the_recorder_itself_does_not_end_the_mission(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, description())
+    recorder.record("gps", "in", Stamp(-1, -1), b"abc")  # no clock reads that
+    recorder.close()
+    assert recorder.counters == {"session.chunks_lost": 1, "session.bytes_lost": 3}
+    assert [notice.code for notice in recorder.take_notices()] == ["session_stopped"]
+
+
+def test_a_folder_that_cannot_serve_is_refused_in_words(tmp_path: Path) -> None:
+    SessionRecorder(tmp_path, description()).close()
+    with pytest.raises(UsageError, match="already holds a recorded session"):
+        SessionRecorder(tmp_path, description())
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="cannot record into"):
+        SessionRecorder(tmp_path / "file" / "below", description())
+
+
+@pytest.mark.parametrize("n_seen", [3, 700])
+def test_a_killed_process_leaves_all_that_it_called_recorded(tmp_path: Path, n_seen: int) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", RECORD_FOR_EVER, str(tmp_path), str(Path(__file__).resolve().parents[3])], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    n_told = 0
+    for n_lines, line in enumerate(process.stdout):
+        n_told = int(line)
+        if n_lines >= n_seen:
+            break
+    process.send_signal(signal.SIGKILL)
+    n_told = max([n_told, *(int(line) for line in process.stdout.read().splitlines())])
+    process.stdout.close()
+    process.wait()
+    read = list(session := Session(tmp_path))
+    assert len(read) >= n_told
+    assert read == traffic(1, 5_000)[: len(read)]
+    assert not session.counters["session.messages_missing"]
+    assert file_name(0) in {path.name for path in session.sizes_bytes}

@@ -1,0 +1,151 @@
+"""Tasks on one core, in processes and on a dask cluster of real processes: the same results in the same order, and plain words if not."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from operator import neg
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.errors import HardwareError, UsageError
+from sim_replay.fitting.cascade.farm import Farm, fingerprint, run_tasks
+
+ROOT = Path(__file__).resolve().parents[4]
+PATIENCE_S = 60.0
+
+
+class Cluster:
+    """A dask scheduler on loopback, and workers as they are started."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self._folder, self._stack = folder, stack
+        self._file = folder / "scheduler.json"
+        self.scheduler = self._start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self._file)
+        )
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not self._file.exists():
+            assert time.monotonic() < deadline_s
+            assert self.scheduler.poll() is None
+            time.sleep(0.05)
+        self.address: str = json.loads(self._file.read_text())["address"]
+
+    def worker(self, sources: Path = ROOT) -> subprocess.Popen[bytes]:
+        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
+        return self._start("worker", *options, self.address, sources=sources)
+
+    def _start(self, *words: str, sources: Path = ROOT) -> subprocess.Popen[bytes]:
+        environment = os.environ | {"PYTHONPATH": str(sources), "PYTHONWARNINGS": "default"}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *words], cwd=self._folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        self._stack.callback(process.wait)
+        self._stack.callback(process.kill)
+        return process
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    pytest.importorskip("distributed", reason="distributed, which runs clusters, is not installed")
+    with ExitStack() as stack:
+        yield Cluster(tmp_path, stack)
+
+
+def test_results_in_processes_are_those_of_one_core_in_order() -> None:
+    tasks = list(range(7))
+    told: list[int] = []
+    assert list(run_tasks(neg, tasks, Farm())) == [-task for task in tasks]
+    assert list(run_tasks(neg, tasks, Farm(workers=2), told.append)) == [-task for task in tasks]
+    assert told == [1, 2, 3, 4, 5, 6, 7]
+
+
+def test_no_task_is_begun_before_its_turn_on_one_core() -> None:
+    begun: list[int] = []
+    results = run_tasks(begun.append, [1, 2, 3], Farm())
+    next(results)
+    assert begun == [1]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_exception_of_a_task_is_raised_in_its_turn(workers: int) -> None:
+    results = run_tasks(int, ["1", "2", "three", "4"], Farm(workers=workers))
+    assert [next(results), next(results)] == [1, 2]
+    with pytest.raises(ValueError, match="three"):
+        next(results)
+    assert list(results) == []
+
+
+def test_a_process_that_dies_is_told_in_plain_words() -> None:
+    with pytest.raises(HardwareError, match=r"a worker process died.*fewer workers"):
+        list(run_tasks(os._exit, [1, 1], Farm(workers=2)))
+
+
+def test_no_tasks_give_no_results() -> None:
+    assert list(run_tasks(neg, [], Farm(workers=2))) == []
+
+
+@pytest.mark.parametrize(
+    ("farm", "message"),
+    [
+        (Farm(workers=0), "workers: 0; at least 1"),
+        (Farm(scheduler="localhost:8786"), "tcp://HOST:PORT"),
+        (Farm(scheduler="tcp://localhost"), "tcp://HOST:PORT"),
+        (Farm(scheduler="tcp://localhost:many"), "tcp://HOST:PORT"),
+    ],
+)
+def test_what_is_no_farm_is_refused_at_once(farm: Farm, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        run_tasks(neg, [1], farm)
+
+
+def test_a_scheduler_that_does_not_answer_is_told_with_what_to_do() -> None:
+    pytest.importorskip("distributed", reason="distributed, which runs clusters, is not installed")
+    with socket.socket() as taken:  # bound, but nobody listens
+        taken.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(HardwareError, match=f"{address} does not answer.*dask scheduler"):
+            list(run_tasks(neg, [1], Farm(scheduler=address)))
+
+
+def test_a_cluster_of_two_gives_the_same_results_in_order_and_raises_what_a_task_raises(cluster: Cluster) -> None:
+    for _ in range(2):
+        cluster.worker()
+    farm = Farm(scheduler=cluster.address)
+    assert list(run_tasks(neg, list(range(20)), farm)) == [-task for task in range(20)]
+    with pytest.raises(ValueError, match="three"):
+        list(run_tasks(int, ["1", "three"], farm))
+    results = run_tasks(neg, list(range(20)), farm)
+    assert next(results) == 0
+    results.close()  # giving up half way must leave nothing behind
+    assert list(run_tasks(neg, [1], farm)) == [-1]
+
+
+def test_tasks_of_a_worker_that_dies_are_done_by_another_and_a_lost_scheduler_is_told(cluster: Cluster) -> None:
+    doomed = cluster.worker()
+    results = run_tasks(time.sleep, [0.2] * 12, Farm(scheduler=cluster.address))
+    assert next(results) is None
+    cluster.worker()
+    doomed.kill()
+    assert [next(results) for _ in range(6)] == [None] * 6
+    cluster.scheduler.kill()
+    with pytest.raises(HardwareError, match="the connection was lost"):
+        list(results)
+
+
+def test_a_worker_with_other_sources_is_refused(cluster: Cluster, tmp_path: Path) -> None:
+    for package in ("auv_mcm", "sim_replay"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    with (tmp_path / "sim_replay" / "training" / "__init__.py").open("a") as file:
+        file.write("# a line more\n")
+    cluster.worker(tmp_path)
+    with pytest.raises(UsageError, match=f"worker tcp.* has auv_mcm sources .*here {fingerprint()['auv_mcm sources']}"):
+        list(run_tasks(neg, [1], Farm(scheduler=cluster.address)))

@@ -1,0 +1,493 @@
+"""Weights fitted on made-up detections: against Newton's method written out, and what the command refuses."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from auv_mcm.classify.details import detection_details
+from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
+from auv_mcm.errors import UsageError
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import Detection, Detector, Surroundings
+from sim_replay.fitting import odds as calibrate
+from sim_replay.fitting.odds import CROWD, N_TREES, Example, crowded, examples_of, log_odds_of, main
+from sim_replay.fitting.odds import fit as fit_all
+from sim_replay.missions import HELD_OUT, SCENES
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene_file import read_scene
+from tests.auv_mcm.classify import drawn_looks
+
+ROOT = Path(__file__).resolve().parents[3]
+WEIGHTS = {"a": 1.5, "b": -0.7, "c": 0.0}
+OFFSET = -1.0
+MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock"}
+
+
+def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True) -> Example:
+    """All steps measured the same; the detector's own odds among them, which the report asks for."""
+    known = {"detector_odds": 0.0, **features}
+    return Example(scene, 1, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
+
+
+def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
+    """Sums alone, of which it is known what they must be."""
+    return fit_all(examples, fitted_on, dict.fromkeys(N_TREES, 0))
+
+
+def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]:
+    """n examples of the logistic model above, features standing apart in level and scale."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    values = random.normal(0.0, 1.0, (n, len(WEIGHTS))) * [1.0, 2.0, 0.5] + [0.0, 1.0, -3.0]
+    p = 1.0 / (1.0 + np.exp(-(OFFSET + values @ list(WEIGHTS.values()))))
+    is_target = random.random(n) < p
+    chosen = random.choice(list(weights), n)
+    return [
+        example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight), SCENES[number % len(SCENES)])
+        for number, (row, target, weight) in enumerate(zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True))
+    ]
+
+
+def newton(examples: Sequence[Example], ridge: float = 2.0) -> tuple[float, dict[str, float]]:
+    """Offset and weights of ridge regression on standardised features, every example repeated as often as it counts."""
+    rows = [item for item in examples for _ in range(int(item.weight))]
+    names = list(WEIGHTS)
+    values = np.array([[item.shape[name] for name in names] for item in rows])
+    target = np.array([float(item.is_target) for item in rows])
+    mean, scale = values.mean(axis=0), values.std(axis=0)
+    columns = np.column_stack([(values - mean) / scale, np.ones(len(rows))])
+    penalty = np.diag([*([ridge] * len(names)), 0.0])
+    found = np.zeros(len(names) + 1)
+    for _ in range(30):
+        p = 1.0 / (1.0 + np.exp(-(columns @ found)))
+        gradient = columns.T @ (p - target) + penalty @ found
+        found -= np.linalg.solve((columns.T * (p * (1.0 - p))) @ columns + penalty, gradient)
+    slopes = found[:-1] / scale
+    return float(found[-1] - slopes @ mean), dict(zip(names, slopes.tolist(), strict=True))
+
+
+# ---------------------------------------------------------------- the fit
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("weights", [(1.0,), (1.0, 4.0)])
+def test_weights_are_those_of_newtons_method_on_every_repetition(seed: int, weights: tuple[float, ...]) -> None:
+    examples = drawn(400, seed, weights)
+    offset, slopes = newton(examples)
+    odds = fit(examples, "drawn")
+    for step in (odds.detector, odds.contours, odds.shape):
+        assert step.offset == pytest.approx(offset, abs=1e-4)
+        assert {name: step.weights[name] for name in WEIGHTS} == pytest.approx(slopes, abs=1e-4)
+
+
+def test_a_known_logistic_model_is_recovered() -> None:
+    """To four standard deviations of the estimate, from the curvature of the likelihood."""
+    examples = drawn(5000, 7)
+    values = np.array([[item.shape[name] for name in WEIGHTS] for item in examples])
+    columns = np.column_stack([values, np.ones(len(values))])
+    p = 1.0 / (1.0 + np.exp(-(OFFSET + values @ list(WEIGHTS.values()))))
+    sigma = np.sqrt(np.diag(np.linalg.inv((columns.T * (p * (1.0 - p))) @ columns)))
+    found = fit(examples, "drawn").shape
+    for name, truth, error in zip((*WEIGHTS, "offset"), (*WEIGHTS.values(), OFFSET), sigma.tolist(), strict=True):
+        value = found.offset if name == "offset" else found.weights[name]
+        assert abs(value - truth) < 4.0 * error, name
+
+
+def test_examples_count_as_often_as_they_stand_for() -> None:
+    examples = drawn(300, 3, (1.0, 2.0, 4.0))
+    repeated = [item._replace(weight=1.0) for item in examples for _ in range(int(item.weight))]
+    weighted, plain = fit(examples, "once"), fit(repeated, "once")
+    assert weighted.prior == plain.prior
+    assert weighted.shape.offset == pytest.approx(plain.shape.offset, abs=1e-4)
+    assert weighted.shape.weights == pytest.approx(plain.shape.weights, abs=1e-4)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 1e-9, -1234.567])
+def test_a_feature_that_never_varies_weighs_nothing(value: float) -> None:
+    examples = drawn(300, 4, (1.0, 4.0))
+    with_constant = [item._replace(shape={**item.shape, "constant": value}) for item in examples]
+    found, plain = fit(with_constant, "drawn").shape, fit(examples, "drawn").shape
+    assert found.weights["constant"] == 0.0
+    assert found.offset == pytest.approx(plain.offset, abs=1e-4)
+    assert {name: found.weights[name] for name in plain.weights} == pytest.approx(plain.weights, abs=1e-4)
+
+
+def test_units_of_a_feature_change_its_weight_and_nothing_else() -> None:
+    examples = drawn(300, 5)
+    in_cm = [item._replace(shape={**item.shape, "b": 100.0 * item.shape["b"] + 7.0}) for item in examples]
+    found, plain = fit(in_cm, "drawn").shape, fit(examples, "drawn").shape
+    assert 100.0 * found.weights["b"] == pytest.approx(plain.weights["b"], abs=1e-3)
+    assert found.weights["a"] == pytest.approx(plain.weights["a"], abs=1e-4)
+
+
+def test_features_that_say_the_same_share_their_weight() -> None:
+    examples = drawn(300, 6)
+    twice = [item._replace(shape={**item.shape, "again": item.shape["a"]}) for item in examples]
+    found = fit(twice, "drawn").shape.weights
+    assert found["again"] == pytest.approx(found["a"], abs=1e-4)
+    assert found["a"] + found["again"] == pytest.approx(fit(examples, "drawn").shape.weights["a"], rel=0.1)
+
+
+def test_the_prior_is_the_log_odds_of_targets_among_what_the_examples_stand_for() -> None:
+    examples = [example({"a": 0.0, "b": 0.0, "c": 0.0}, True)] * 3 + [example({"a": 1.0, "b": 0.0, "c": 0.0}, False, 4.0)] * 15
+    assert fit(examples, "counted").prior == pytest.approx(math.log(3.0 / 60.0), abs=1e-5)
+
+
+def test_p_mine_summed_over_the_examples_is_the_number_of_targets() -> None:
+    examples = drawn(400, 8, (1.0, 4.0))
+    odds = fit(examples, "drawn")
+    expected = sum(item.weight * odds.p_mine(odds.log_ratio("shape", item.shape)) for item in examples)
+    assert expected == pytest.approx(sum(item.weight for item in examples if item.is_target), rel=1e-3)
+
+
+def test_crowded_examples_teach_what_tells_mines_but_not_how_rare_they_are() -> None:
+    """Ten times as many targets in the crowd, drawn from the same model but for its offset."""
+    usual = drawn(4000, 12)
+    crowd = [item._replace(usual=False) for item in drawn(4000, 13)]
+    kept = [item for number, item in enumerate(crowd) if item.is_target or number % 10 == 0]
+    alone, odds = fit(usual, "usual"), fit([*usual, *kept], "both")
+    assert odds.prior == alone.prior
+    assert odds.shape.weights["a"] == pytest.approx(alone.shape.weights["a"], abs=0.2)
+    expected = sum(odds.p_mine(odds.log_ratio("shape", item.shape)) for item in usual)
+    assert expected == pytest.approx(sum(item.is_target for item in usual), rel=1e-3)
+
+
+def test_separable_examples_give_finite_weights() -> None:
+    examples = [example({"a": float(number), "b": 0.0, "c": 0.0}, number >= 10) for number in range(20)]
+    weight = fit(examples, "separable").shape.weights["a"]
+    assert 0.0 < weight < 5.0
+
+
+def test_equal_examples_give_equal_weights() -> None:
+    assert fit(drawn(200, 9), "drawn") == fit(drawn(200, 9), "drawn")
+
+
+def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
+    """A target where `a` is middling and the detail `d` is high."""
+    random = np.random.Generator(np.random.PCG64(11))
+    values = random.normal(0.0, 1.0, (1500, 2))
+    is_target = (np.abs(values[:, 0]) < 0.7) & (values[:, 1] > 0.0)
+    examples = [
+        example({"a": a}, bool(target))._replace(details={step: {"d": d} for step in N_TREES})
+        for (a, d), target in zip(values.tolist(), is_target.tolist(), strict=True)
+    ]
+    odds = fit_all(examples, "a bump", {"detector": 0, "contours": 5, "shape": 80})
+    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [0, 5, 80]
+    right = [(odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples]
+    assert np.mean(right) > 0.95
+    assert parse_odds(calibrate.written(odds), "written.json") == odds
+
+
+def test_log_odds_of_many_are_those_of_each() -> None:
+    weights = shipped_odds("cascade").shape
+    random = np.random.Generator(np.random.PCG64(5))
+    names = sorted({*weights.weights, *(name for tree in weights.trees for name, _ in tree.ask)})
+    features = [dict(zip(names, row, strict=True)) for row in random.normal(0.0, 3.0, (50, len(names))).tolist()]
+    assert log_odds_of(weights, features).tolist() == [weights.log_odds(known) for known in features]
+
+
+@pytest.mark.parametrize("targets", [[], [False] * 4, [True] * 4])
+def test_without_targets_or_without_others_nothing_is_fitted(targets: list[bool]) -> None:
+    examples = [example({"a": 1.0}, is_target) for is_target in targets]
+    with pytest.raises(
+        UsageError, match=rf"seeds 1 to 2: {sum(targets)} targets in {len(targets)} detections\. Fly more missions, with --seeds"
+    ):
+        fit(examples, "seeds 1 to 2")
+
+
+# ---------------------------------------------------------------- which detection is what
+
+HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
+AROUND = Surroundings(codes=np.full((4, 4), 100, dtype=np.uint8), row=2.0, column=2.0, first_ground_range_m=10.0, first_return_m=5.0)
+
+
+class Thing(NamedTuple):
+    east_m: float
+    is_target: bool
+
+
+def seen_at(east_m: float, p_mine: float = 0.5, **values: Any) -> Detection:
+    latitude, longitude, _ = HOME.to_geodetic(np.array([east_m, 0.0, 0.0]))
+    known: dict[str, Any] = {
+        "time_s": 1000.0,
+        "latitude_deg": float(latitude),
+        "longitude_deg": float(longitude),
+        "covariance_m2": 0.01 * np.eye(2),
+        "highlight_db": east_m,
+        "surroundings": AROUND,
+        "p_mine": p_mine,
+    }
+    return drawn_looks.detection(**{**known, **values})
+
+
+Fly = Callable[[Iterable[Detection], Iterable[Thing]], list[Example]]
+
+
+@pytest.fixture
+def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
+    """Examples of a mission over the things given, in which the detections given become final; every look measures the same."""
+
+    def flown(detections: Iterable[Detection], things: Iterable[Thing]) -> list[Example]:
+        objects = []
+        for thing in things:
+            latitude, longitude, _ = HOME.to_geodetic(np.array([thing.east_m, 0.0, 0.0]))
+            sizes = {"length_m": 1.0, "width_m": 0.5}
+            objects.append({"lat": float(latitude), "lon": float(longitude), "is_target": thing.is_target, **sizes})
+
+        class FakeMission:
+            def __init__(self, scene: object) -> None:
+                pass
+
+            def events(self) -> list[str]:
+                return ["all of it"]
+
+            def truth(self) -> dict[str, Any]:
+                return {"objects": objects}
+
+        class FakePipeline:
+            def __init__(self, config: object, look: Callable[[Detection], Detection]) -> None:
+                self.look = look
+
+            def feed(self, event: str) -> None:
+                for detection in detections:
+                    assert self.look(detection) is detection
+
+            def finish(self) -> None:
+                pass
+
+        class Looked(NamedTuple):
+            contour_features: dict[str, float]
+            features: dict[str, float]
+            details: dict[str, float]
+
+        measured = Looked(
+            dict.fromkeys(shipped_odds("contrast").contours.weights, 0.5),
+            dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5),
+            {"solid_nats": -10.0},
+        )
+        monkeypatch.setattr(calibrate, "Mission", FakeMission)
+        monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
+        monkeypatch.setattr(calibrate, "examine", lambda *_: measured)
+        return examples_of("flat", 500, "contrast", 1)
+
+    return flown
+
+
+def labels(examples: list[Example]) -> list[tuple[float, bool]]:
+    """Where each example lies, which its highlight tells, and whether it is a target."""
+    return [(round(item.detector["highlight_db"], 3), item.is_target) for item in examples]
+
+
+def test_a_detection_at_a_target_is_one_and_all_else_is_not(fly: Fly) -> None:
+    detections = [seen_at(0.3), seen_at(1.9), seen_at(20.0), seen_at(31.0)]
+    things = [Thing(0.0, True), Thing(21.0, False)]
+    assert labels(fly(detections[:1] + detections[2:], things)) == [(0.3, True), (20.0, False), (31.0, False)]
+    assert labels(fly(detections[1:], things)) == [(1.9, True), (20.0, False), (31.0, False)]
+
+
+def test_of_several_detections_of_a_target_the_most_mine_like_stands_for_it(fly: Fly) -> None:
+    detections = [seen_at(0.1, 0.4), seen_at(0.5, 0.9), seen_at(-0.5, 0.6), seen_at(2.6, 0.95)]
+    assert labels(fly(detections, [Thing(0.0, True)])) == [(0.5, True)]
+
+
+def test_each_side_and_each_passage_has_its_own(fly: Fly) -> None:
+    detections = [seen_at(0.1), seen_at(0.2, side="port"), seen_at(0.3, time_s=2000.0), seen_at(0.4, 0.1, time_s=2001.0)]
+    assert labels(fly(detections, [Thing(0.0, True)])) == [(0.1, True), (0.2, True), (0.3, True)]
+
+
+def test_other_objects_are_clutter_and_count_once_too(fly: Fly) -> None:
+    assert labels(fly([seen_at(0.1, 0.4), seen_at(0.5, 0.3)], [Thing(0.0, False)])) == [(0.1, False)]
+
+
+def test_a_detection_known_to_a_metre_only_may_lie_farther_off(fly: Fly) -> None:
+    assert labels(fly([seen_at(3.0, covariance_m2=np.eye(2))], [Thing(0.0, True)])) == [(3.0, True)]
+    assert labels(fly([seen_at(3.0)], [Thing(0.0, True)])) == [], "neither at it nor clear of it"
+
+
+def test_faint_detections_are_thinned_and_those_kept_stand_for_the_others(fly: Fly) -> None:
+    faint = [seen_at(100.0 + 10.0 * number, 0.01, ping_number=number) for number in range(8)]
+    found = fly([*faint, seen_at(0.0, 0.5)], [])
+    assert [(item.weight, item.detector["highlight_db"]) for item in found] == [(4.0, 100.0), (4.0, 140.0), (1.0, 0.0)]
+
+
+def test_a_target_that_only_passed_over_detections_stand_for_is_left_out(fly: Fly) -> None:
+    detections = [seen_at(0.1, 0.4), seen_at(0.3, 0.6, surroundings=None), seen_at(50.0)]
+    assert labels(fly(detections, [Thing(0.0, True)])) == [(50.0, False)]
+
+
+def test_every_step_has_its_features(fly: Fly) -> None:
+    (found,) = fly([seen_at(0.0)], [])
+    odds = shipped_odds("contrast")
+    assert found.scene == "flat"
+    assert (found.detector.keys(), found.contours.keys(), found.shape.keys()) == (
+        odds.detector.weights.keys(),
+        odds.contours.weights.keys(),
+        odds.shape.weights.keys(),
+    )
+    assert found.details["shape"] == {"solid_nats": -10.0}
+    assert found.details["detector"] == found.details["contours"] == detection_details(seen_at(0.0))
+
+
+def test_a_mission_that_finds_nothing_has_no_examples(fly: Fly) -> None:
+    assert fly([], [Thing(0.0, True)]) == []
+
+
+# ---------------------------------------------------------------- the command
+
+
+class Flown:
+    """Stands in for flying: examples of the logistic model, other ones for every mission."""
+
+    def __init__(self) -> None:
+        self.missions: list[tuple[str, int, Detector, int]] = []
+
+    def __call__(self, name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
+        self.missions.append((name, seed, detector, crowd))
+        return [item._replace(scene=name, seed=seed, usual=crowd == 1) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
+
+
+@pytest.fixture
+def flown(monkeypatch: pytest.MonkeyPatch) -> Flown:
+    stand_in = Flown()
+    monkeypatch.setattr(calibrate, "examples_of", stand_in)
+    monkeypatch.setattr(calibrate, "N_TREES", dict.fromkeys(N_TREES, 2))
+    monkeypatch.setattr(calibrate, "ProcessPoolExecutor", lambda n_workers, mp_context: ThreadPoolExecutor(1))
+    return stand_in
+
+
+def written(path: Path) -> MineOdds:
+    return parse_odds(path.read_bytes(), path.name)
+
+
+@pytest.mark.parametrize(
+    ("detector", "scenes"), [("contrast", SCENES), ("cascade", tuple(name for name in SCENES if name not in HELD_OUT))]
+)
+def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], detector: Detector, scenes: tuple[str, ...]
+) -> None:
+    out = tmp_path / "odds.json"
+    assert main(["--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    assert flown.missions == [(name, seed, detector, 1) for seed in (7, 8) for name in scenes]
+    odds = written(out)
+    assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
+    assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
+    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [2 if detector == "cascade" else 0] * 3
+    told = capsys.readouterr()
+    assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in told.err
+    rows = [line.split("  ")[0] for line in told.out.splitlines()]
+    assert rows[4:8] == ["detector as it is", "detector", "contours", "shape"]
+    assert "nan" not in told.out
+
+
+def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["--seeds", "5", "--crowded", "2", "--first-seed", "7", "--out", str(tmp_path / "odds.json")])
+    n_targets = {mission: sum(item.is_target for item in flown(*mission)) for mission in list(flown.missions)}
+    title, _, _, _, *rows = capsys.readouterr().out.splitlines()[-7:]
+    judged = sum(n for (_, seed, _, _), n in n_targets.items() if seed == 11)
+    assert title == f"seed 11, {judged} looks at targets, judged with the weights of other seeds, all steps"
+    learned = [{7, 57}, {7, 8, 57}, {7, 8, 9, 10, 57, 58}]
+    assert [int(row.split()[0]) for row in rows] == [sum(n for mission, n in n_targets.items() if mission[1] in some) for some in learned]
+    assert "nan" not in "".join(rows)
+
+
+def test_of_one_seed_nothing_is_said_about_more(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
+    assert flown.missions
+    assert "learned from" not in capsys.readouterr().out
+
+
+def test_crowded_scenes_are_flown_over_other_floors_and_told(flown: Flown, tmp_path: Path) -> None:
+    out = tmp_path / "odds.json"
+    assert main(["--seeds", "1", "--crowded", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    n = len(flown.missions) // 3
+    assert {mission[1:] for mission in flown.missions[:n]} == {(7, "cascade", 1)}
+    assert {mission[1:] for mission in flown.missions[n:]} == {(57, "cascade", CROWD), (58, "cascade", CROWD)}
+    assert written(out).fitted_on.endswith("shallow, deep, sas; seeds 7 to 7, and 57 to 58 with 3 times as many mines and rocks")
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name not in HELD_OUT])
+def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -> None:
+    scene = read_scene(name)
+    crowd = crowded(scene, CROWD)
+    usual, more = ({each.kind: each.count for each in one.scatter} for one in (scene, crowd))
+    assert more == {kind: number if kind not in MINES_AND_ROCKS else CROWD * number for kind, number in usual.items()}
+    assert min(each.apart_m for each in crowd.scatter if each.kind in MINES_AND_ROCKS) > 8.0, "neighbours within which count as a crowd"
+    assert (crowd.world, crowd.sonar, crowd.track) == (scene.world, scene.sonar, scene.track)
+    assert len(Mission(crowd).truth()["objects"]) > 2.0 * len(Mission(scene).truth()["objects"])
+    assert crowded(scene, 1) == scene
+
+
+@pytest.mark.usefixtures("flown")
+def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
+    for name, workers in (("one", "1"), ("two", "2")):
+        main(["--seeds", "1", "--workers", workers, "--out", str(tmp_path / name)])
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "--out"),
+        (["--out"], "--out"),
+        (["--out", "x", "--seeds", "0"], "'0' is no whole number of 1 or more"),
+        (["--out", "x", "--seeds", "many"], "--seeds"),
+        (["--out", "x", "--workers", "-1"], "--workers"),
+        (["--out", "x", "--first-seed", "9" * 30], "1000000 at most"),
+        (["--out", "x", "--first-seed", "1.5"], "'1.5' is no whole number"),
+        (["--out", "x", "--scenes", "flat"], "--scenes"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused(
+    flown: Flown, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main(arguments)
+    assert refused.value.code == 2
+    assert told in capsys.readouterr().err
+    assert flown.missions == []
+
+
+def test_weights_that_could_not_be_written_are_refused_before_flying(flown: Flown, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"there is no folder .*missing\. Make it first"):
+        main(["--out", str(tmp_path / "missing" / "odds.json")])
+    assert flown.missions == []
+
+
+def test_a_folder_in_the_place_of_the_file_is_told_before_flying(flown: Flown, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=re.escape(f"--out {tmp_path} cannot be written")):
+        main(["--seeds", "1", "--out", str(tmp_path)])
+    assert flown.missions == []
+
+
+def test_a_folder_that_takes_no_file_is_told_before_flying(flown: Flown) -> None:
+    with pytest.raises(UsageError, match="cannot write to the output directory /proc"):
+        main(["--seeds", "1", "--out", "/proc/odds.json"])
+    assert flown.missions == []
+
+
+def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None:
+    place = tmp_path / "missing" / "odds.json"
+    command = [sys.executable, "-m", "sim_replay.fitting.odds", "--out", str(place)]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(f"calibrate: --out {place}: there is no folder")
+    assert "Traceback" not in ended.stderr
+
+
+def test_too_few_targets_end_the_command_with_advice(monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path) -> None:
+    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed, detector, crowd: [example({"a": 1.0}, False, scene=name)])
+    with pytest.raises(UsageError, match="0 targets in 9 detections"):
+        main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
+    assert not (tmp_path / "odds.json").exists()
+    assert flown.missions == []

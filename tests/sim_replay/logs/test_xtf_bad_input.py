@@ -1,0 +1,378 @@
+"""Damaged and unusable logs: a clear refusal that names the file, or everything that is sound and a count of what is not."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import Notice
+from auv_mcm.settings.config import SonarConfig
+from sim_replay.logs.xtf import XtfLog
+from tests.sim_replay.logs.xtf_logs import (
+    START_S,
+    codes_of,
+    edit_channels,
+    edit_file_header,
+    edit_headers,
+    navigated,
+    navigation,
+    navigation_of,
+    packet_offsets,
+    ping,
+    pings_of,
+    read,
+    same_trace,
+    written,
+)
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(BadInputError) as caught:
+        list(XtfLog(path, SonarConfig()))
+    text = str(caught.value)
+    assert str(path) in text
+    return text
+
+
+# --- nothing can be made of these ---
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    assert "does not exist" in refusal(tmp_path / "none.xtf")
+
+
+def test_directory(tmp_path: Path) -> None:
+    assert "directory" in refusal(tmp_path)
+
+
+def test_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.xtf")
+    assert "no regular file" in refusal(tmp_path / "pipe.xtf")
+
+
+def test_empty_file(tmp_path: Path) -> None:
+    path = tmp_path / "empty.xtf"
+    path.touch()
+    assert "empty" in refusal(path)
+
+
+def test_wrong_magic(tmp_path: Path) -> None:
+    path = tmp_path / "picture.xtf"
+    path.write_bytes(b"\x89PNG" + bytes(4000))
+    assert "no XTF file" in refusal(path)
+
+
+def test_cut_off_inside_the_file_header(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+    path.write_bytes(path.read_bytes()[:700])
+    assert "700 of 1024" in refusal(path)
+
+
+def test_zero_pings(tmp_path: Path) -> None:
+    assert "no usable side-scan ping" in refusal(written(tmp_path / "log.xtf", 0))
+
+
+def test_no_side_scan_channel(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+
+    def turn_to_bathymetry(header: Any) -> None:
+        for info in header.ChanInfo:
+            info.TypeOfChannel = 3
+
+    edit_file_header(path, turn_to_bathymetry)
+    text = refusal(path)
+    assert "no side-scan channel" in text
+    assert "8 sonar packets" in text
+
+
+def test_no_channels_at_all(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+    edit_file_header(path, lambda header: setattr(header, "NumberOfSonarChannels", 0))
+    assert "no channels at all" in refusal(path)
+
+
+def test_ground_range_samples(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+    edit_file_header(path, lambda header: setattr(header.ChanInfo[1], "CorrectionFlags", 2))
+    assert "ground range" in refusal(path)
+
+
+def test_projected_coordinates(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+    edit_file_header(path, lambda header: setattr(header, "NavUnits", 0))
+    assert "NavUnits 0" in refusal(path)
+
+
+@pytest.mark.parametrize(("sample_format", "width"), [(1, 4), (0, 3), (0, 0)])
+def test_unreadable_sample_format(tmp_path: Path, sample_format: int, width: int) -> None:
+    path = written(tmp_path / "log.xtf")
+
+    def spoil(header: Any) -> None:
+        header.ChanInfo[0].SampleFormat, header.ChanInfo[0].BytesPerSample = sample_format, width
+
+    edit_file_header(path, spoil)
+    assert "sample format" in refusal(path)
+
+
+def test_only_impossible_dates(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+    edit_headers(path, lambda _, header: setattr(header, "Month", 13))
+    assert "reader.time_invalid 8" in refusal(path)
+
+
+# --- these are read as far as they are sound ---
+
+
+def test_cut_off_anywhere_delivers_every_whole_ping(tmp_path: Path) -> None:
+    whole = written(tmp_path / "whole.xtf", 4).read_bytes()
+    ends = [*packet_offsets(whole)[1:], len(whole)]
+    path = tmp_path / "cut.xtf"
+    for length in range(ends[0], len(whole), 13):
+        path.write_bytes(whole[:length])
+        events, log = read(path)
+        n_whole = sum(end <= length for end in ends)
+        assert [p.number for p in pings_of(events)] == list(range(n_whole))
+        assert log.counters["reader.damaged_packet"] == (length not in ends)
+        assert all(same_trace(p.port, ping(p.number).port) for p in pings_of(events))
+
+
+def test_a_cut_is_told_with_its_place(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 3)
+    data = path.read_bytes()
+    last = packet_offsets(data)[2]
+    path.write_bytes(data[: last + 300])
+    (notice,) = [event for event in read(path)[0] if isinstance(event, Notice)]
+    assert notice.code == "reader.damaged_packet"
+    assert notice.place == f"log.xtf, byte {last}"
+    assert "end of the file" in notice.text
+    assert "300 bytes" in notice.text
+
+
+def test_a_file_cut_inside_its_first_ping_has_no_ping(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 1)
+    path.write_bytes(path.read_bytes()[:1500])
+    assert "no usable side-scan ping" in refusal(path)
+
+
+@pytest.mark.parametrize("n_bytes", [1, 2, 100, 70_000])
+@pytest.mark.parametrize("fill", [b"\x00", b"\xce\xfa", b"\xff", b"\x7b"])
+def test_garbage_between_packets_loses_no_ping(tmp_path: Path, n_bytes: int, fill: bytes) -> None:
+    path = written(tmp_path / "log.xtf", 5)
+    data = path.read_bytes()
+    at = packet_offsets(data)[2]
+    path.write_bytes(data[:at] + (fill * n_bytes)[:n_bytes] + data[at:])
+    events, log = read(path)
+    assert [p.time_s for p in pings_of(events)] == pytest.approx([START_S + 0.1 * n for n in range(5)])
+    assert log.counters["reader.damaged_packet"] == 1
+    assert "reader.damaged_packet" in codes_of(events)
+
+
+@pytest.mark.parametrize("claimed", [0, 1, 13, 100, 400, 1000, 2_000, 1 << 26, (1 << 32) - 1])
+def test_an_impossible_packet_length_costs_at_most_that_ping(tmp_path: Path, claimed: int) -> None:
+    path = written(tmp_path / "log.xtf", 5)
+    data = bytearray(path.read_bytes())
+    at = packet_offsets(bytes(data))[2]
+    data[at + 10 : at + 14] = claimed.to_bytes(4, "little")
+    path.write_bytes(data)
+    events, log = read(path)
+    tenths = [round((p.time_s - START_S) * 10) for p in pings_of(events)]
+    assert [n for n in tenths if n != 2] == [0, 1, 3, 4]
+    assert log.counters["reader.damaged_packet"] >= 1
+    assert "reader.damaged_packet" in codes_of(events)
+
+
+def test_channels_that_do_not_fit_their_packet_cost_that_ping(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 5)
+    edit_headers(path, lambda index, header: setattr(header, "NumChansToFollow", 60000 if index == 2 else 2))
+    events, log = read(path)
+    assert len(pings_of(events)) == 4
+    assert log.counters["reader.damaged_packet"] == 1
+
+
+def test_much_damage_is_told_a_few_times_and_counted_always(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 60)
+    edit_headers(path, lambda index, header: setattr(header, "NumChansToFollow", 60000 if index % 2 else 2))
+    events, log = read(path)
+    assert log.counters["reader.damaged_packet"] == 30
+    assert codes_of(events).count("reader.damaged_packet") == 10
+
+
+@given(spots=st.lists(st.tuples(st.floats(0.0, 1.0), st.binary(min_size=1, max_size=40)), min_size=1, max_size=6))
+@settings(max_examples=150)
+def test_no_overwritten_bytes_ever_break_the_reader(tmp_path_factory: pytest.TempPathFactory, spots: list[tuple[float, bytes]]) -> None:
+    folder = tmp_path_factory.mktemp("spoilt")
+    data = bytearray(written(folder / "log.xtf", 4).read_bytes())
+    for where, garbage in spots:
+        at = int(where * (len(data) - len(garbage)))
+        data[at : at + len(garbage)] = garbage
+    path = folder / "spoilt.xtf"
+    path.write_bytes(data)
+    try:
+        events, log = read(path, port_order="auto")
+    except BadInputError:
+        return  # refused: what such a message says has tests of its own
+    assert log.counters["reader.pings"] == len(pings_of(events)) > 0
+
+
+@given(tail=st.binary(max_size=3000))
+@settings(max_examples=60)
+def test_random_packets_area_is_refused_or_read(tmp_path_factory: pytest.TempPathFactory, tail: bytes) -> None:
+    folder = tmp_path_factory.mktemp("random")
+    path = written(folder / "log.xtf", 1)
+    path.write_bytes(path.read_bytes()[:1024] + tail)
+    with pytest.raises(BadInputError):
+        read(path)
+
+
+def test_one_channel_only(tmp_path: Path) -> None:
+    for side in ("port", "starboard"):
+        path = written(tmp_path / f"{side}.xtf", 4, sides=(side,))
+        for p in pings_of(read(path)[0]):
+            assert (p.port is None) == (side == "starboard")
+            assert (p.starboard is None) == (side == "port")
+            assert same_trace(p.port or p.starboard, getattr(ping(p.number), side))
+
+
+def test_a_side_that_comes_and_goes(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", navigated([ping(n, starboard=n % 2 == 0) for n in range(6)]))
+    assert [p.starboard is None for p in pings_of(read(path)[0])] == [False, True] * 3
+
+
+def test_no_navigation_at_all_is_delivered_without_positions(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", navigated([ping(n) for n in range(5)]))
+
+    def forget(_: int, header: Any) -> None:
+        for name in ("SensorHeading", "SensorPitch", "SensorRoll", "SensorDepth", "SensorSpeed", "SensorPrimaryAltitude"):
+            setattr(header, name, 0.0)
+        header.SensorYcoordinate = header.SensorXcoordinate = 0.0
+
+    edit_headers(path, forget)
+    events, log = read(path)
+    assert len(pings_of(events)) == 5
+    assert navigation_of(events) == []
+    assert log.counters["reader.zero_navigation"] == 5
+    assert codes_of(events) == ["reader.zero_navigation"]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("field", "quantity"),
+    [
+        ("SensorYcoordinate", "latitude_deg"),
+        ("SensorXcoordinate", "longitude_deg"),
+        ("SensorHeading", "heading_rad"),
+        ("SensorPitch", "pitch_rad"),
+        ("SensorRoll", "roll_rad"),
+        ("SensorDepth", "depth_m"),
+        ("SensorPrimaryAltitude", "altitude_m"),
+        ("SensorSpeed", "speed_mps"),
+    ],
+)
+def test_nan_in_navigation_is_unknown(tmp_path: Path, field: str, quantity: str, value: float) -> None:
+    path = written(tmp_path / "log.xtf", 5)
+    edit_headers(path, lambda index, header: setattr(header, field, value) if index == 2 else None)
+    events, log = read(path)
+    samples = navigation_of(events)
+    assert [math.isnan(getattr(s, quantity)) for s in samples] == [n == 2 for n in range(5)]
+    assert log.counters["reader.nan_navigation"] == 1
+    assert codes_of(events) == ["reader.nan_navigation"]
+    if "tude_deg" in quantity:
+        assert math.isnan(samples[2].latitude_deg)
+        assert math.isnan(samples[2].longitude_deg)
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [(91.0, 5.0), (-1e300, 5.0), (43.0, 361.0)])
+def test_an_impossible_position_is_unknown(tmp_path: Path, latitude: float, longitude: float) -> None:
+    path = written(tmp_path / "log.xtf", 2)
+
+    def move(_: int, header: Any) -> None:
+        header.SensorYcoordinate, header.SensorXcoordinate = latitude, longitude
+
+    edit_headers(path, move)
+    events, log = read(path)
+    assert all(math.isnan(s.latitude_deg) and math.isnan(s.longitude_deg) for s in navigation_of(events))
+    assert log.counters["reader.impossible_position"] == 2
+
+
+def test_time_going_backwards_is_delivered_and_counted(tmp_path: Path) -> None:
+    times = [START_S + t for t in (0.0, 0.1, 0.2, -5.0, -4.9, -4.8)]
+    path = written(tmp_path / "log.xtf", [event for n, t in enumerate(times) for event in (navigation(n, time_s=t), ping(n, time_s=t))])
+    events, log = read(path)
+    assert [p.time_s for p in pings_of(events)] == pytest.approx(times)
+    assert [s.time_s for s in navigation_of(events)] == pytest.approx(times)
+    assert log.counters["reader.time_backwards"] == 1
+    assert codes_of(events) == ["reader.time_backwards"]
+
+
+def test_an_impossible_date_costs_that_ping(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 5)
+    edit_headers(path, lambda index, header: setattr(header, "Day", 31 if index != 2 else 32))
+    edit_headers(path, lambda index, header: setattr(header, "Month", 12))
+    events, log = read(path)
+    assert len(pings_of(events)) == 4
+    assert log.counters["reader.time_invalid"] == 1
+    assert codes_of(events) == ["reader.time_invalid"]
+
+
+def test_another_number_of_samples_is_delivered_and_told_once(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", navigated([ping(n, n_samples=96 if n < 2 else 64) for n in range(5)]))
+    events, log = read(path)
+    assert [p.port.samples.shape[0] for p in pings_of(events) if p.port] == [96, 96, 64, 64, 64]
+    assert log.counters["reader.sample_count_change"] == 2
+    assert codes_of(events) == ["reader.sample_count_change"]
+
+
+@pytest.mark.parametrize("value", [0.0, -3.0, math.nan, math.inf])
+def test_a_ping_without_slant_range_is_skipped(tmp_path: Path, value: float) -> None:
+    path = written(tmp_path / "log.xtf", 5)
+    edit_channels(path, lambda index, _, header: setattr(header, "SlantRange", value) if index in (1, 3) else None)
+    events, log = read(path)
+    assert len(pings_of(events)) == 3
+    assert log.counters["reader.ping_empty"] == 2
+    assert codes_of(events) == ["reader.ping_empty"]
+
+
+def test_one_side_without_slant_range_is_left_out(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 3)
+    edit_channels(path, lambda index, channel, header: setattr(header, "SlantRange", 0.0) if (index, channel) == (1, 0) else None)
+    events, log = read(path)
+    assert [p.port is None for p in pings_of(events)] == [False, True, False]
+    assert log.counters["reader.side_empty"] == 1
+    assert codes_of(events) == ["reader.side_empty"]
+
+
+def test_a_ping_without_samples_is_skipped(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 3)
+    edit_channels(path, lambda index, channel, header: setattr(header, "NumSamples", 0) if channel == 1 and index == 1 else None)
+    edit_headers(path, lambda index, header: setattr(header, "NumChansToFollow", 0 if index == 2 else 2))
+    events, log = read(path)
+    assert [p.starboard is None for p in pings_of(events)] == [False, True]
+    assert log.counters["reader.ping_without_side_scan"] == 1
+
+
+def test_samples_that_are_no_numbers_are_delivered_and_told(tmp_path: Path) -> None:
+    spoilt = ping(1, dtype="float32")
+    assert spoilt.port is not None
+    spoilt.port.samples[5] = np.nan
+    events, log = read(written(tmp_path / "log.xtf", navigated([ping(0, dtype="float32"), spoilt]), sample_type="float32"))
+    assert len(pings_of(events)) == 2
+    assert log.counters["reader.sample_not_finite"] == 1
+
+
+def test_a_joined_log_that_cannot_be_used_ends_the_pings_only(tmp_path: Path) -> None:
+    first, second = written(tmp_path / "a.xtf", 3), written(tmp_path / "b.xtf", 3)
+    edit_file_header(second, lambda header: setattr(header, "NavUnits", 0))
+    joined = tmp_path / "joined.xtf"
+    joined.write_bytes(first.read_bytes() + second.read_bytes())
+    events, log = read(joined)
+    assert len(pings_of(events)) == 3
+    assert "reader.joined_log_unusable" in codes_of(events)
+    assert log.counters["reader.ping_without_side_scan"] + log.counters["reader.damaged_packet"] == 3
