@@ -1,8 +1,9 @@
 """Decide which position fixes of one source to believe, by which of them agree with each other.
 
-Fixes that a vehicle can have reached one from another form a track. One track is believed; the others are rivals. No single fix is worth
-more than another because it came first: at the start the track with most fixes is chosen once they span a while, and a rival takes over
-when the believed track falls silent or has far fewer fixes. The decision depends on the fixes and their times alone.
+Fixes that a vehicle can have reached one from another form a track. One track is believed; the others are candidates.
+No single fix is worth more than another because it came first: at the start the track with most fixes is chosen once
+they span a while, and a candidate takes over when the believed track falls silent or has far fewer fixes. The decision
+depends on the fixes and their times alone.
 
 Autopilots reset their position filter in the same way, after several seconds of consistent rejected fixes (PX4 EKF2 `EKF2_NOAID_TOUT`,
 5 s; ArduPilot EKF3 position timeout, 10 s).
@@ -16,10 +17,10 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
-REFIX_COUNT: Final = 3  # fixes that agree before a rival is believed: two may be one glitch that was reported twice
+REFIX_COUNT: Final = 3  # fixes that agree before a candidate is believed: two may be one glitch that was reported twice
 WINDOW: Final = 30  # newest fixes that are compared
-_OUTNUMBERED: Final = 2  # a rival with so many times the believed track's fixes in the window takes over
-_COMPARABLE: Final = 0.25  # of the believed track's fixes in the window: a rival with fewer is noise
+_OUTNUMBERED: Final = 2  # a candidate with so many times the believed track's fixes in the window takes over
+_COMPARABLE: Final = 0.25  # of the believed track's fixes in the window: a candidate with fewer is noise
 _MAX_RIVALS: Final = 8  # the one silent for longest is forgotten; scattered fixes must cost no memory
 _HOLD_FACTOR: Final = 4.0 / 3.0  # times span_s: undecided fixes older than this are rejected, so that nobody waits for them for ever
 
@@ -33,7 +34,7 @@ F = TypeVar("F", bound=Timed)
 
 
 class Decision(NamedTuple, Generic[F]):
-    """What one fix decided.
+    """Report the decision that one fix brought.
 
     accepted: fixes believed now, in order of time. n_rejected: fixes refused for good. step_m: distance from the last fix believed before
     to the first accepted one if the vehicle cannot have travelled it, else 0. doubt_m: distance to the farthest track that may be the
@@ -82,7 +83,7 @@ class FixAgreement(Generic[F]):
         self._reach_m = reach_m
         self._span_s = span_s
         self._believed: _Track[F] | None = None
-        self._rivals: list[_Track[F]] = []
+        self._candidates: list[_Track[F]] = []
         self._recent: deque[_Track[F]] = deque(maxlen=WINDOW)
 
     @property
@@ -92,13 +93,13 @@ class FixAgreement(Generic[F]):
 
     @property
     def is_decided(self) -> bool:
-        """Whether any track is believed yet, or there is nothing to decide."""
-        return self._believed is not None or not self._rivals
+        """Check whether a track is believed, or there is nothing to decide."""
+        return self._believed is not None or not self._candidates
 
     @property
     def waiting_since_s(self) -> float:
         """Time of the oldest fix that may still be believed; inf if there is none."""
-        return min((rival.waiting[0].time_s for rival in self._rivals if rival.waiting), default=math.inf)
+        return min((candidate.waiting[0].time_s for candidate in self._candidates if candidate.waiting), default=math.inf)
 
     @property
     def waiting_apart_m(self) -> float:
@@ -106,41 +107,41 @@ class FixAgreement(Generic[F]):
         if self._believed is None:
             return 0.0
         last = self._believed.last
-        return max((self._apart_m(last, rival.last) for rival in self._rivals if rival.waiting), default=0.0)
+        return max((self._apart_m(last, candidate.last) for candidate in self._candidates if candidate.waiting), default=0.0)
 
     def add(self, fix: F) -> Decision[F]:
         """Take the next fix."""
         believed = self._believed
-        rival = self._nearest_rival(fix)
-        if believed is not None and self._continues(believed, rival, fix):
+        candidate = self._nearest_candidate(fix)
+        if believed is not None and self._continues(believed, candidate, fix):
             believed.last = fix
             believed.n_since_settled += 1
             self._recent.append(believed)
             n_rejected = self._reject_waiting()
-            if self._rivals:
+            if self._candidates:
                 recent = set(map(id, self._recent))
-                self._rivals = [rival for rival in self._rivals if id(rival) in recent]
+                self._candidates = [candidate for candidate in self._candidates if id(candidate) in recent]
             return Decision((fix,), n_rejected, 0.0, *self._doubt())
         n_forgotten = 0
-        if rival is None:
+        if candidate is None:
             n_forgotten = self._make_room()
-            rival = _Track(fix)
-            self._rivals.append(rival)
-        rival.take(fix, resumes=not self._recent or self._recent[-1] is not rival)
-        self._recent.append(rival)
+            candidate = _Track(fix)
+            self._candidates.append(candidate)
+        candidate.take(fix, resumes=not self._recent or self._recent[-1] is not candidate)
+        self._recent.append(candidate)
         decision = self._settle(self._best_rival()) if believed is None and self._spans(fix.time_s) else Decision[F]()
-        if believed is not None and self._takes_over(rival, believed, fix):
-            decision = self._settle(rival)
+        if believed is not None and self._takes_over(candidate, believed, fix):
+            decision = self._settle(candidate)
         return decision._replace(n_rejected=decision.n_rejected + n_forgotten)
 
     def advance(self, time_s: float) -> Decision[F]:
         """Time has passed without a fix: settle the first track if it is due, reject fixes that waited too long."""
         if self._believed is None:
-            return self._settle(self._best_rival()) if self._rivals and self._spans(time_s) else Decision()
+            return self._settle(self._best_rival()) if self._candidates and self._spans(time_s) else Decision()
         n_rejected = 0
-        for rival in self._rivals:
-            while rival.waiting and time_s - rival.waiting[0].time_s > _HOLD_FACTOR * self._span_s:
-                del rival.waiting[0]
+        for candidate in self._candidates:
+            while candidate.waiting and time_s - candidate.waiting[0].time_s > _HOLD_FACTOR * self._span_s:
+                del candidate.waiting[0]
                 n_rejected += 1
         return Decision(n_rejected=n_rejected)
 
@@ -152,74 +153,74 @@ class FixAgreement(Generic[F]):
         return self._apart_m(before, after) <= self._reach_m(before, after)
 
     def _spans(self, time_s: float) -> bool:
-        return time_s - min(rival.run_since_s for rival in self._rivals) >= self._span_s
+        return time_s - min(candidate.run_since_s for candidate in self._candidates) >= self._span_s
 
-    def _nearest_rival(self, fix: F) -> _Track[F] | None:
-        within = [rival for rival in self._rivals if self._reaches(rival.last, fix)]
-        return min(within, key=lambda rival: self._apart_m(rival.last, fix), default=None)
+    def _nearest_candidate(self, fix: F) -> _Track[F] | None:
+        within = [candidate for candidate in self._candidates if self._reaches(candidate.last, fix)]
+        return min(within, key=lambda candidate: self._apart_m(candidate.last, fix), default=None)
 
-    def _continues(self, believed: _Track[F], rival: _Track[F] | None, fix: F) -> bool:
-        """Whether a fix goes on where the believed track is, not where a rival has fixes meanwhile: in time any place can be reached."""
+    def _continues(self, believed: _Track[F], candidate: _Track[F] | None, fix: F) -> bool:
+        """Check whether a fix continues the believed track rather than a nearer candidate: in time any place can be reached."""
         if not self._reaches(believed.last, fix):
             return False
-        if rival is None or rival.n_run == 0:
+        if candidate is None or candidate.n_run == 0:
             return True
-        return self._apart_m(believed.last, fix) <= self._apart_m(rival.last, fix)
+        return self._apart_m(believed.last, fix) <= self._apart_m(candidate.last, fix)
 
     def _make_room(self) -> int:
-        """Forget the rival with fewest new fixes if there are too many; how many fixes were rejected with it."""
-        if len(self._rivals) < _MAX_RIVALS:
+        """Forget the candidate with fewest new fixes if there are too many; how many fixes were rejected with it."""
+        if len(self._candidates) < _MAX_RIVALS:
             return 0
-        silent = min(self._rivals, key=lambda rival: (self._recent.count(rival), rival.last.time_s))
-        self._rivals.remove(silent)
+        silent = min(self._candidates, key=lambda candidate: (self._recent.count(candidate), candidate.last.time_s))
+        self._candidates.remove(silent)
         return len(silent.waiting)
 
     def _best_rival(self) -> _Track[F]:
         """The one with most fixes, the latest of equals."""
-        return max(self._rivals, key=lambda rival: (len(rival.waiting), rival.last.time_s))
+        return max(self._candidates, key=lambda candidate: (len(candidate.waiting), candidate.last.time_s))
 
-    def _takes_over(self, rival: _Track[F], believed: _Track[F], fix: F) -> bool:
-        """Whether the rival has fixes alone for long enough, or outnumbers the believed track although that one interrupts it."""
-        if rival.n_run >= REFIX_COUNT and fix.time_s - rival.run_since_s >= self._span_s:
+    def _takes_over(self, candidate: _Track[F], believed: _Track[F], fix: F) -> bool:
+        """Check whether the candidate has had all fixes for long enough, or outnumbers the believed track."""
+        if candidate.n_run >= REFIX_COUNT and fix.time_s - candidate.run_since_s >= self._span_s:
             return True
-        if len(self._recent) < WINDOW or fix.time_s - rival.since_s < self._span_s:
+        if len(self._recent) < WINDOW or fix.time_s - candidate.since_s < self._span_s:
             return False
-        return self._recent.count(rival) >= _OUTNUMBERED * self._recent.count(believed)
+        return self._recent.count(candidate) >= _OUTNUMBERED * self._recent.count(believed)
 
     def _reject_waiting(self) -> int:
         n_rejected = 0
-        for rival in self._rivals:
-            n_rejected += len(rival.waiting)
-            rival.waiting.clear()
-            rival.n_run = 0
+        for candidate in self._candidates:
+            n_rejected += len(candidate.waiting)
+            candidate.waiting.clear()
+            candidate.n_run = 0
         return n_rejected
 
     def _settle(self, track: _Track[F]) -> Decision[F]:
         before = self._believed
-        self._rivals.remove(track)
+        self._candidates.remove(track)
         n_rejected = self._reject_waiting()
         step_m = 0.0
         accepted = tuple(sorted(track.waiting, key=attrgetter("time_s")))
         if before is not None:
-            self._rivals.append(before)
+            self._candidates.append(before)
             step_m = self._apart_m(before.last, accepted[0])
             before.n_run = 0
-            for rival in self._rivals:
-                rival.n_since_settled = rival.n_runs = 0
+            for candidate in self._candidates:
+                candidate.n_since_settled = candidate.n_runs = 0
         track.waiting = []
         self._believed = track
         return Decision(accepted, n_rejected, step_m, *self._doubt())
 
     def _doubt(self) -> tuple[float, bool]:
         believed = self._believed
-        if believed is None or not self._rivals:
+        if believed is None or not self._candidates:
             return 0.0, False
         n_fixes = Counter(map(id, self._recent))
         doubt_m, disputed = 0.0, False
-        for rival in self._rivals:
-            comes_back, believed_before = rival.n_runs > 1, rival.n_since_settled == 0
-            comparable = n_fixes[id(rival)] >= max(REFIX_COUNT, _COMPARABLE * n_fixes[id(believed)])
+        for candidate in self._candidates:
+            comes_back, believed_before = candidate.n_runs > 1, candidate.n_since_settled == 0
+            comparable = n_fixes[id(candidate)] >= max(REFIX_COUNT, _COMPARABLE * n_fixes[id(believed)])
             if comparable and (comes_back or believed_before):
-                doubt_m = max(doubt_m, self._apart_m(believed.last, rival.last))
+                doubt_m = max(doubt_m, self._apart_m(believed.last, candidate.last))
                 disputed = disputed or comes_back
         return doubt_m, disputed

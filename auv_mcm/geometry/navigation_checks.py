@@ -50,5 +50,5 @@ class AltitudeCheck:
         self._n_beyond += n_beyond
 
     def is_beyond_range(self, *, at_end: bool) -> bool:
-        """Whether most pings so far have an altitude beyond the range; never from few pings, unless no more will come."""
+        """Check whether most pings so far have an altitude beyond the range; not from few pings, unless no more will come."""
         return self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS) and self._n_beyond > _MOST * self._n_pings

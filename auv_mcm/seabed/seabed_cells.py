@@ -19,11 +19,11 @@ _RIPPLE: Final = SEABED_TYPES.index("ripple")
 _COUPLING: Final = 0.7  # nats that a neighbouring cell of the same kind adds; 1 changes what is right by less than 0.005
 _SWEEPS: Final = 6
 _MIN_CONFIDENCE: Final = 0.6
-"""What is less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been right."""
+"""A cell less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been right."""
 
 
 def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
-    """What kind of sea floor a tile's core shows."""
+    """Estimate the kind of sea floor in each cell of a tile's core."""
     texture = measure_texture(tile)
     measured: NDArray[np.bool_] = np.asarray(np.isfinite(texture.features).all(axis=-1))
     features = np.where(measured[..., np.newaxis], texture.features, 0.0)
@@ -32,13 +32,13 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
     posterior = smoothed(found.log_p * known[..., np.newaxis], known)
     best = np.argmax(posterior, axis=-1)
     confidence = np.take_along_axis(posterior, best[..., np.newaxis], axis=-1)[..., 0]
-    told = known & (confidence >= _MIN_CONFIDENCE)
-    kind = np.where(told, kind_indices(model)[best], _UNKNOWN).astype(np.uint8)
+    given = known & (confidence >= _MIN_CONFIDENCE)
+    kind = np.where(given, kind_indices(model)[best], _UNKNOWN).astype(np.uint8)
     rippled = kind == _RIPPLE
     return SeabedCells(
         cell_m=texture.cell_m,
         kind=kind,
-        confidence=np.where(told, confidence, 0.0).astype(np.float32),
+        confidence=np.where(given, confidence, 0.0).astype(np.float32),
         ripple_rad=np.where(rippled, _on_compass(texture, tile), np.nan).astype(np.float32),
         wavelength_m=np.where(rippled, texture.wavelength_m, np.nan).astype(np.float32),
     )

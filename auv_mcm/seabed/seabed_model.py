@@ -48,7 +48,7 @@ class Gaussian(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class SeabedModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What each kind of sea floor looks like.
+    """Describe the textures of each kind of sea floor.
 
     fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of the cotangent of the grazing
     angle; centre and scale make them comparable. layers: units of all but the last are tanh of their sums; the last one has a sum per

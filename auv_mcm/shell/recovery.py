@@ -1,4 +1,4 @@
-"""What a session that was cut off, or whose disk was full, left out of its results, and how a person still gets it."""
+"""Find out what a session that was cut off, or whose disk was full, left out of its results, and say how to get it."""
 
 from __future__ import annotations
 

@@ -165,7 +165,7 @@ class LawWatch:
         return odds.db_per_count if math.isfinite(odds.db_per_count) else USUAL_DB_PER_COUNT
 
     def _doubts(self, odds: LawOdds, place: str) -> tuple[Notice, ...]:
-        """What speaks strongly against a law that is configured or that the sonar's protocol states, once until it agrees again."""
+        """Report strong evidence against a configured or stated law, once until the evidence agrees again."""
         assert self._transfer is not None
         kind = self._transfer.kind
         source = "the sonar's protocol states" if self._sonar.transfer == "auto" else "sonar.transfer is"

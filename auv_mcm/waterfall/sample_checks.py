@@ -33,7 +33,7 @@ class SampleCheck:
         self._reported = False
 
     def scaled(self, trace: EchoTrace) -> EchoTrace:
-        """The trace, scaled where that is necessary."""
+        """Scale the trace where its squares would not fit into float32."""
         if not self._scales or trace.samples.dtype.kind != "f":
             return trace
         some = np.abs(trace.samples[:: max(trace.samples.shape[0] // _N_SOME, 1)]).astype(np.float64)
@@ -49,7 +49,7 @@ class SampleCheck:
         return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
 
     def check(self, trace: EchoTrace, place: str) -> list[Notice]:
-        """What a person should know about the samples."""
+        """Check the samples of a trace; returns notices that ask a person to act."""
         samples = trace.samples
         if samples.dtype.kind == "u" or (samples > 0).any() or not (samples < 0).any():
             self._n_negative = 0

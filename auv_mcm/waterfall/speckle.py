@@ -84,7 +84,7 @@ class Shape(NamedTuple):
 
 
 class Speckle(NamedTuple):
-    """What the samples of several blocks show.
+    """Hold the speckle statistics of several blocks.
 
     relative: of samples over their local mean; absolute: of the samples themselves, counts; None where too little of the record can be
     used. slope, slope_sigma: of ln std against ln mean over all levels, 1 where the spread grows with the mean, 0 where it does not; sigma

@@ -1,4 +1,4 @@
-"""Whether a message was sent lately, by the clock of who sent it, which may be off by any amount.
+"""Follow a sender's clock, which may be off by any amount, to find messages that were sent earlier.
 
 A message that somebody recorded earlier and sends once more bears an old time; the vehicle's own messages bear its time of now.
 """
@@ -48,7 +48,7 @@ class SenderClock:
         return False
 
     def is_after(self, time_s: float, moment_s: float) -> bool:
-        """Whether a message that was sent lately was sent after a moment of the monotonic clock."""
+        """Check whether a recent message was sent after a moment of the monotonic clock."""
         return time_s - self._offset_s >= moment_s - JITTER_S
 
     def _follow(self, offset_s: float, now_s: float) -> None:

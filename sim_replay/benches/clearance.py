@@ -79,9 +79,9 @@ class Judged(msgspec.Struct, frozen=True, kw_only=True):
         return share * self.p_doubtful + without_contact(self.p_detected)
 
     def is_inside(self, share: float = DOUBTFUL_SHARE) -> bool:
-        """Tell whether the 95 % interval holds the mines left."""
-        told = remaining_about(self.expected(share))
-        return told.low <= self.n_left <= told.high
+        """Check whether the 95 % interval holds the mines left."""
+        remaining = remaining_about(self.expected(share))
+        return remaining.low <= self.n_left <= remaining.high
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,16 +121,16 @@ def judged(task: Task) -> Judged:
     pipeline = Pipeline(config_for(scene))
     searched = ClearanceMap(shipped_performance())
     for event in mission.events():
-        for told in pipeline.feed(event):
-            if isinstance(told, CoveragePatch):
-                searched.add(told)
-    for told in pipeline.finish():
-        if isinstance(told, CoveragePatch):
-            searched.add(told)
+        for result in pipeline.feed(event):
+            if isinstance(result, CoveragePatch):
+                searched.add(result)
+    for result in pipeline.finish():
+        if isinstance(result, CoveragePatch):
+            searched.add(result)
     clearance = searched.snapshot()
     assert clearance is not None  # a named scene is seen
-    targets = [thing for thing in mission.truth()["objects"] if thing["is_target"] and thing["looks"]]
-    return judge(task.scene, clearance, pipeline.contacts, [(thing["lat"], thing["lon"]) for thing in targets])
+    targets = [item for item in mission.truth()["objects"] if item["is_target"] and item["looks"]]
+    return judge(task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets])
 
 
 def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]) -> Judged:

@@ -46,7 +46,7 @@ _PRELOADED: Final = ("auv_mcm.pipeline", "sim_replay.replay", "sim_replay.logs.r
 
 
 class Mutant(NamedTuple):
-    """What became of one damaged log.
+    """Hold the outcome of one damaged log.
 
     code: negative if a signal ended the process; cpu_s and rss_mb are NaN then. failures: why it does not pass, empty if it does.
     """
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def kinds_of(number: int) -> tuple[str, ...]:
-    """What is done to a mutant: every second one has a navigation jump, every fourth two kinds of damage."""
+    """Choose the damage of a mutant: every second one has a navigation jump, every fourth two kinds of damage."""
     names, jumps = list(CHANGES), list(JUMPS)
     first = jumps[number // 2 % len(jumps)] if number % 2 else names[number // 2 % len(names)]
     if number % _COMBINED:
@@ -150,7 +150,7 @@ def _replay(path: Path, out: Path, console: Path, usage: Path) -> None:
 
 
 def wrong_results(out: Path, log: Path) -> list[str]:
-    """What of the results cannot be: numbers that are not finite, failed tiles, contacts far from every position of the log."""
+    """List impossible results: numbers that are not finite, failed tiles, contacts far from every position of the log."""
     read: dict[str, Any] = {}
     for name in ("contacts.geojson", "coverage.geojson", "waypoints.geojson", "clearance.geojson", "summary.json"):
         try:

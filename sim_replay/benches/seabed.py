@@ -53,8 +53,8 @@ class Task(NamedTuple):
     model: bytes
 
 
-class Told(NamedTuple):
-    """Of one mission: confusion (n_types, n_types) in m², truth down; stage_s: median processor time per tile."""
+class Scored(NamedTuple):
+    """Hold the score of one mission: confusion (n_types, n_types) in m², truth down; stage_s: median processor time per tile."""
 
     confusion_m2: Array
     stage_s: float
@@ -85,13 +85,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     tasks = [Task(name, seed, data) for name in names for seed in seeds]
-    told = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
+    missions = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
     by_scene = {
-        name: np.sum([each.confusion_m2 for task, each in zip(tasks, told, strict=True) if task.scene == name], axis=0) for name in names
+        name: np.sum([each.confusion_m2 for task, each in zip(tasks, missions, strict=True) if task.scene == name], axis=0)
+        for name in names
     }
     print(f"{len(seeds)} missions per scene, seeds {seeds[0]} to {seeds[-1]}; {parse_seabed_model(data, 'model').fitted_on}\n")
     print(report(by_scene, arguments.markdown))
-    print(f"\nper tile, processor time: {1e3 * float(np.median([each.stage_s for each in told])):.1f} ms in the median")
+    print(f"\nper tile, processor time: {1e3 * float(np.median([each.stage_s for each in missions])):.1f} ms in the median")
     if arguments.json is not None:
         areas = {name: area_m2.tolist() for name, area_m2 in by_scene.items()}
         try:
@@ -101,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def scored(task: Task) -> Told:
+def scored(task: Task) -> Scored:
     """Fly a mission over a named scene and compare its map with the truth."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
     model = parse_seabed_model(task.model, "model")
@@ -117,16 +118,16 @@ def scored(task: Task) -> Told:
     pipeline = Pipeline(config_for(scene), detect=lambda tile: TileDetections((), 0, 0), seabed=timed)
     searched = ClearanceMap(shipped_performance())
     for event in mission.events():
-        for told in pipeline.feed(event):
-            if isinstance(told, CoveragePatch):
-                searched.add(told)
-    for told in pipeline.finish():
-        if isinstance(told, CoveragePatch):
-            searched.add(told)
+        for result in pipeline.feed(event):
+            if isinstance(result, CoveragePatch):
+                searched.add(result)
+    for result in pipeline.finish():
+        if isinstance(result, CoveragePatch):
+            searched.add(result)
     clearance = searched.snapshot()
     n = len(SEABED_TYPES)
     truth = msgspec.convert(mission.truth()["seabed_map"], SeabedMap)
-    return Told(np.zeros((n, n)) if clearance is None else confusion_m2(clearance, truth), float(np.median(stage_s)))
+    return Scored(np.zeros((n, n)) if clearance is None else confusion_m2(clearance, truth), float(np.median(stage_s)))
 
 
 def report(by_scene: dict[str, Array], in_markdown: bool = False) -> str:
@@ -144,8 +145,8 @@ def report(by_scene: dict[str, Array], in_markdown: bool = False) -> str:
 
 
 def _row(name: str, area_m2: Array) -> list[str]:
-    told: Shares = shares(area_m2)
-    return [name, f"{area_m2.sum() / 1e6:.3f}", *(NOTHING if np.isnan(share) else f"{share:.2f}" for share in told)]
+    row: Shares = shares(area_m2)
+    return [name, f"{area_m2.sum() / 1e6:.3f}", *(NOTHING if np.isnan(share) else f"{share:.2f}" for share in row)]
 
 
 def _model_bytes(path: Path | None) -> bytes:
@@ -171,7 +172,7 @@ def _draw(logs: Sequence[Path], n_tiles: int, out: Path, model: SeabedModel) -> 
     return 0
 
 
-def _counted(results: Iterator[Told], total: int) -> Iterator[Told]:
+def _counted(results: Iterator[Scored], total: int) -> Iterator[Scored]:
     for done, result in enumerate(results, 1):
         print(f"\r{done} of {total} missions scored", end="" if done < total else "\n", file=sys.stderr, flush=True)
         yield result

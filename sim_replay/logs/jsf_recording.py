@@ -135,7 +135,7 @@ class JsfRecording:
         return ", ".join(f"{n} of {name}" for name, n in kinds.most_common(8)) or "no whole message"
 
     def _recorded(self, message: JsfMessage, offset: int) -> Recorded | None:
-        """What a message is to a port; None for one that is not used, which is counted."""
+        """Convert a message to bytes of a port; None for one that is not used, which is counted."""
         if message.command in (Command.REPLY, Command.ERROR):
             self._own["reader.other_messages"] += 1
             return None

@@ -1,4 +1,4 @@
-"""What a log holds in order of time, which recorders keep only roughly."""
+"""Put the records of a log in order of time, which recorders keep only roughly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The messages of a file, read in chunks: memory does not depend on its length."""
+"""Read the messages of a file in chunks, in bounded memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ M = TypeVar("M")
 
 
 class MessageFile(Generic[M]):
-    """The messages of one file. Iterate for them with their offsets; every iteration starts anew.
+    """Iterate over the messages of one file, with their offsets; every iteration starts at its beginning.
 
     `counters`: those of the framer behind `reader.`, e.g. reader.jsf.bytes_skipped.
     """
@@ -39,7 +39,7 @@ class MessageFile(Generic[M]):
         return Counter({f"reader.{name}": n for name, n in self._framer.counters.items()})
 
     def damage(self) -> Notice | None:
-        """Tell how much of what was read so far belongs to no message, None if nothing."""
+        """Report how many bytes so far belong to no message, None if all do."""
         n_bytes = self._framer.counters[f"{self._grammar.name}.bytes_skipped"]
         if not n_bytes:
             return None

@@ -51,7 +51,7 @@ class Log(Protocol):
 
     @property
     def counters(self) -> Counter[str]:
-        """What reading skipped or mended so far."""
+        """Count what reading skipped or mended so far."""
         ...
 
     def first_time_s(self) -> float:
@@ -82,7 +82,7 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
 
 
 def log_format(path: Path) -> LogFormat:
-    """Tell by its content what a log is. Raises BadInputError for what is none, or cannot be read."""
+    """Recognise the format of a log by its content. Raises BadInputError for other files and unreadable ones."""
     from drivers.recording.session_layout import FILE_PATTERN
 
     if path.is_dir():
@@ -129,7 +129,7 @@ def session_config(paths: list[Path]) -> Config | None:
 
 
 def is_session(path: Path) -> bool:
-    """Tell whether `path` is a recorded session's folder or file; False for what cannot be read at all."""
+    """Check whether `path` is the folder or a file of a recorded session; False if it cannot be read."""
     try:
         return log_format(path) == "session"
     except BadInputError:
@@ -213,7 +213,7 @@ def _sonar_port(name: str, device: SonarName, given: PortConfig | None, navigati
 
 
 def _nmea_settings(config: Config) -> NavUnitSettings:
-    """Those of the one NMEA 0183 unit that is configured: its sentences are the ones in the log."""
+    """Find the settings of the one configured NMEA 0183 unit, whose sentences are in the log."""
     given = _only(config, "nmea0183")
     settings = None if given is None else given.navigation
     if settings is None:

@@ -1,4 +1,4 @@
-"""What came in at the ports of a mission, through the same decoders and merging as live, with the recorded stamps.
+"""Decode the recorded bytes of ports as live, with their recorded stamps.
 
 A session holds every port as it was read. A sonar's own log (JSF, svlog) is read as the ports that would have received
 it: see `jsf_recording` and `svlog_recording`.
@@ -55,7 +55,7 @@ class PortRecording(Protocol):
 
     @property
     def notices(self) -> list[Notice]:
-        """What a person should know, in the order in which it was found."""
+        """List the notices in the order in which they arose."""
         ...
 
     def __iter__(self) -> Iterator[Recorded]: ...
@@ -87,7 +87,7 @@ class PortLog:
 
     @property
     def counters(self) -> Counter[str]:
-        """What reading and decoding skipped or mended so far."""
+        """Count what reading and decoding skipped or mended so far."""
         return self._recording.counters + self._finished + self._intake.counters
 
     def first_time_s(self) -> float:

@@ -70,7 +70,7 @@ class RecordedMission:
         return min(1.0, (self._done_bytes + reading_bytes) / sum(self.sizes_bytes.values()))
 
     def counters(self) -> Counter[str]:
-        """What the readers skipped or mended so far."""
+        """Count what the readers skipped or mended so far."""
         return sum((log.counters for log in self._logs), self._counters)
 
     def events(self) -> Iterator[SourceEvent]:

@@ -107,7 +107,7 @@ class SvlogRecording:
             self.notices.append(damage)
 
     def _stamp(self, message: PingMessage, offset: int) -> Stamp:
-        """Tell when the last echo of a profile was back."""
+        """Compute when the last echo of a profile was received."""
         start_mm, length_mm, counter_ms, sound_speed_dmps = _PROFILE.unpack_from(message.payload)
         echo_s = 2e-3 * (start_mm + length_mm) / (0.1 * sound_speed_dmps) if sound_speed_dmps else 0.0
         if not 0.0 < echo_s < _MAX_ECHO_S:
@@ -191,7 +191,7 @@ class _SonarTime:
         self._counters.clear()
 
     def time_ns(self, channel: int, counter_ms: int, echo_ns: int) -> int:
-        """Tell when the last echo of a ping was back; it never goes back but where a new log begins."""
+        """Compute when the last echo of a ping was received; the time decreases only where a new log begins."""
         self.is_used = True
         known = self._counters.get(channel)
         if known is not None and (counter_ms - known[0]) % _COUNTER_MS < _COUNTER_MS // 2:

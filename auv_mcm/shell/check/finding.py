@@ -1,4 +1,4 @@
-"""What the self-check says of one part."""
+"""Hold one line of the self-check."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _TIME_ERROR: Final = 5  # TIME_ERROR, what adjtimex returns for a clock that not
 
 
 class Discipline(NamedTuple):
-    """Whether something keeps the system's clock right, and the maximum error that the kernel states for it, s."""
+    """State whether the system's clock is synchronised, and the maximum error that the kernel states for it, s."""
 
     is_synchronised: bool
     max_error_s: float

@@ -82,7 +82,7 @@ def package_findings() -> Iterator[Finding]:
 
 
 def has_extra(extra: str) -> bool:
-    """Whether all packages of an extra are installed."""
+    """Check whether all packages of an extra are installed."""
     try:
         requirements = parse_requirements(metadata.requires(DISTRIBUTION) or []).get(extra, [])
     except metadata.PackageNotFoundError:

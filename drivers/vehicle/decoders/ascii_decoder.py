@@ -1,4 +1,4 @@
-"""What the decoders of sentences have in common."""
+"""Decode sentences of a vehicle: the part that all text dialects share."""
 
 from __future__ import annotations
 

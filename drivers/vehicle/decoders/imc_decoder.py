@@ -75,7 +75,7 @@ class ImcDecoder:
 
 
 def is_vehicle(message: ImcMessage) -> bool:
-    """Whether only a vehicle says this."""
+    """Check whether only a vehicle sends this message."""
     return isinstance(message, imc.EstimatedState) or (isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES)
 
 

@@ -41,8 +41,8 @@ def samples_of(seed: int) -> Samples:
     pipeline = Pipeline(config, detect=_nothing, seabed=lambda tile: None)
     tiles: list[Tile] = []
     for event in mission.events():
-        tiles += [told for told in pipeline.feed(event) if isinstance(told, Tile)]
-    tiles += [told for told in pipeline.finish() if isinstance(told, Tile)]
+        tiles += [result for result in pipeline.feed(event) if isinstance(result, Tile)]
+    tiles += [result for result in pipeline.finish() if isinstance(result, Tile)]
     return pooled([tile_samples(tile, mission, config.sonar) for tile in tiles])
 
 

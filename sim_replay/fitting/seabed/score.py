@@ -19,9 +19,9 @@ UNKNOWN: Final = SEABED_TYPES.index("unknown")
 
 
 class Shares(NamedTuple):
-    """Of the area compared. right: of all of it, where `unknown` is wrong. unknown: without a kind. right_of_known: of what has one.
+    """Hold shares of the area compared.
 
-    NaN where there is no area.
+    right: of all of it, `unknown` counted wrong. unknown: without a kind. right_of_known: of what has a kind. NaN where there is no area.
     """
 
     right: float

@@ -144,7 +144,7 @@ def test_tasks_of_a_worker_that_dies_are_done_by_another_and_a_lost_scheduler_is
 def test_a_worker_with_other_sources_is_refused(cluster: Cluster, tmp_path: Path) -> None:
     for package in ("auv_mcm", "sim_replay"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    with (tmp_path / "sim_replay" / "training" / "__init__.py").open("a") as file:
+    with (tmp_path / "sim_replay" / "fitting" / "cascade" / "__init__.py").open("a") as file:
         file.write("# a line more\n")
     cluster.worker(tmp_path)
     with pytest.raises(UsageError, match=f"worker tcp.* has auv_mcm sources .*here {fingerprint()['auv_mcm sources']}"):
