@@ -23,13 +23,16 @@ def add(commands: Commands) -> None:
             "auv-mcm hil --list",
             "auv-mcm hil clean",
             "auv-mcm hil sonar_replug my-scenario.yaml --out hil",
+            "auv-mcm hil --all                                     every scenario that ships, half an hour in all",
         ],
     )
     parser.add_argument("scenarios", metavar="SCENARIO", nargs="*", help="YAML file, or name of a scenario that ships with the package")
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=Path("hil-out"), help="logs and results, a directory per scenario (default hil-out)"
     )
-    parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
+    instead.add_argument("--all", action="store_true", help="run all of them, one after the other")
     parser.set_defaults(command=_run)
 
 
@@ -40,7 +43,10 @@ def _run(arguments: argparse.Namespace) -> int:
         for name in shipped():
             print(f"{name:18} {read_scenario(name).scenario.about}")
         return 0
-    if not arguments.scenarios:
+    if arguments.all and arguments.scenarios:
+        raise UsageError("--all runs every scenario that ships: name no SCENARIO beside it")
+    names = shipped() if arguments.all else arguments.scenarios
+    if not names:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
 
     from auv_mcm.shell.results import write_json
@@ -48,7 +54,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.hil.verdict import as_table, judge
 
     failed = []
-    for read in [read_scenario(name) for name in arguments.scenarios]:
+    for read in [read_scenario(name) for name in names]:
         folder = arguments.out / read.name
         print(f"{read.name}: {read.scenario.about}")
         evidence = run_scenario(read, folder, _say)

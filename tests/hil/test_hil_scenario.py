@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
 
+from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
 from sim_replay.commands import hil
-from sim_replay.hil.scenario import SCENARIOS, parse_scenario, read_scenario, service_config, service_yaml, shipped
+from sim_replay.hil.evidence import Report
+from sim_replay.hil.scenario import SCENARIOS, Read, parse_scenario, read_scenario, service_config, service_yaml, shipped
+from sim_replay.hil.verdict import Evidence
 
 SOUND = """
 about: what it shows
@@ -215,3 +219,18 @@ def test_a_mistake_in_a_scenario_is_refused_with_what_was_meant(right: str, wron
     assert right in text
     with pytest.raises(UsageError, match=re.escape(hint)):
         parse_scenario(text.replace(right, wrong), "f.yaml")
+
+
+def test_all_runs_every_shipped_scenario_and_fails_if_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = []
+
+    def run_nothing(read: Read, folder: Path, say: Callable[[str], None]) -> Evidence:
+        folder.mkdir(parents=True)
+        ran.append(read.name)
+        reports: dict[str, list[Report]] = {name: [] for name in read.scenario.devices}
+        return Evidence(exit_code=None, lines=[], reports=reports, summary={}, contacts=(), targets=(), replayed=None)
+
+    monkeypatch.setattr("sim_replay.hil.run.run_scenario", run_nothing)
+    assert main(["hil", "--all", "--out", str(tmp_path)]) == 5
+    assert ran == shipped()
+    assert main(["hil", "--all", "clean"]) == 2
