@@ -242,12 +242,15 @@ def _detail(transfer: Transfer, odds: LawOdds) -> str:
 
 
 def _chosen(transfer: Transfer, odds: LawOdds, n_pings: int) -> Notice:
+    """State the choice and its odds; for the record only where it is decisive and no decibels had to be estimated."""
+    is_settled = transfer.kind != "log" and odds.of(transfer.kind) >= _DECISIVE
     next_likeliest = max((law for law in LAWS if law != transfer.kind), key=odds.of)
     keys = "sonar.transfer and sonar.db_per_count" if transfer.kind == "log" else "sonar.transfer"
     return Notice(
         code="transfer.chosen",
         text=f"samples are taken as '{transfer.kind}': odds {_odds_text(odds, transfer.kind, next_likeliest)} against '{next_likeliest}' "
         f"from {n_pings} pings; {_detail(transfer, odds)}. Set {keys} if the recorder's manual says otherwise.",
+        for_the_record=is_settled,
     )
 
 

@@ -35,7 +35,14 @@ def test_several_hundred_pings_decide_and_the_notice_states_the_odds() -> None:
     assert "from 256 pings" in notice.text
     assert "looks averaged" in notice.text
     assert "sonar.db_per_count" in notice.text
+    assert not notice.for_the_record  # decibels were estimated: a person may know them
     assert not more
+
+
+def test_a_decisive_choice_without_decibels_asks_nothing_of_a_person() -> None:
+    (notice,) = notices_of(SonarConfig(), pings(AMPLITUDE))
+    assert notice.code == "transfer.chosen"
+    assert notice.for_the_record
 
 
 def test_rare_pings_do_not_make_contacts_wait_for_minutes() -> None:
