@@ -106,8 +106,8 @@ class JsfRecording:
         names = " and ".join(map(str, found))
         if not found:
             raise BadInputError(
-                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22), but {self._inventory()}. "
-                "Give a log recorded with side scan switched on."
+                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22). Whole messages in it: {self._inventory()}. "
+                "Fetch the file again if it was cut off, or give a log recorded with side scan switched on."
             )
         if wanted is not None and wanted not in found:
             raise UsageError(f"sonar.subsystem is {wanted}, but {path} holds side scan of subsystem {names}. Set one that it holds.")
@@ -132,7 +132,7 @@ class JsfRecording:
             message = framed.message
             name = f"type {message.message_type}" + (f" of subsystem {message.subsystem}" if message.message_type == SIDE_SCAN else "")
             kinds[name] += 1
-        return ", ".join(f"{n} of {name}" for name, n in kinds.most_common(8)) or "no whole message"
+        return ", ".join(f"{n} of {name}" for name, n in kinds.most_common(8)) or "none"
 
     def _recorded(self, message: JsfMessage, offset: int) -> Recorded | None:
         """Convert a message to bytes of a port; None for one that is not used, which is counted."""
