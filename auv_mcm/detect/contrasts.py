@@ -109,16 +109,6 @@ class Contrasts(NamedTuple):
 
 def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
     """Find all that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle."""
-    found = unscored(tile)
-    threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
-    places, values = _all_scores(found) if threshold < LEAST_THRESHOLD else _high_scores(found, float(threshold))
-    high = values >= threshold
-    found.score.ravel()[places[high]] = values[high]
-    return found
-
-
-def unscored(tile: Tile) -> Contrasts:
-    """Measure the sea floor of a tile without scoring any pixel: `clearest` scores those it is asked about."""
     grid = Grid(tile.row_spacing_m, tile.column_spacing_m)
     margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
     rows = max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])
@@ -132,7 +122,12 @@ def unscored(tile: Tile) -> Contrasts:
     half = grid.rows(prescreen.LOOKS_ROWS_M), grid.columns(prescreen.LOOKS_COLUMNS_M)
     thin, small, large = local_variances(logarithms, known, rows, half, prescreen.LOG_CLIP, prescreen.MIN_LOG_VARIANCE)
     score = np.full(tile.mask.shape, -np.inf, dtype=np.float32)
-    return Contrasts(tile, grid, rows, _shadows(tile, grid), sums, level, known, thin, small, large, score)
+    found = Contrasts(tile, grid, rows, _shadows(tile, grid), sums, level, known, thin, small, large, score)
+    threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
+    places, values = _all_scores(found) if threshold < LEAST_THRESHOLD else _high_scores(found, float(threshold))
+    high = values >= threshold
+    score.ravel()[places[high]] = values[high]
+    return found
 
 
 def scores_at(tile: Contrasts, places: Places) -> Values:

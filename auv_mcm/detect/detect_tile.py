@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.belief import probability, with_measurement
-from auv_mcm.detect.candidates import NO_FAINT_PLACES, Candidate, FaintPlaces, by_cascade, by_contrast
+from auv_mcm.detect.candidates import NO_FAINT_PLACES, Candidate, FaintPlaces, by_both, by_contrast
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.gate import Gate
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
@@ -70,7 +70,7 @@ def detect_tile(
         found = by_contrast(tile, config.detect, gate, min_p_mine)
     else:
         budget = None if exhaustive else config.detect.max_evaluations_per_tile
-        found = by_cascade(tile, model, config.detect, budget, gate, min_p_mine)
+        found = by_both(tile, model, config.detect, budget, gate, min_p_mine)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
     detections = _placed(tile, config, found.candidates, measured)
