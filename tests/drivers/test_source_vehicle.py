@@ -34,7 +34,7 @@ from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
-from tests.drivers.port_traffic import config_of
+from tests.drivers.port_traffic import Collected, config_of
 
 GENEROUS_S = 15.0
 VEHICLE = "vehicle: {command: true, fence_deg: [[42.99, 4.99], [42.99, 5.01], [43.01, 5.01], [43.01, 4.99]]}\n"
@@ -154,8 +154,9 @@ class Bench:
             await asyncio.sleep(0.05)
 
     async def _read(self) -> None:
-        async for event in self.source.events():
-            self.events.append(event)
+        sink = Collected()
+        self.events = sink.events
+        await self.source.run(sink)
 
     def is_heard(self) -> bool:
         return self.vehicle.authority != "down"
