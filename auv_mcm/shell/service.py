@@ -32,25 +32,16 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, search_totals
 from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
 from auv_mcm.shell.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
-from auv_mcm.shell.results import (
-    Journal,
-    Snippets,
-    Tally,
-    area_totals,
-    clearance_notices,
-    contact_totals,
-    make_directory,
-    notice_lists,
-    plan_waypoints,
-    result_writers,
-    search_totals,
-    write_clearance,
-    write_json,
-)
+from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
+from auv_mcm.shell.snippet_files import Snippets
 from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
+from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.vehicle_link import VehicleLink
+from auv_mcm.shell.whole_files import make_directory, write_json
 from auv_mcm.source import LiveSource, Recorder, Source
 
 log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory, write_file, write_json
+from auv_mcm.shell.whole_files import make_directory, write_file, write_json
 from sim_replay.augment.embed import embed
 from sim_replay.augment.log import read_survey
 from sim_replay.augment.targets import TargetSpec, place_targets

@@ -17,7 +17,7 @@ import msgspec
 
 from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.errors import UsageError
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.adaptive.compare import Compared, compare, fly_all
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
 from sim_replay.adaptive.picture import mission_png

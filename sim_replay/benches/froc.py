@@ -30,7 +30,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Tile
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.augment.command import augment
 from sim_replay.augment.targets import Scatter, TargetSpec

@@ -23,7 +23,7 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.missions import FIRST_SEED, SCENES, config_for, served_by, untrained_alone
 from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
 from sim_replay.scoring.baseline import rival_contacts

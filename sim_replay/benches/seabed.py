@@ -28,7 +28,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.seabed.picture import seabed_picture

@@ -33,7 +33,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector, LookStep
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory, write_file
+from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade import trees
 from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by

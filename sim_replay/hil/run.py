@@ -25,7 +25,7 @@ import yaml
 from auv_mcm.errors import HardwareError
 from auv_mcm.safe_files import open_for_append
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory, write_file
+from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml

@@ -17,7 +17,7 @@ from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import words
 from sim_replay.report.cards import band, cards, place_m
 from sim_replay.report.chart import WIDTH, draw_chart

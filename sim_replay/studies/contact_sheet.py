@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Ping
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.missions import SCENES
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene

@@ -19,7 +19,7 @@ import numpy as np
 
 from auv_mcm.classify.odds import MineOdds, shipped_odds
 from auv_mcm.records import Detection
-from auv_mcm.shell.results import make_directory
+from auv_mcm.shell.whole_files import make_directory
 from sim_replay.studies.picture_speckle import picture_speckle
 from sim_replay.studies.real_calls import CALLED, Called, call, is_call, n_kept
 from sim_replay.studies.real_outlines import Judged, Overlaps, judge

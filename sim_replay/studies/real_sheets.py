@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.studies.real_calls import CALLED, Called, is_call
 from sim_replay.studies.real_outlines import Judged
 from sim_replay.studies.real_pictures import Mask

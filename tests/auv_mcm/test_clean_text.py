@@ -19,7 +19,7 @@ from auv_mcm.cli import main
 from auv_mcm.contacts.export import contacts_kml
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
-from auv_mcm.shell.results import write_json
+from auv_mcm.shell.whole_files import write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = "a\x1b[2J\r\nb\x07\x7f\x9b31m\u202egnp.exe\u2066\u2028\ufeff\U000e0041\udc80\ufffe\x00"

@@ -12,7 +12,7 @@ import msgspec
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.cascade.classical.model import format_model
 from sim_replay.fitting.cascade.classical.train import train_classical
 from sim_replay.fitting.cascade.farm import Farm

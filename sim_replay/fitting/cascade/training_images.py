@@ -27,7 +27,7 @@ from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, SourceEvent, Tile
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory
+from auv_mcm.shell.whole_files import make_directory
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.place import Thing, cropped, objects_in

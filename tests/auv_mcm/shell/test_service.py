@@ -24,9 +24,9 @@ from auv_mcm.clock import Stamp
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.perception import MakePipeline, PerceptionError
 from auv_mcm.shell.recovery import BALLAST_BYTES, RECORDING, Ballast
-from auv_mcm.shell.results import Journal
 from auv_mcm.shell.service import Service
 from auv_mcm.shell.sources import parse_source_uri
 from auv_mcm.source import EventSink, Record, VehiclePilot
@@ -185,7 +185,7 @@ def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeyp
         raise OSError(28, "No space left on device")
 
     lines: list[str] = []
-    monkeypatch.setattr("auv_mcm.shell.results.Journal.append", full)
+    monkeypatch.setattr("auv_mcm.shell.journal.Journal.append", full)
     results = serve(tmp_path, Events(mission(4)), console=lines.append)
     assert [line.split()[1] for line in lines] == ids(results)
     assert summary(results)["counters"]["service.journal_failed"] == 3

@@ -12,7 +12,7 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.shell.results import write_json
+from auv_mcm.shell.whole_files import write_json
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_spec
 from sim_replay.fitting.cascade.store import read_manifest, read_shard, read_tiles
