@@ -36,12 +36,13 @@ class VehiclePilot(Protocol):
 
     def take_notices(self) -> list[Notice]: ...
 
-    def tell(self, contact: Contact) -> None: ...
+    def report(self, contact: Contact) -> None:
+        """Report a contact that is new or has changed."""
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
         """Takes the place of the plan before; () withdraws it."""
 
-    def tell_health(self, state: Health, text: str) -> None: ...
+    def report_health(self, state: Health, text: str) -> None: ...
 
     def release(self, reason: str) -> None:
         """Give control back, for good."""

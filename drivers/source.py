@@ -1,4 +1,4 @@
-"""The live source: every port listened to, asked and recorded, until it is told to stop.
+"""Listen to every port, request pings, and record both ways, until stopped: the live source.
 
 What the bytes say is `PortIntake`'s affair; here is only what needs an event loop.
 """
@@ -156,7 +156,7 @@ class PortSource:
                 f"port '{port}' brings more than this computer can decode. What does not fit is recorded, counted as "
                 f"port.{port}.bytes_undecoded, and not decoded. Check what sends there, and that nobody else does."
             )
-            self.tell(Notice(code="port_flooded", text=text, place=port))
+            self.raise_notice(Notice(code="port_flooded", text=text, place=port))
         self._work()
 
     def _work(self) -> None:
@@ -194,7 +194,7 @@ class PortSource:
         if self._record is not None:
             self._record(port, "out", self._now(), data)
 
-    def tell(self, notice: Notice) -> None:
+    def raise_notice(self, notice: Notice) -> None:
         self._put([notice])
 
     async def _tick(self) -> None:
@@ -225,7 +225,7 @@ async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
 
 
 class _ServedPort:
-    """One port while the source runs: its link kept up, its sonar told how to ping, its vehicle talked to, its states told to a person."""
+    """One port while the source runs: keep its link up, set its sonar, talk to its vehicle, and report its states to a person."""
 
     def __init__(self, port: PortSettings, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
         self.name = port.name
@@ -277,7 +277,7 @@ class _ServedPort:
                 log.exception("the link of port '%s' failed", self.name)
                 text = f"the link of port '{self.name}' failed ({error!r}) and is opened anew. This is a defect: report it with the log."
                 if self._own["failed"] == 1:
-                    self._source.tell(Notice(code="port_failed", text=text, place=self.name))
+                    self._source.raise_notice(Notice(code="port_failed", text=text, place=self.name))
             self._links_before += self._link.counters
             self._link = self._make_link()
             await asyncio.sleep(_RESTART_S)
@@ -316,7 +316,7 @@ class _ServedPort:
             last = " More changes of this port are counted only." if self._own["state_changes"] == _MAX_STATE_NOTICES else ""
             text = f"port '{self.name}' is {state}: {reason}{last}"
             opens_well = self._own["state_changes"] == 1 and reason == f"{self._link.place} is open"
-            self._source.tell(Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well))
+            self._source.raise_notice(Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well))
 
     def _send_commands(self) -> None:
         for command in self._port.commands:

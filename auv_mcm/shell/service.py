@@ -257,7 +257,7 @@ class Service:
             if contacts:
                 await self._make_durable(contacts, answer.snippets, journal)
                 if self._vehicle_link is not None:
-                    self._vehicle_link.tell(contacts)
+                    self._vehicle_link.report(contacts)
             if patches := [event for event in answer.events if isinstance(event, CoveragePatch)]:
                 await self._on_disk(partial(self._found.keep, coverage=patches))
             for event in answer.events:

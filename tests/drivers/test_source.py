@@ -296,10 +296,10 @@ def test_what_is_known_before_the_source_runs_is_given_first() -> None:
 
     async def main() -> None:
         source = PortSource(config_of(open_port), SystemClock())
-        source.tell(Notice(code="early", text="before the source runs"))
+        source.raise_notice(Notice(code="early", text="before the source runs"))
         source.stop()
         await source.run(sink)
-        source.tell(Notice(code="late", text="after its end"))
+        source.raise_notice(Notice(code="late", text="after its end"))
 
     asyncio.run(main())
     assert [event.code for event in sink.events if isinstance(event, Notice)] == ["port_open_to_all", "early"]

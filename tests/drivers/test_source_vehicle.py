@@ -206,9 +206,9 @@ def test_the_vehicle_is_heard_and_told_and_every_word_is_recorded(text: str, mak
 
     bench.run(
         bench.is_heard,
-        lambda: bench.vehicle.tell(contact(1)),
+        lambda: bench.vehicle.report(contact(1)),
         bench.has_told(1),
-        lambda: bench.vehicle.tell_health("fault", "the sonar is silent"),
+        lambda: bench.vehicle.report_health("fault", "the sonar is silent"),
         hears_of_it,
     )
     (report,) = bench.controller.take_reports()
@@ -264,11 +264,11 @@ def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_told_and_once_on
 
     bench.run(
         bench.is_heard,
-        lambda: bench.vehicle.tell(contact(1)),
+        lambda: bench.vehicle.report(contact(1)),
         bench.has_told(1),
         plug(False),
         lambda: bench.vehicle.authority == "down",
-        lambda: bench.vehicle.tell(contact(2)),
+        lambda: bench.vehicle.report(contact(2)),
         plug(True),
         bench.has_told(2),
     )
@@ -280,13 +280,13 @@ def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
     def failing(self: Pilot[Any], contact: Contact) -> None:
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(Pilot, "tell", failing)
+    monkeypatch.setattr(Pilot, "report", failing)
     bench = Bench(IMC, FakeImc())
     bench.run(
         bench.is_heard,
         lambda: bench.vehicle.propose(plan()),
         lambda: bench.controller.in_control and bench.vehicle.authority == "granted",
-        lambda: bench.vehicle.tell(contact(1)),
+        lambda: bench.vehicle.report(contact(1)),
         lambda: not bench.controller.in_control and bench.vehicle.authority == "listening",
         lambda: bench.vehicle.propose(plan()),
     )

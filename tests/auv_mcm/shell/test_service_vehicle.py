@@ -39,14 +39,14 @@ class Vehicle:
     def take_notices(self) -> list[Notice]:
         return []
 
-    def tell(self, contact: Contact) -> None:
+    def report(self, contact: Contact) -> None:
         self.said.append(("contact", contact.id))
         self.on_contact(contact)
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
         self.said.append(("plan", plan))
 
-    def tell_health(self, state: str, text: str) -> None:
+    def report_health(self, state: str, text: str) -> None:
         self.said.append((state, text))
 
     def release(self, reason: str) -> None:
