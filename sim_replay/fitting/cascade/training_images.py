@@ -6,7 +6,6 @@ the truth of the mission. Every mission is a task of its own, on the cores of th
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import sys
@@ -21,6 +20,7 @@ import numpy as np
 from msgspec import Meta
 
 from auv_mcm.clean_text import clean_lines
+from auv_mcm.commands import Parser
 from auv_mcm.detect.cascade.codes import codes_of
 from auv_mcm.detect.detect_tile import TileDetections, worth_looking
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
@@ -149,7 +149,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
+    parser = Parser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
     parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the shards and their manifest")
     parser.add_argument("--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)")
