@@ -20,7 +20,7 @@ from auv_mcm.clearance.clearance_picture import clearance_png
 from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.contacts.contact import best_view
-from auv_mcm.contacts.picture import snippet_png
+from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml

@@ -32,8 +32,8 @@ from auv_mcm.contacts.geojson import (
     collection,
     collection_parts,
     feature,
+    geojson_point,
     one_or_multi,
-    point_at,
     positions_of,
     rounded,
     rounded_longitude,
@@ -101,7 +101,7 @@ def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
             "contact_id": waypoint.contact_id,
             "why": waypoint.why,
         }
-        features.append(feature(point_at(waypoint.longitude_deg, waypoint.latitude_deg), properties))
+        features.append(feature(geojson_point(waypoint.longitude_deg, waypoint.latitude_deg), properties))
     positions = np.array([(waypoint.longitude_deg, waypoint.latitude_deg) for waypoint in waypoints], dtype=np.float64).reshape(-1, 2)
     for leg in dict.fromkeys(waypoint.leg for waypoint in waypoints):
         members = [order for order, waypoint in enumerate(waypoints) if waypoint.leg == leg]
@@ -188,7 +188,7 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "next_look_deg": [rounded(direction, METRE_DIGITS) for direction in contact.next_look_deg],
         "views": [_view(view) for view in contact.views],
     }
-    return feature(point_at(contact.longitude_deg, contact.latitude_deg), properties)
+    return feature(geojson_point(contact.longitude_deg, contact.latitude_deg), properties)
 
 
 def _view(view: Detection) -> dict[str, Json]:

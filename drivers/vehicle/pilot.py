@@ -35,7 +35,7 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from drivers.vehicle.guard import Guard, Refusal
-from drivers.vehicle.guidance import LineOfSight, Track
+from drivers.vehicle.guidance import LineOfSight, WaypointTrack
 from drivers.vehicle.report_queue import ReportQueue
 from drivers.vehicle.runs import ON_LEG, with_points_on_legs
 from drivers.vehicle.whereabouts import Whereabouts
@@ -55,7 +55,7 @@ class _Plan(NamedTuple):
 
     proposed: tuple[Waypoint, ...]
     waypoints: tuple[Waypoint, ...]
-    track: Track
+    track: WaypointTrack
     approved_s: float
 
     @property
@@ -232,7 +232,7 @@ class Pilot(Generic[W]):
         radius_m, cut_radius_m = self._config.arrival_radius_m, self._turn_radius_m if self._may_steer else 0.0
         flown = plan if self._may_steer else with_points_on_legs(plan, max(self._turn_radius_m, 2.0 * radius_m))
         places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in flown)
-        self._plan = _Plan(plan, flown, Track(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
+        self._plan = _Plan(plan, flown, WaypointTrack(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
 
     def release(self, reason: str, now_s: float) -> None:
         """Control back, the plan dropped, nothing asked for any more: the service stops. What is to be sent is still to be fetched."""

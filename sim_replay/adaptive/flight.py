@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap, LookModel
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits
 from auv_mcm.records import SIDES, Contact, CoveragePatch, NavSample, Side
 from auv_mcm.settings.config import Config
-from sim_replay.adaptive.ground import over_area, with_expected
 from sim_replay.adaptive.order import Order
+from sim_replay.adaptive.ordered_ground import clearance_over_order, with_expected
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import Leg, local_frame
 from sim_replay.simulator.scene import Scene
@@ -42,12 +42,12 @@ class Situation(NamedTuple):
     ground: Clearance
     required: float
     contacts: tuple[Contact, ...]
-    pose: Pose
+    pose: PlanePose
     left_m: float
     complete: bool
 
 
-class Decision(NamedTuple):
+class LegDecision(NamedTuple):
     """legs: in the plane of the situation's ground, each from where it is to be straight; none to end here. verdict, why: in words."""
 
     legs: tuple[Leg, ...]
@@ -55,7 +55,7 @@ class Decision(NamedTuple):
     why: str
 
 
-Decide = Callable[[Situation], Decision]
+Decide = Callable[[Situation], LegDecision]
 Wanted = Callable[[Clearance], float]
 """The mean clearance that is to be reached, by what is known of the sea floor."""
 
@@ -210,7 +210,7 @@ class _Loop:
             self._verdict = f"done: mines in the area are found with probability {p_detected:.3f}"
 
     def _ground(self) -> Clearance:
-        return over_area(self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m)
+        return clearance_over_order(self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m)
 
     def _steer(self, here: _Flown) -> None:
         if self._verdict:
@@ -237,7 +237,7 @@ class _Loop:
         for side in SIDES:
             until = self._told_until[side]
             ground = with_expected(ground, self._model, self._limits, side, self._in_plane([f for f in self._untold if f.time_s > until]))
-        pose = Pose(*self._in_plane([here])[0].tolist())
+        pose = PlanePose(*self._in_plane([here])[0].tolist())
         complete = self._last is None or min(self._told_until.values()) >= min(self._waits_from_s, here.time_s)
         left_m = self._order.budget_m - self._way_m
         required = self._wanted(known)

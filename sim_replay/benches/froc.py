@@ -32,15 +32,15 @@ from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Til
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
-from sim_replay.augment.command import augment
+from sim_replay.augment.augment_log import augment
 from sim_replay.augment.targets import Scatter, TargetSpec
 from sim_replay.benches.scenes import as_after
-from sim_replay.fitting.cascade.classical.detect import detect_classical
-from sim_replay.fitting.cascade.classical.model import parse_model as parse_classical
+from sim_replay.fitting.cascade.classical.classical_model import parse_classical_model
+from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import HELD_OUT, SCENES, config_for, untrained_alone
-from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
 from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.matching import gates_m
@@ -113,7 +113,7 @@ class Flown(NamedTuple):
     """What every system of SYSTEMS reports of one line."""
 
     group: str
-    reported: dict[str, Mission]
+    reported: dict[str, ScoredMission]
     rocks: tuple[Rock, ...]
 
 
@@ -160,7 +160,7 @@ def run(arguments: argparse.Namespace) -> int:
     print()
     print(laid_out(_ROCK_HEADER, list(_rock_rows(list(joined.from_iterable(one.rocks for one in flown))))))
     if arguments.json is not None:
-        told = {f"{group} {system}": json.loads(to_json(score)) for (group, system), score in scores.items()}
+        told = {f"{group} {system}": json.loads(score_json(score)) for (group, system), score in scores.items()}
         try:
             write_file(arguments.json, json.dumps(told, indent=1).encode())
         except OSError as error:
@@ -212,7 +212,7 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
     alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
     untrained = untrained_alone(config)
     stages = parse_model(comparison_model("stages"), "stages.json")
-    classical = parse_classical(comparison_model("classical"), "classical.json")
+    classical = parse_classical_model(comparison_model("classical"), "classical.json")
     pipelines = {
         "contrast": Pipeline(untrained),
         "classical": Pipeline(untrained, detect=partial(detect_classical, config=untrained, model=classical)),
@@ -234,8 +234,10 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
     prior = shipped_odds("cascade").prior
     for system, step in _STEPS.items():
         contacts[system] = [as_after(contact, step, prior) for contact in pipelines["chain"].contacts]
-    reported = {name: Mission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()}
-    reported["rival"] = Mission(tuple(rival_contacts(kept)), truth, place)
+    reported = {
+        name: ScoredMission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()
+    }
+    reported["rival"] = ScoredMission(tuple(rival_contacts(kept)), truth, place)
     return Flown(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
 
 
@@ -251,7 +253,7 @@ def _scattered(seed: int) -> TargetSpec:
     return TargetSpec(seed=seed, scatter=(targets, rocks))
 
 
-def _rocks(contacts: Sequence[Contact], mission: Mission) -> Iterator[Rock]:
+def _rocks(contacts: Sequence[Contact], mission: ScoredMission) -> Iterator[Rock]:
     """Every rock, with the most mine-like contact within the gate of it."""
     for thing in mission.truth.objects:
         if thing.kind != "rock" or thing.looks == ():

@@ -29,7 +29,7 @@ from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import open_mission
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Recorder
+from sim_replay.simulator.scene import SampleRecorder
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import columns, markdown
 
@@ -90,7 +90,7 @@ class Judged(NamedTuple):
 def floor_intensity(scene_name: str, seed: int, looks: int, n_pings: int = N_PINGS) -> NDArray[np.float64]:
     """Received intensity (n_pings, 2, n_samples) of the first pings of a named scene, 1 where its plain floor is in mid-range."""
     scene = read_scene(scene_name)
-    recorder = Recorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
+    recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
     scene = msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, looks=looks, recorder=recorder))
     heard = (event for event in Mission(scene).events() if isinstance(event, Ping))
     amplitude = [[trace.samples for trace in (ping.port, ping.starboard) if trace is not None] for ping in islice(heard, n_pings)]

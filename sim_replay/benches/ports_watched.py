@@ -24,7 +24,7 @@ from auv_mcm.records import Contact, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.service import Service
 from auv_mcm.source import EventSink
-from drivers.source import PortSource
+from drivers.port_source import PortSource
 
 _BUSY_S: Final = 0.08  # of a core, per ping: more than there is between two pings at the rates that are measured
 _N_SORTED: Final = 1 << 15

@@ -168,7 +168,7 @@ def _run_budget(arguments: argparse.Namespace) -> int:
 
 
 def _run_odds(arguments: argparse.Namespace) -> int:
-    from sim_replay.fitting.odds import fit_from_missions
+    from sim_replay.fitting.fit_odds import fit_from_missions
 
     fit_from_missions(
         arguments.out,
@@ -184,14 +184,21 @@ def _run_odds(arguments: argparse.Namespace) -> int:
 
 def _run_performance(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.cascade.farm import Farm
-    from sim_replay.fitting.detection_performance.calibrate_performance import FIT_SEEDS, FLIGHTS, fly_all, tables, to_json, words_for
-    from sim_replay.fitting.detection_performance.fit_performance import fit
+    from sim_replay.fitting.detection_performance.calibrate_performance import (
+        FIT_SEEDS,
+        FLIGHTS,
+        fly_all,
+        performance_fit_words,
+        performance_json,
+        tables,
+    )
+    from sim_replay.fitting.detection_performance.fit_performance import fit_performance
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
     missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), _show)
     looks = [look for mission in missions for look in mission]
-    performance = fit(looks, words_for(seeds, flights, looks))
+    performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
     print("probability that one look finds a mine, its 95 % interval, and looks fitted on\n")
     print(tables(performance))
@@ -199,7 +206,7 @@ def _run_performance(arguments: argparse.Namespace) -> int:
     print(f"of a further look, {performance.same_look_correlation:.2f} is known from one in the same direction")
     print(f"and {performance.other_look_correlation:.2f} from one in another")
     if arguments.out is not None:
-        write_new(arguments.out, to_json(performance).decode())
+        write_new(arguments.out, performance_json(performance).decode())
     return 0
 
 
@@ -207,14 +214,14 @@ def _run_seabed(arguments: argparse.Namespace) -> int:
     import msgspec
 
     from sim_replay.fitting.cascade.farm import Farm, run_tasks
-    from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_model, told_of
+    from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
 
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
     farm = Farm(arguments.workers, arguments.scheduler)
     samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: _show(done, len(seeds)))))
-    model = fit_model(samples, told_of(seeds, samples))
+    model = fit_seabed_model(samples, seabed_fit_words(seeds, samples))
     print(model.fitted_on)
     if arguments.out is not None:
         write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")

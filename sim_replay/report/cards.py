@@ -10,7 +10,7 @@ from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
 from auv_mcm.contacts.contact import best_view, error_ellipse, is_mine_like, view_reasons
 from auv_mcm.records import Confirmation, Contact, ContactClass, Detection, Waypoint
-from sim_replay.report import words
+from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
 from sim_replay.report.pictures import Strip
 

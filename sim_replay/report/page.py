@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.contacts.contact import is_mine_like
-from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.report import words
+from sim_replay.report import report_words as words
 from sim_replay.report.cards import band, cards, place_m
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.pictures import PictureCollector, Strip
@@ -105,8 +105,8 @@ def render_report(
         clutter=[card for card in told if not card.mine_like],
         mine_like_p=MINE_LIKE_P,
         legs=[point for point in waypoints if point.kind == "leg_exit"],
-        counters=words.explained(counters, words.is_loss),
-        counted=words.explained(counters, lambda name: not words.is_loss(name)),
+        counters=words.explained_counters(counters, words.is_loss),
+        counted=words.explained_counters(counters, lambda name: not words.is_loss(name)),
         notices=_by_code([notice for notice in notices if not notice.for_the_record]),
         remarks=_by_code([notice for notice in notices if notice.for_the_record]),
         costs=_costs(mission.costs),

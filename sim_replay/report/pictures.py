@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, display_levels, encoded, snippet_picture
-from auv_mcm.contacts.picture import snippet_png as snippet_png
+from auv_mcm.contacts.contact_picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, display_levels, encoded, snippet_picture
+from auv_mcm.contacts.contact_picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
 MAX_PIXELS: Final = 40_000_000

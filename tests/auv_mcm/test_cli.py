@@ -96,7 +96,7 @@ def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
 def test_the_beginning_of_an_option_is_not_taken_for_the_whole(
     arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sim_replay.fitting.cascade.command.train_model", lambda *_, **__: pytest.fail("the training began"))
+    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.train_model", lambda *_, **__: pytest.fail("the training began"))
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -108,7 +108,7 @@ def test_train_takes_an_option_as_its_first_argument(
     separator: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[object] = []
-    monkeypatch.setattr("sim_replay.fitting.cascade.command.train_model", lambda spec, out, **_: asked.append((spec, out)))
+    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.train_model", lambda spec, out, **_: asked.append((spec, out)))
     assert main(["train", *separator, "--out", str(tmp_path / "model.json")]) == 0
     assert asked == [(None, tmp_path / "model.json")]
     assert "model.json" in capsys.readouterr().out

@@ -8,7 +8,7 @@ import itertools
 from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.records import Notice
 from drivers.backlog import MAX_WAITING_BYTES, TURN_S, Backlog, Chunk
-from drivers.source import PortSource
+from drivers.port_source import PortSource
 from tests.drivers.port_traffic import Collected, config_of
 
 GENEROUS_S = 60.0

@@ -23,7 +23,7 @@ from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection,
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, render_report
 from sim_replay.report.panels import view_picture
-from sim_replay.report.words import agreement, evidence, listed, model_sizes, plus_minus
+from sim_replay.report.report_words import agreement, evidence, listed, model_sizes, plus_minus
 from tests.auv_mcm.classify import drawn_looks
 from tests.sim_replay.report_samples import Page, contact, detection, mission
 

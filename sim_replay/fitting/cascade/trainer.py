@@ -27,7 +27,7 @@ from sim_replay.fitting.cascade.soft import group_sizes, reject_thresholds
 from sim_replay.fitting.cascade.stages import FALSE_ALARMS, Samples, train_stage
 from sim_replay.fitting.cascade.store import Manifest, Shard, read_manifest
 from sim_replay.fitting.cascade.tiles import Split
-from sim_replay.fitting.cascade.validation import Inspection, Passed, Sighting, calibrate, expected_pd, passed, passes, sightings
+from sim_replay.fitting.cascade.validation import Inspection, PassRates, Sighting, calibrate, expected_pd, passed, passes, sightings
 
 Kind: TypeAlias = Literal["soft", "stages"]
 Say: TypeAlias = Callable[[str], None]
@@ -253,7 +253,7 @@ def _validated(tiles: _Tiles, model: CascadeModel, say: Say) -> CascadeModel:
     return model
 
 
-def _report(model: CascadeModel, seen: Sequence[Sighting], parts: Sequence[Passed]) -> list[str]:
+def _report(model: CascadeModel, seen: Sequence[Sighting], parts: Sequence[PassRates]) -> list[str]:
     """What the validation tiles say, line by line."""
     scores = np.stack([sighting.trace for sighting in seen])
     final = np.sort(scores[passes(model, scores), -1])[::-1]

@@ -31,7 +31,7 @@ from auv_mcm.shell.whole_files import make_directory
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.place import Thing, cropped, objects_in
-from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_spec
+from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_training_spec
 from sim_replay.fitting.cascade.store import Manifest, Packed, pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin
 from sim_replay.logs.recorded import RecordedMission
@@ -129,7 +129,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice; BadInputError for augmented
     logs that are not there; and as run_tasks does.
     """
-    spec, base = read_spec(spec_path)
+    spec, base = read_training_spec(spec_path)
     lines = lines_of(spec, base)
     for line in lines:
         if isinstance(line, SimulatedLine):
@@ -155,11 +155,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)")
     parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="render on the cluster of this dask scheduler instead")
     chosen = parser.parse_args(arguments)
-    print(told_of(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
+    print(tile_set_words(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
     return 0
 
 
-def told_of(manifest: Manifest) -> str:
+def tile_set_words(manifest: Manifest) -> str:
     """What a training set holds, a line per split."""
     lines = []
     for split in dict.fromkeys(shard.split for shard in manifest.shards):

@@ -38,7 +38,7 @@ class Sighting(NamedTuple):
     trace: NDArray[np.int32]
 
 
-class Passed(NamedTuple):
+class PassRates(NamedTuple):
     """What a cascade lets through.
 
     windows: (n,) int32 final scores of all windows clear of targets that pass, of n_windows in all. detections: (n_detections,) int32
@@ -64,7 +64,7 @@ def sightings(inspection: Inspection) -> list[Sighting]:
     return seen
 
 
-def passed(inspection: Inspection) -> Passed:
+def passed(inspection: Inspection) -> PassRates:
     """What passes the model in a shard."""
     n_windows, area_m2 = 0, 0.0
     windows, detections, is_target = [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.bool_)]
@@ -80,7 +80,7 @@ def passed(inspection: Inspection) -> Passed:
         counts = on_target | is_clear[best]
         detections.append(found.scores[best][counts])
         is_target.append(on_target[counts])
-    return Passed(n_windows, area_m2, np.concatenate(windows), np.concatenate(detections), np.concatenate(is_target))
+    return PassRates(n_windows, area_m2, np.concatenate(windows), np.concatenate(detections), np.concatenate(is_target))
 
 
 def passes(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -49,7 +49,7 @@ class Place(NamedTuple):
     share: Share
 
 
-class Judged(NamedTuple):
+class JudgedPredictions(NamedTuple):
     """brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all. calibration_error: as
     in `scoring.calibration`. places: those with looks. bins: by rising prediction. same, other: pairs of looks at one target, from the same
     direction and from others, found by either; None without any.
@@ -71,12 +71,12 @@ class Judged(NamedTuple):
         return tuple(place for place in self.places if place.share.n >= LEAST_LOOKS)
 
 
-def judge(performance: Performance, seen: Outcomes) -> Judged:
+def judge(performance: Performance, seen: Outcomes) -> JudgedPredictions:
     """The tables against looks, whose floor is the true one. Raises ValueError if there are none."""
     p = predicted(performance, seen)
     base = float(seen.found.mean()) if len(p) else 0.0
     order = np.argsort(p, kind="stable")
-    return Judged(
+    return JudgedPredictions(
         n_looks=len(p),
         n_missions=len(np.unique(seen.mission)),
         calibration_error=calibration_error(p, seen.found),

@@ -18,8 +18,8 @@ from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
-from sim_replay.fitting import odds as calibrate
-from sim_replay.fitting.odds import CROWD, FIRST_SEED, N_TREES, Example, crowded, examples_of, fit_odds, log_odds_of
+from sim_replay.fitting import fit_odds as calibrate
+from sim_replay.fitting.fit_odds import CROWD, FIRST_SEED, N_TREES, Example, crowded, examples_of, fit_odds, log_odds_of
 from sim_replay.missions import HELD_OUT, SCENES
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene

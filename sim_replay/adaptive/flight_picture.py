@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_picture import KIND_COLOURS, clearance_picture
-from auv_mcm.contacts.picture import encoded
+from auv_mcm.contacts.contact_picture import encoded
 from sim_replay.adaptive.flight import Flight
 from sim_replay.adaptive.order import Order
 from sim_replay.fitting.seabed.seabed_missions import KIND_OF

@@ -11,9 +11,9 @@ from auv_mcm.detect.cascade.codes import codes_of
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import VALID, Tile
 from auv_mcm.settings.config import Config
-from sim_replay.fitting.cascade.classical.candidates import pixels_of
 from sim_replay.fitting.cascade.classical.chips import Picture, picture
-from sim_replay.fitting.cascade.classical.model import ClassicalModel, score_picture
+from sim_replay.fitting.cascade.classical.classical_candidates import pixels_of
+from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, score_picture
 
 
 def tile_picture(tile: Tile) -> Picture:

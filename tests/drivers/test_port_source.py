@@ -22,8 +22,8 @@ from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import PortIntake
+from drivers.port_source import OnBytes, OnState, PortSource, open_source
 from drivers.ports import PortSettings, read_ports
-from drivers.source import OnBytes, OnState, PortSource, open_source
 from tests.drivers.port_traffic import PORTS, Collected, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0
@@ -192,7 +192,7 @@ def test_a_sonar_is_told_how_to_ping_at_the_start_and_when_it_comes_back() -> No
 
 
 def test_a_silent_sonar_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._ASK_AGAIN_S", 0.05)
+    monkeypatch.setattr("drivers.port_source._ASK_AGAIN_S", 0.05)
     bench = Bench(silent_s=0.1)
     bench.run(bench.state_is("sonar", "silent"), lambda: len(bench.wires["sonar"].written) >= 6)
 
@@ -220,7 +220,7 @@ def test_states_are_told_and_shown() -> None:
 
 
 def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._MAX_STATE_NOTICES", 3)
+    monkeypatch.setattr("drivers.port_source._MAX_STATE_NOTICES", 3)
     bench = Bench()
     wire = bench.wires["gnss"]
     flaps = [
@@ -236,7 +236,7 @@ def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest
 
 
 def test_a_link_that_fails_by_a_defect_is_told_and_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._RESTART_S", 0.01)
+    monkeypatch.setattr("drivers.port_source._RESTART_S", 0.01)
     bench = Bench()
     bench.defects = [ZeroDivisionError("a defect")]
     bench.run(bench.state_is("sonar", "up"), bench.state_is("gnss", "up"))

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from sim_replay.fitting.cascade.classical.candidates import Candidates, find_candidates, label
 from sim_replay.fitting.cascade.classical.chips import cut_chips, picture_of
+from sim_replay.fitting.cascade.classical.classical_candidates import Candidates, find_candidates, label
+from sim_replay.fitting.cascade.classical.classical_model import FORMAT_VERSION, ClassicalModel
 from sim_replay.fitting.cascade.classical.discriminant import Discriminant, fit_calibrated
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family, extract, feature_names, mean_chip
-from sim_replay.fitting.cascade.classical.model import FORMAT_VERSION, ClassicalModel
 from sim_replay.fitting.cascade.tiles import LabelledTile
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def train_classical(
     UsageError if there are no targets, or nothing else, among the candidates.
     """
     samples = collect(tiles, config)
-    return fit_model(samples if kinds is None else of_kinds(samples, kinds), families)
+    return fit_classical_model(samples if kinds is None else of_kinds(samples, kinds), families)
 
 
 def collect(tiles: Iterable[LabelledTile], config: Config) -> Samples:
@@ -75,7 +75,7 @@ def of_kinds(samples: Samples, kinds: Collection[str]) -> Samples:
     )
 
 
-def fit_model(samples: Samples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
+def fit_classical_model(samples: Samples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
     """A model of samples. Raises UsageError if they are all targets, or none is."""
     is_target = np.array([kind != "" for kind in samples.kind], dtype=np.bool_)
     contrast = samples.contrast.astype(np.float64)

@@ -117,7 +117,7 @@ def is_loss(name: str) -> bool:
     return name not in WORK
 
 
-def explained(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
+def explained_counters(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
     """Wanted counters that are not zero, by stage, each with its meaning; one without an entry is told by its own name."""
     stages: dict[str, list[CounterLine]] = {}
     for name in sorted(counters):

@@ -181,7 +181,7 @@ def fit_from_missions(
             show(done, len(tasks))
     # Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones do worse than sums.
     n_trees = N_TREES if detector == "cascade" else _NO_TREES
-    odds = fit_odds(examples, words_for(len(examples), scenes, seeds, crowds), n_trees)
+    odds = fit_odds(examples, odds_fit_words(len(examples), scenes, seeds, crowds), n_trees)
     try:
         write_file(out, written(odds))
     except OSError as error:
@@ -189,7 +189,7 @@ def fit_from_missions(
     _report(examples, n_trees)
 
 
-def words_for(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
+def odds_fit_words(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
     """What weights were fitted on."""
     told = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
     return f"{told}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else told

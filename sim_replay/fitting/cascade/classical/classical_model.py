@@ -39,7 +39,7 @@ class ClassicalModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     slopes: dict[str, _Bounded]
 
 
-def parse_model(data: bytes, place: str) -> ClassicalModel:
+def parse_classical_model(data: bytes, place: str) -> ClassicalModel:
     """A model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
     remedy = "Train the model anew"
     try:

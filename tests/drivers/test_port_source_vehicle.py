@@ -21,9 +21,9 @@ from auv_mcm.source import LiveSource
 from drivers.framing import StampedFramer
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link
+from drivers.port_source import OnBytes, OnState, PortSource
 from drivers.port_stream import pack_can
 from drivers.ports import PortSettings, read_ports
-from drivers.source import OnBytes, OnState, PortSource
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.pilot import Pilot
