@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
 from auv_mcm.contacts.contact import best_view, error_ellipse, is_mine_like, view_reasons
-from auv_mcm.records import Confirmation, Contact, ContactClass, Detection, Waypoint
+from auv_mcm.records import Contact, Detection, Waypoint
 from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
 from sim_replay.report.pictures import Strip
@@ -170,10 +170,6 @@ def _verdict(contact: Contact) -> tuple[str, str]:
             return called, f"{_of(fitting, contact)} {'looks' if fitting == 1 else 'look'} most like a {solid}."
         return called, f"all taken together, the views speak most for a {solid}."
     return called, "echo and shadow are those of an object, but its shape is open."
-
-
-def _shows(found: Confirmation, classification: ContactClass) -> bool:
-    return found.model is not None and found.model.classification == classification and not found.rejected
 
 
 def _of(number: int, contact: Contact) -> str:

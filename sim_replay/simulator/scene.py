@@ -13,7 +13,6 @@ from msgspec import Meta
 
 SeabedType: TypeAlias = Literal["mud", "sand", "rippled_sand", "gravel", "rock_outcrop", "boulder_field", "seagrass"]
 TargetKind: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge", "box"]
-ClutterKind: TypeAlias = Literal["rock", "boulder_cluster", "debris", "tyre", "pipe", "anchor_scar", "fish_school", "point"]
 ObjectKind: TypeAlias = Literal[
     "cylinder",
     "sphere",
