@@ -17,7 +17,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.orienteering import LEAST_ALIKE
 from sim_replay.adaptive.decide import by_replanning
-from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
+from sim_replay.adaptive.flight import AdaptiveFlight, fly_adaptive, fly_fixed
 from sim_replay.adaptive.lawnmower import LawnmowerLegs, shortest_lawnmower, worst_seabed
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
 from sim_replay.adaptive.ordered_ground import would_come_to
@@ -92,8 +92,8 @@ def compare(seed: int) -> Compared:
 class Flights(NamedTuple):
     """lawnmower: that was flown as `fixed`."""
 
-    adaptive: Flight
-    fixed: Flight
+    adaptive: AdaptiveFlight
+    fixed: AdaptiveFlight
     lawnmower: LawnmowerLegs
 
 
@@ -123,7 +123,7 @@ def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
     return Flights(adaptive, fly_fixed(scene, order, legs, careful, config), lawnmower)
 
 
-def _arm(flight: Flight, order: Order) -> Arm:
+def _arm(flight: AdaptiveFlight, order: Order) -> Arm:
     """Scored inside the ordered area alone; a mine there that was never swept is missed."""
     truth = parse_truth(flight.truth, "the flight's truth")
     frame = local_frame(Origin())

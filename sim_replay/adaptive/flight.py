@@ -67,7 +67,7 @@ class Told(NamedTuple):
     p_detected: float
 
 
-class Flight(NamedTuple):
+class AdaptiveFlight(NamedTuple):
     """How a mission went. track: (n, 2) east and north in the scene's plane. ground: the ordered area at the end, every ping counted.
 
     reached_m: track after which the ordered clearance was known to be reached, infinite if it never was. told: what was known when.
@@ -86,12 +86,14 @@ class Flight(NamedTuple):
     truth: dict[str, object]
 
 
-def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel, config: Config) -> Flight:
+def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel, config: Config) -> AdaptiveFlight:
     """Legs (scene's plane) flown to the end, whatever is found."""
     return _Loop(scene, order, model, config, None, None, lambda ground: math.inf).fly(legs)
 
 
-def fly_adaptive(scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted) -> Flight:
+def fly_adaptive(
+    scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted
+) -> AdaptiveFlight:
     """Legs decided on at the start and whenever one ends, until the wanted clearance is reached, `decide` has no more, or the budget is
     used up."""
     return _Loop(scene, order, model, config, decide, limits, wanted).fly(())
@@ -139,7 +141,7 @@ class _Loop:
         self._reasons: list[str] = []
         self._track: list[tuple[float, float]] = []
 
-    def fly(self, legs: Sequence[Leg]) -> Flight:
+    def fly(self, legs: Sequence[Leg]) -> AdaptiveFlight:
         first_leg = self._mission.vehicle.legs[0]
         start = _Flown(self._scene.track.start_time_s, first_leg.east_m, first_leg.north_m, first_leg.direction_rad)
         if self._decide is None:
@@ -164,7 +166,7 @@ class _Loop:
             if isinstance(result, CoveragePatch):
                 self._take(result)
         start_s = self._scene.track.start_time_s
-        return Flight(
+        return AdaptiveFlight(
             way_m=self._way_m,
             duration_s=0.0 if self._last is None else self._last.time_s - start_s,
             reached_m=self._reached_m,

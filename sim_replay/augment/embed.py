@@ -26,7 +26,7 @@ from sim_replay.augment.background_log import SamplePlace, Stretch, Survey, over
 from sim_replay.augment.direct import invert
 from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, PingWindow, Relief, echoes
 from sim_replay.augment.forward import SeafloorScene
-from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed, spread
+from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed, spread_over_taps
 from sim_replay.augment.shadows import Runs, shadow_runs
 from sim_replay.augment.targets import Placement
 from sim_replay.augment.track import SIGN, PingTrack
@@ -46,7 +46,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 Recover: TypeAlias = Callable[[Floats, Bools, Floats, Floats, float], SeafloorScene]  # see direct.invert
 
 
-class Picture(NamedTuple):
+class EmbeddedPicture(NamedTuple):
     """One side of a window over ground range, as an inversion takes it.
 
     intensity: (n_pings, n_columns) float64, linear, 0 where not valid. valid: the same shape, bool. shadow: where it lies in shadow.
@@ -109,7 +109,7 @@ def embed(
     done: list[Embedded] = []
     for number, placement in enumerate(placements):
         looks: list[EmbeddedView] = []
-        for pass_number, (ping, side, ground_range_m, ahead_m) in enumerate(passes(track, placement)):
+        for pass_number, (ping, side, ground_range_m, ahead_m) in enumerate(passes_over_object(track, placement)):
             stretch_number, index = int(track.stretch[ping]), int(track.row[ping])
             stretch = survey.stretches[stretch_number]
             if (stretch_number, side) not in lines:
@@ -123,7 +123,7 @@ def embed(
     return Augmented(bytes(data), tuple(done))
 
 
-def passes(track: PingTrack, placement: Placement) -> list[tuple[int, Side, float, float]]:
+def passes_over_object(track: PingTrack, placement: Placement) -> list[tuple[int, Side, float, float]]:
     """Ping, side, ground range and distance ahead of that ping for every pass that sees an object, the one it was placed by first."""
     own = [(placement.ping, placement.side, placement.ground_range_m, 0.0)]
     for ping, side, ground_range_m in track.looks(placement.thing.east_m, placement.thing.north_m):
@@ -236,7 +236,7 @@ def _picture(
     first_range_m: float,
     spacing_m: float,
     farthest_m: float,
-) -> Picture:
+) -> EmbeddedPicture:
     n_columns = max(8, math.floor(farthest_m / _COLUMN_M))
     traces = make_traces(intensity.astype(np.float32), valid, np.zeros(valid.shape, dtype=np.bool_), first_range_m, spacing_m)
     edges = ground_edges_m(stretch.first_return_m[pings], n_columns, _COLUMN_M)
@@ -245,10 +245,10 @@ def _picture(
     along_m = stretch.along_m[pings]
     row_m = max(float(along_m[-1] - along_m[0]) / max(len(along_m) - 1, 1), 1e-3)
     shadow = shadow_runs(ground.intensity, window.line.noise[sample], row_m, _COLUMN_M)
-    return Picture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
+    return EmbeddedPicture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
 
 
-def reliefs(scene: SeafloorScene, picture: Picture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
+def reliefs(scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
     """The floor that an object stands on, and the floor that hides and echoes.
 
     The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the sonar where it is
@@ -289,7 +289,7 @@ def _heard_anew(
     recorded: Floats, heard: Echoes, line: SampleScatter, spacing_m: float, seed: int, stream: int
 ) -> tuple[Floats, Bools, float]:
     """Intensity with the object, what of it changed, and the highlight's contrast."""
-    bare, floor = spread(heard.bare, line.range_taps), spread(heard.floor, line.range_taps)
+    bare, floor = spread_over_taps(heard.bare, line.range_taps), spread_over_taps(heard.floor, line.range_taps)
     # Where nothing echoed before, nothing can be lost: a real shadow stays as it is.
     little = 1e-2 * uniform_filter1d(bare.mean(axis=0), max(3, round(_LEVEL_M / spacing_m)), mode="nearest")
     kept = np.divide(floor, bare, out=np.ones_like(bare), where=(bare > little) & (floor != bare))
@@ -303,7 +303,7 @@ def _heard_anew(
     change = Change(kept[:, columns], added[:, columns])
     new, changed = recorded.copy(), np.zeros(recorded.shape, dtype=np.bool_)
     new[:, columns], changed[:, columns] = mixed(recorded[:, columns], change, line, line.noise[columns], seed, stream)
-    highlight = spread(added, line.range_taps)
+    highlight = spread_over_taps(added, line.range_taps)
     if not highlight.any():
         return new, changed, math.nan
     bright = highlight > 0.5 * highlight.max()

@@ -267,7 +267,7 @@ class Change(NamedTuple):
     added: Floats
 
 
-def spread(energy: Floats, taps: Float32s) -> Floats:
+def spread_over_taps(energy: Floats, taps: Float32s) -> Floats:
     """Mean intensities along range (axis 1) after the point-spread function, whose power is the squared taps."""
     if taps.size == 1:
         return energy
@@ -285,7 +285,7 @@ def mixed(recorded: Floats, change: Change, line: SampleScatter, noise: Floats, 
 
     recorded: (n_pings, n_samples) linear intensity. noise: (n_samples,) of these samples. seed and stream (below 2^56) choose the speckle.
     """
-    changed = (change.kept != 1.0) | (spread(change.added, line.range_taps) > 0.0)
+    changed = (change.kept != 1.0) | (spread_over_taps(change.added, line.range_taps) > 0.0)
     n_pings, n_samples = recorded.shape
 
     def field(kind: int, energy: Floats | None = None) -> NDArray[np.complex128]:

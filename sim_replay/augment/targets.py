@@ -70,7 +70,7 @@ class EmbeddedTarget(_Section, frozen=True, kw_only=True):
     is_target: bool | None = None
 
 
-class Scatter(_Section, frozen=True, kw_only=True):
+class ScatteredTargets(_Section, frozen=True, kw_only=True):
     """`count` objects of the kinds, at random: even over the sea floor seen, in azimuth, and within each range of [lowest, highest].
 
     contrast_db: [mean, standard deviation] of a normal distribution. apart_m: from each other, other objects and `keep_clear` places.
@@ -106,7 +106,7 @@ class TargetSpec(_Section, frozen=True, kw_only=True):
 
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 1
     targets: tuple[EmbeddedTarget, ...] = ()
-    scatter: tuple[Scatter, ...] = ()
+    scatter: tuple[ScatteredTargets, ...] = ()
     keep_clear: tuple[ClearPlace, ...] = ()
 
 
@@ -273,7 +273,9 @@ def _placement(
     return Placement(thing, ping, side, ground_range_m)
 
 
-def _scattered(track: PingTrack, group: Scatter, index: int, seed: int, taken: list[tuple[float, float, float]]) -> list[Placement]:
+def _scattered(
+    track: PingTrack, group: ScatteredTargets, index: int, seed: int, taken: list[tuple[float, float, float]]
+) -> list[Placement]:
     """The group's objects; their places are added to `taken`: east, north and reach."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM, index])))
     where = f"scatter[{index}]"

@@ -33,7 +33,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.augment.augment_log import augment
-from sim_replay.augment.targets import Scatter, TargetSpec
+from sim_replay.augment.targets import ScatteredTargets, TargetSpec
 from sim_replay.benches.scenes import as_after
 from sim_replay.fitting.cascade.classical.classical_model import parse_classical_model
 from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
@@ -77,7 +77,7 @@ _OUTDONE_HEADER: Final = ("missions", "thresholds of the plain one", "outdone in
 _ROCK_HEADER: Final = ("mine-sized rocks of the chain", "called", "share")
 
 
-class SimulatedLine(NamedTuple):
+class HeldOutSimulatedLine(NamedTuple):
     """A named scene with a seed."""
 
     name: str
@@ -88,7 +88,7 @@ class SimulatedLine(NamedTuple):
         return self.name
 
 
-class AugmentedLine(NamedTuple):
+class HeldOutAugmentedLine(NamedTuple):
     """A recorded log into which targets and rocks are embedded, drawn by a seed."""
 
     log: Path
@@ -99,7 +99,7 @@ class AugmentedLine(NamedTuple):
         return self.log.stem
 
 
-Line: TypeAlias = SimulatedLine | AugmentedLine
+Line: TypeAlias = HeldOutSimulatedLine | HeldOutAugmentedLine
 
 
 class Rock(NamedTuple):
@@ -137,8 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     first = arguments.first_seed
-    lines: list[Line] = [SimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)]
-    lines += [AugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)]
+    lines: list[Line] = [HeldOutSimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)]
+    lines += [HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)]
 
     def progress(done: int) -> None:
         print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
@@ -171,7 +171,7 @@ def run(arguments: argparse.Namespace) -> int:
 def fly(line: Line) -> Flown:
     """One line as all systems report it."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
-    if isinstance(line, SimulatedLine):
+    if isinstance(line, HeldOutSimulatedLine):
         scene = msgspec.structs.replace(read_scene(line.name), seed=line.seed)
         mission = simulated.Mission(scene)
         return _seen(line, config_for(scene), mission.events(), mission.truth)
@@ -246,10 +246,10 @@ def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetection
 
 
 def _scattered(seed: int) -> TargetSpec:
-    targets = Scatter(
+    targets = ScatteredTargets(
         kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=True
     )
-    rocks = Scatter(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
+    rocks = ScatteredTargets(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
     return TargetSpec(seed=seed, scatter=(targets, rocks))
 
 

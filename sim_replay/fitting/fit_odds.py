@@ -301,7 +301,7 @@ def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
     total = weights.offset + weighed
     for tree in weights.trees:
         asked, thresholds = zip(*tree.ask, strict=True)
-        grown = trees.Tree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
+        grown = trees.GrownTree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
         total += grown.nats[trees.leaves(grown, values)]
     return total
 

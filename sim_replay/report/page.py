@@ -21,7 +21,7 @@ from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import report_words as words
 from sim_replay.report.cards import band, cards, place_m
 from sim_replay.report.chart import WIDTH, draw_chart
-from sim_replay.report.pictures import PictureCollector, Strip
+from sim_replay.report.pictures import PictureCollector, PictureStrip
 
 _NOTICES_PER_CODE: Final = 5
 _LEAST_BOX_M: Final = 3.0
@@ -182,7 +182,7 @@ class _Box(NamedTuple):
     flip: bool  # label on the left
 
 
-def _strip_view(strip: Strip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> dict[str, Any]:
+def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> dict[str, Any]:
     """A strip with its overlays in per cent of the picture."""
     length_m, width_m = strip.stop_m - strip.start_m, 2.0 * strip.half_width_m
 

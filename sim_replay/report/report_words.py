@@ -185,7 +185,7 @@ def decibels(level_db: float) -> str:
     return f"{level_db:+.1f} dB".replace("-", "\u2212") if math.isfinite(level_db) else "none"
 
 
-def evidence(log_ratio: float) -> str:
+def evidence_words(log_ratio: float) -> str:
     """Evidence for a mine against clutter in nats, and in words: steps of ten and a hundred to one."""
     if not math.isfinite(log_ratio):
         return "unknown"

@@ -54,7 +54,7 @@ class Confusion(msgspec.Struct, frozen=True, kw_only=True):
     nothing_there: tuple[int, ...]
 
 
-class Spread(msgspec.Struct, frozen=True, kw_only=True):
+class PositionSpread(msgspec.Struct, frozen=True, kw_only=True):
     """The median of signed errors and what 95 % of them stay below in size; None without any."""
 
     n: int
@@ -65,18 +65,18 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
 class PositionErrors(msgspec.Struct, frozen=True, kw_only=True):
     """Contact less truth of the detections. `in_sigmas` is the total error by the contact's own 1-sigma error."""
 
-    east_m: Spread
-    north_m: Spread
-    total_m: Spread
-    in_sigmas: Spread
+    east_m: PositionSpread
+    north_m: PositionSpread
+    total_m: PositionSpread
+    in_sigmas: PositionSpread
 
 
 class SizeErrors(msgspec.Struct, frozen=True, kw_only=True):
     """Contact less truth of the detections; the true height is what stands above the sea floor."""
 
-    length_m: Spread
-    width_m: Spread
-    height_m: Spread
+    length_m: PositionSpread
+    width_m: PositionSpread
+    height_m: PositionSpread
 
 
 class FoundObject(NamedTuple):
@@ -217,8 +217,8 @@ def _known(size_m: float | None) -> float:
     return NAN if size_m is None else size_m
 
 
-def _spread(errors: Sequence[float]) -> Spread:
+def _spread(errors: Sequence[float]) -> PositionSpread:
     known = np.array([error for error in errors if math.isfinite(error)], dtype=np.float64)
     if not known.size:
-        return Spread(n=0, median=None, p95_absolute=None)
-    return Spread(n=known.size, median=float(np.median(known)), p95_absolute=float(np.quantile(np.abs(known), 0.95)))
+        return PositionSpread(n=0, median=None, p95_absolute=None)
+    return PositionSpread(n=known.size, median=float(np.median(known)), p95_absolute=float(np.quantile(np.abs(known), 0.95)))

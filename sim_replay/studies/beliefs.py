@@ -80,7 +80,7 @@ _TURNS: Final[tuple[Solid, ...]] = ("cylinder", "wedge")
 Evidence = dict[ContactClass, ClassEvidence]
 
 
-class Thing(NamedTuple):
+class DrawnObject(NamedTuple):
     """An object and its views 90 degrees apart."""
 
     name: ContactClass
@@ -136,16 +136,16 @@ class Calibrated(NamedTuple):
     error: float
 
 
-def draw_things(n_objects: int, seed: int) -> list[Thing]:
+def draw_things(n_objects: int, seed: int) -> list[DrawnObject]:
     """Objects of all classes in turn."""
     return [draw_thing(FRAME[index % N_CLASSES], seed + index) for index in range(n_objects)]
 
 
-def draw_thing(name: ContactClass, seed: int) -> Thing:
+def draw_thing(name: ContactClass, seed: int) -> DrawnObject:
     """A mine as the bench of shapes draws it, or a rock at 10 to 45 m, rendered from two sides with altitudes told up to 10 % wrong."""
     for solid in SOLIDS:
         if solid == name:
-            return Thing(name, draw_object(solid, seed).views)
+            return DrawnObject(name, draw_object(solid, seed).views)
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_ROCK_STREAM, seed])))
     range_m, azimuth_deg, tilt_deg = (
         float(random.uniform(*limits)) for limits in ((10.0, 45.0), (0.0, 360.0), (-_ROCK_TILT_DEG, _ROCK_TILT_DEG))
@@ -168,7 +168,7 @@ def draw_thing(name: ContactClass, seed: int) -> Thing:
         )
         return rendered_region(rock, 2 * seed + number, altitude_error=altitude_error)
 
-    return Thing(name, (view(0.0, 0, error), view(90.0, 1, -error)))
+    return DrawnObject(name, (view(0.0, 0, error), view(90.0, 1, -error)))
 
 
 def free_contour(region: Region) -> FreeContour:
@@ -202,7 +202,7 @@ def look(region: Region) -> LikelihoodView:
     return LikelihoodView(evidence, not (found.fits and found.fits[0].solid == "wedge"), free.labels == SHADOW)
 
 
-def looks_at(thing: Thing) -> tuple[LikelihoodView, LikelihoodView]:
+def looks_at(thing: DrawnObject) -> tuple[LikelihoodView, LikelihoodView]:
     """Both views of an object."""
     first, second = thing.views
     return look(first), look(second)

@@ -27,7 +27,7 @@ from sim_replay.fitting.cascade.classical.chips import reference_shadow_m
 from sim_replay.fitting.cascade.classical.classical_candidates import find_candidates
 from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, score_windows
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family
-from sim_replay.fitting.cascade.classical.train_classical import Samples, collect, fit_classical_model, merged, of_kinds
+from sim_replay.fitting.cascade.classical.train_classical import ChipSamples, collect, fit_classical_model, merged, of_kinds
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import Kind, SeedRange, Seeds, SimulatedLine, Spec, Targets, lines_of
 from sim_replay.fitting.cascade.tiles import LabelledTile
@@ -145,7 +145,7 @@ def training_lines(n_missions: int) -> tuple[SimulatedLine, ...]:
     return tuple(line for line in lines_of(spec, Path()) if isinstance(line, SimulatedLine))
 
 
-def samples_of(line: SimulatedLine) -> Samples:
+def samples_of(line: SimulatedLine) -> ChipSamples:
     """What there is to learn from in one mission."""
     return collect(simulated_tiles(line), line.config)
 

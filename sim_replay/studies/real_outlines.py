@@ -56,7 +56,7 @@ class Outlined(NamedTuple):
     iou: Overlaps
 
 
-class Judged(NamedTuple):
+class JudgedOutline(NamedTuple):
     """One picture of the object.
 
     detected: some detection is near the mask. first: that is the one of highest p_mine. given, found: with the mask's centre and with
@@ -78,7 +78,7 @@ class Judged(NamedTuple):
     contrast_db: float
 
 
-def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judged:
+def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> JudgedOutline:
     """Find and outline the object in a picture that has a mask."""
     assert picture.mask is not None
     tile, config = tile_of(picture, geometry), config_of(geometry)
@@ -97,7 +97,7 @@ def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judged:
     intensity = tile.intensity.astype(np.float64)
     grown, around = (cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0 for side in (3, _AROUND_PX))
     inside, outside = (float(intensity[part & valid].mean()) for part in (mask, around & ~grown))
-    return Judged(
+    return JudgedOutline(
         picture=picture,
         geometry=geometry,
         detected=found is not None,

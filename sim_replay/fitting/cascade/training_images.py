@@ -30,7 +30,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.fitting.cascade.place import Thing, cropped, objects_in
+from sim_replay.fitting.cascade.place import PlacedTarget, cropped, objects_in
 from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_training_spec
 from sim_replay.fitting.cascade.store import Manifest, Packed, pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin
@@ -77,11 +77,11 @@ def simulated_tiles(line: SimulatedLine) -> Iterator[LabelledTile]:
     return _labelled(mission.events(), things_of(mission), line.config, line.background, "simulated")
 
 
-def things_of(mission: Mission) -> tuple[Thing, ...]:
+def things_of(mission: Mission) -> tuple[PlacedTarget, ...]:
     """The objects of a simulated mission."""
     sea = mission.sea
     return tuple(
-        Thing(
+        PlacedTarget(
             latitude_deg=told["lat"],
             longitude_deg=told["lon"],
             floor_depth_m=sea.scene.world.depth_m - sea.world.floor_m(placed.east_m, placed.north_m),
@@ -98,7 +98,7 @@ def things_of(mission: Mission) -> tuple[Thing, ...]:
     )
 
 
-def labelled(tile: Tile, things: Sequence[Thing], config: Config, background: str, origin: Origin) -> LabelledTile:
+def labelled(tile: Tile, things: Sequence[PlacedTarget], config: Config, background: str, origin: Origin) -> LabelledTile:
     """The core of a tile with OVERLAP_M on both sides, and which of `things` lie in it."""
     reach = math.ceil(OVERLAP_M / tile.row_spacing_m)
     start, stop = max(tile.core_start - reach, 0), min(tile.core_stop + reach, tile.mask.shape[0])
@@ -185,7 +185,7 @@ def _check_room(line: SimulatedLine) -> None:
 
 
 def _labelled(
-    events: Iterable[SourceEvent], things: Sequence[Thing], config: Config, background: str, origin: Origin
+    events: Iterable[SourceEvent], things: Sequence[PlacedTarget], config: Config, background: str, origin: Origin
 ) -> Iterator[LabelledTile]:
     for tile in _tiles(events, config):
         if worth_looking(tile):
@@ -205,7 +205,7 @@ def _nothing(tile: Tile) -> TileDetections:
     return TileDetections((), 0, 0)
 
 
-def _augmented_truth(path: Path) -> tuple[str, tuple[Thing, ...]]:
+def _augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
     try:
         truth = msgspec.json.decode(path.read_bytes(), type=_AugmentedTruth)
     except OSError as error:
@@ -213,7 +213,7 @@ def _augmented_truth(path: Path) -> tuple[str, tuple[Thing, ...]]:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}. Name a folder that `auv-mcm augment` wrote") from error
     return truth.background, tuple(
-        Thing(
+        PlacedTarget(
             latitude_deg=thing.lat,
             longitude_deg=thing.lon,
             floor_depth_m=NAN,

@@ -30,7 +30,7 @@ class Inspection(NamedTuple):
     model: CascadeModel
 
 
-class Sighting(NamedTuple):
+class ValidationSighting(NamedTuple):
     """A target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best window."""
 
     seabed: str
@@ -52,15 +52,15 @@ class PassRates(NamedTuple):
     is_target: NDArray[np.bool_]
 
 
-def sightings(inspection: Inspection) -> list[Sighting]:
+def sightings(inspection: Inspection) -> list[ValidationSighting]:
     """The best window of every target in a shard, whatever the model rejects."""
-    seen: list[Sighting] = []
+    seen: list[ValidationSighting] = []
     for tile, plane in planes_of(inspection.folder, inspection.shard):
         bags = target_bags(tile, plane)
         scores = trace_plane(plane, inspection.model, bags.rows, bags.columns)
         best = best_windows(merit_of(inspection.model, scores), bags.bag)
         for target, window in zip(bags.targets, best, strict=True):
-            seen.append(Sighting(target.seabed, target.ground_range_m, scores[window]))
+            seen.append(ValidationSighting(target.seabed, target.ground_range_m, scores[window]))
     return seen
 
 
@@ -88,7 +88,7 @@ def passes(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.bool_]:
     return np.asarray(np.all(scores >= np.array(model.reject, dtype=np.int32), axis=1))
 
 
-def expected_pd(model: CascadeModel, seen: Sequence[Sighting]) -> tuple[ExpectedPd, ...]:
+def expected_pd(model: CascadeModel, seen: Sequence[ValidationSighting]) -> tuple[ExpectedPd, ...]:
     """Share of the targets of each sea floor and band of ground range that pass; bands without targets are left out."""
     cells: dict[tuple[str, int], list[bool]] = defaultdict(list)
     if not seen:

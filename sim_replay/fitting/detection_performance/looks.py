@@ -80,7 +80,7 @@ def looks_of(scene: Scene) -> list[CellPass]:
         cover = mission.sea.world.covers[int(covers[index])]
         ripple_rad = None if cover.ripples is None else math.radians(cover.ripples.direction_deg) % math.pi
         for side in SIDES:
-            for group in passes([part for part in parts if part.side == side]):
+            for group in cell_passes([part for part in parts if part.side == side]):
                 if sum(part.fraction for part in group) < _WHOLE:
                     continue
                 most = max(group, key=lambda part: part.fraction)
@@ -122,7 +122,7 @@ def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], fram
     return found
 
 
-def passes(parts: Sequence[Part]) -> list[list[Part]]:
+def cell_passes(parts: Sequence[Part]) -> list[list[Part]]:
     """Parts of one side, in order of time, by pass: what follows within a minute and looks the same way."""
     groups: list[list[Part]] = []
     for part in parts:

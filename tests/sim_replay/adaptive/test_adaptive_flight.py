@@ -9,7 +9,7 @@ from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import PlanePose
 from sim_replay.adaptive.decide import by_replanning
-from sim_replay.adaptive.flight import Flight, LegDecision, Situation, fly_adaptive, fly_fixed
+from sim_replay.adaptive.flight import AdaptiveFlight, LegDecision, Situation, fly_adaptive, fly_fixed
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower
 from sim_replay.adaptive.order import limits_of
 from sim_replay.adaptive.ordered_ground import clearance_over_order, would_come_to
@@ -20,11 +20,11 @@ GOOD = Worth(0.6)
 
 
 @pytest.fixture(scope="module")
-def cleared() -> Flight:
+def cleared() -> AdaptiveFlight:
     return fly_small(GOOD, small_order())
 
 
-def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: Flight) -> None:
+def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: AdaptiveFlight) -> None:
     assert cleared.verdict.startswith("done")
     assert cleared.ground.p_detected.mean() >= 0.6
     assert cleared.reached_m == pytest.approx(cleared.way_m, abs=1.0)
@@ -32,18 +32,18 @@ def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: Flight) ->
     assert all(told.p_detected < 0.6 for told in cleared.told if told.way_m < cleared.reached_m)
 
 
-def test_what_is_told_only_grows_and_covers_the_ordered_area(cleared: Flight) -> None:
+def test_what_is_told_only_grows_and_covers_the_ordered_area(cleared: AdaptiveFlight) -> None:
     assert all(np.diff([told.p_detected for told in cleared.told]) >= 0.0)
     cell_m = cleared.ground.cell_m
     assert cleared.ground.exponent.shape == pytest.approx((SIDE_M / cell_m, SIDE_M / cell_m), abs=1)
 
 
-def test_every_decision_is_explained(cleared: Flight) -> None:
+def test_every_decision_is_explained(cleared: AdaptiveFlight) -> None:
     assert len(cleared.reasons) >= 2
     assert all(cleared.reasons)
 
 
-def test_the_same_seed_gives_the_same_flight(cleared: Flight) -> None:
+def test_the_same_seed_gives_the_same_flight(cleared: AdaptiveFlight) -> None:
     again = fly_small(GOOD, small_order())
     assert again.track.tobytes() == cleared.track.tobytes()
     assert again.ground.exponent.tobytes() == cleared.ground.exponent.tobytes()
@@ -57,7 +57,7 @@ def test_a_sea_floor_on_which_nothing_is_found_ends_the_flight_at_once_with_word
     assert flight.reached_m == np.inf
 
 
-def test_what_is_wanted_beyond_the_order_by_what_is_known_is_flown_for_as_well(cleared: Flight) -> None:
+def test_what_is_wanted_beyond_the_order_by_what_is_known_is_flown_for_as_well(cleared: AdaptiveFlight) -> None:
     scene, order = small_scene(), small_order()
     limits = limits_of(scene, order)
     decide = by_replanning(order, GOOD, limits, local_frame(scene.origin))
@@ -96,7 +96,7 @@ def test_an_order_that_takes_more_track_than_there_is_ends_within_the_budget() -
     assert flight.way_m <= 231.0
 
 
-def test_the_vehicle_stays_inside_the_fence(cleared: Flight) -> None:
+def test_the_vehicle_stays_inside_the_fence(cleared: AdaptiveFlight) -> None:
     low, high = small_order().fence.min(axis=0), small_order().fence.max(axis=0)
     assert (cleared.track > low).all()
     assert (cleared.track < high).all()

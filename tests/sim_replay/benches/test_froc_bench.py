@@ -11,7 +11,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
-from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd, outdone
+from sim_replay.benches.froc import SYSTEMS, Flown, HeldOutAugmentedLine, HeldOutSimulatedLine, best_pd, outdone
 from sim_replay.missions import config_for
 from sim_replay.scoring import ScoredMission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
@@ -101,7 +101,7 @@ def test_every_system_reports_of_one_mission() -> None:
         scatter=(Scatter(kind="rock", count=2), Scatter(kind="cylinder", count=2)),
     )
     mission = simulated.Mission(scene)
-    found = froc._seen(SimulatedLine("flat", 3), config_for(scene), mission.events(), mission.truth)
+    found = froc._seen(HeldOutSimulatedLine("flat", 3), config_for(scene), mission.events(), mission.truth)
     assert set(found.reported) == set(SYSTEMS)
     assert all(one.truth is found.reported["chain"].truth for one in found.reported.values())
     assert len(found.reported["chain"].contacts) == len(found.reported["confirmation"].contacts) > 0
@@ -110,4 +110,4 @@ def test_every_system_reports_of_one_mission() -> None:
 def test_a_scene_that_is_not_there_is_refused_by_name() -> None:
     with pytest.raises(UsageError, match="nowhere"):
         read_scene("nowhere")
-    assert AugmentedLine(Path("/data/line.xtf"), 1).group == "line"
+    assert HeldOutAugmentedLine(Path("/data/line.xtf"), 1).group == "line"

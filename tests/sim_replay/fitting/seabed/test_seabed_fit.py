@@ -15,7 +15,7 @@ from auv_mcm.settings.config import Config
 from sim_replay.fitting.seabed import fit_seabed as fitting
 from sim_replay.fitting.seabed import samples as sampled
 from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
-from sim_replay.fitting.seabed.samples import KINDS, Samples, pooled, samples_of
+from sim_replay.fitting.seabed.samples import KINDS, SeabedSamples, pooled, samples_of
 from sim_replay.fitting.seabed.seabed_missions import FIRST_LIKE_SCENE, KIND_OF, LIKE, mission_scene, sonar_config
 from sim_replay.simulator.scene import Lawnmower, SampleRecorder, Scene, Seabed
 from sim_replay.simulator.scene_file import read_scene
@@ -23,7 +23,7 @@ from sim_replay.simulator.scene_file import read_scene
 Array = NDArray[np.float64]
 
 
-def made_up(n: int, seed: int) -> Samples:
+def made_up(n: int, seed: int) -> SeabedSamples:
     """Every kind somewhere else, some more often than others; every tenth cell lies on a border."""
     rng = np.random.Generator(np.random.PCG64(seed))
     middle = np.random.Generator(np.random.PCG64(0)).normal(0.0, 1.5, (len(KINDS), len(NAMES)))
@@ -31,7 +31,7 @@ def made_up(n: int, seed: int) -> Samples:
     shares = np.eye(len(KINDS), dtype=np.float32)[kind]
     shares[::10] = 0.7 * shares[::10] + 0.3 * shares[(np.arange(n) + 1) % n][::10]
     features = (shares @ middle + rng.normal(size=(n, len(NAMES)))).astype(np.float32)
-    return Samples(features, rng.uniform(0.5, 15.0, n).astype(np.float32), shares)
+    return SeabedSamples(features, rng.uniform(0.5, 15.0, n).astype(np.float32), shares)
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +62,7 @@ def test_a_kind_that_is_missing_is_told() -> None:
     some = made_up(1500, 4)
     kept = some.shares[:, KINDS.index("vegetation")] == 0.0
     with pytest.raises(BadInputError, match="too little of vegetation"):
-        fit_seabed_model(Samples(*(part[kept] for part in some)), "made up")
+        fit_seabed_model(SeabedSamples(*(part[kept] for part in some)), "made up")
 
 
 def test_too_few_samples_are_told() -> None:

@@ -16,7 +16,7 @@ from sim_replay.fitting.cascade.classical.classical_candidates import Candidates
 from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, format_model, parse_classical_model, score_windows
 from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES
-from sim_replay.fitting.cascade.classical.train_classical import Samples, collect, fit_classical_model, of_kinds, train_classical
+from sim_replay.fitting.cascade.classical.train_classical import ChipSamples, collect, fit_classical_model, of_kinds, train_classical
 from tests.sim_replay.fitting.cascade.classical.chip_samples import tile_with
 
 CONFIG = Config()
@@ -26,12 +26,12 @@ UNSEEN = tile_with(KINDS, 90, "made up/90")
 
 
 @pytest.fixture(scope="module")
-def samples() -> Samples:
+def samples() -> ChipSamples:
     return collect(TILES, CONFIG)
 
 
 @pytest.fixture(scope="module")
-def model(samples: Samples) -> ClassicalModel:
+def model(samples: ChipSamples) -> ClassicalModel:
     return fit_classical_model(samples)
 
 
@@ -46,7 +46,7 @@ def test_mines_never_seen_are_likely_and_rocks_without_shadow_are_not(model: Cla
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_each_family_alone_tells_mines_from_rocks(samples: Samples, family: str) -> None:
+def test_each_family_alone_tells_mines_from_rocks(samples: ChipSamples, family: str) -> None:
     alone = fit_classical_model(samples, [name for name in FAMILIES if name == family])
     assert score_windows(alone, UNSEEN, *_at(0, 2)).min() > score_windows(alone, UNSEEN, *_at(1, 3)).max()
 
@@ -57,7 +57,7 @@ def test_the_same_tiles_give_the_same_model_which_comes_back_from_its_file(model
     assert parse_classical_model(data, "model.json") == model
 
 
-def test_kinds_that_were_not_asked_for_teach_nothing(samples: Samples) -> None:
+def test_kinds_that_were_not_asked_for_teach_nothing(samples: ChipSamples) -> None:
     wedges = of_kinds(samples, {"wedge"})
     assert set(wedges.kind) == {"", "wedge"}
     assert len(wedges.contrast) == len(wedges.background) == len(wedges.weight) == len(samples.kind) - samples.kind.count("cylinder")
@@ -66,7 +66,7 @@ def test_kinds_that_were_not_asked_for_teach_nothing(samples: Samples) -> None:
     assert one_tile.trained_on.startswith("1 targets (1 wedge)")
 
 
-def test_backgrounds_of_samples_are_those_of_their_tiles(samples: Samples) -> None:
+def test_backgrounds_of_samples_are_those_of_their_tiles(samples: ChipSamples) -> None:
     assert set(samples.background) == {f"made up/{seed}" for seed in range(6)}
 
 
