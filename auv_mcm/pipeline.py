@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.clearance.coverage import Grid, cover_tile, placed_rows, uncovered
+from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.confirmation import confirm_detection, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.defects import Defect, caught, defect_notice
@@ -97,7 +97,7 @@ class Pipeline:
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
-        self._grid: Grid | None = None
+        self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
 
@@ -266,11 +266,11 @@ class Pipeline:
         place = f"{tile.side} tile {tile.index}" + (f", pings {pings[0]} to {pings[-1]}" if pings.size else "")
         return [defect_notice(defect, what, "That tile is not covered; the mission goes on.", place)]
 
-    def _cells_around(self, tile: Tile) -> Grid | None:
+    def _cells_around(self, tile: Tile) -> CoverageGrid | None:
         """The mission's cells, whose plane touches the Earth where its first tile that can be placed begins."""
         if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
             latitude_deg, longitude_deg = (float(part[placed[0]]) for part in (tile.pose.latitude_deg, tile.pose.longitude_deg))
-            self._grid = Grid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
+            self._grid = CoverageGrid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
         return self._grid
 
     def _detect(self, tile: Tile) -> TileDetections | Defect | None:

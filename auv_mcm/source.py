@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import Callable
 from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from auv_mcm.clock import Stamp
@@ -36,24 +36,36 @@ class VehiclePilot(Protocol):
 
     def take_notices(self) -> list[Notice]: ...
 
-    def tell(self, contact: Contact) -> None: ...
+    def report(self, contact: Contact) -> None:
+        """Report a contact that is new or has changed."""
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
         """Takes the place of the plan before; () withdraws it."""
 
-    def tell_health(self, state: Health, text: str) -> None: ...
+    def report_health(self, state: Health, text: str) -> None: ...
 
     def release(self, reason: str) -> None:
         """Give control back, for good."""
 
 
+class EventSink(Protocol):
+    """Where a source puts its events: the service's queue."""
+
+    async def put(self, event: SourceEvent) -> None:
+        """Append an event once there is room."""
+
+    def push(self, event: SourceEvent) -> None:
+        """Append an event at once; the oldest of its kind is dropped if there is no room."""
+
+
 class Source(Protocol):
-    """Where pings and navigation come from. A lossless one can wait for the service; the others lose what is not taken in time."""
+    """Where pings and navigation come from. A lossless one puts its events, and waits for room; the others push them."""
 
     @property
     def lossless(self) -> bool: ...
 
-    def events(self) -> AsyncGenerator[SourceEvent, None]: ...
+    async def run(self, sink: EventSink) -> None:
+        """Give every event to `sink`, and return once none follows. Called once. Raises AuvMcmError."""
 
     def counters(self) -> Counter[str]:
         """What it skipped or mended so far."""
@@ -68,10 +80,10 @@ class LiveSource(Source, Protocol):
     """Ports, which never end by themselves."""
 
     def record_with(self, record: Record) -> None:
-        """Hand every byte to `record`. Called once, before `events`."""
+        """Hand every byte to `record`. Called once, before `run`."""
 
     def stop(self) -> None:
-        """Let go of the ports; `events` then ends with what was held back."""
+        """Close the ports; `run` then gives what was held back, and returns."""
 
     def health(self) -> str:
         """How each port is, for the health line."""
@@ -84,7 +96,7 @@ class LiveSource(Source, Protocol):
         """The vehicle's end, if there is one."""
 
     async def serve_vehicle(self) -> None:
-        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
+        """Talk to the vehicle until cancelled, whether or not `run` has begun or returned."""
 
 
 class Recorder(Protocol):

@@ -74,7 +74,7 @@ def example_text() -> str:
     return _EXAMPLE + "\n# All keys of a port:\n" + "".join(f"#   {line}\n" for line in port_keys())
 
 
-class Layout(NamedTuple):
+class MessageLayout(NamedTuple):
     """One kind of message. key: how it is told on the wire. fields: a line each."""
 
     key: str
@@ -86,7 +86,7 @@ class _Language(NamedTuple):
     """What a device speaks. about: the module whose description says how messages are framed."""
 
     about: ModuleType
-    layouts: Callable[[], Iterable[Layout]]
+    layouts: Callable[[], Iterable[MessageLayout]]
 
 
 def interface_text(config: Config) -> str:
@@ -156,42 +156,42 @@ def _device_lines(device: str) -> list[str]:
     return lines
 
 
-def _ping_protocol() -> Iterable[Layout]:
+def _ping_protocol() -> Iterable[MessageLayout]:
     for number, (kind, layout) in ping_messages.FIXED_LAYOUTS.items():
-        yield Layout(f"message {number}", kind, struct_fields(kind._fields, layout))
+        yield MessageLayout(f"message {number}", kind, struct_fields(kind._fields, layout))
     profile = struct_fields(ping_messages.PROFILE_FIELDS, ping_messages.PROFILE_HEADER)
     results = f"{ping_messages.PROFILE_HEADER.size:4d} {'u16':8} pwr_results, n_results of them"
-    yield Layout(f"message {ping_messages.OS_MONO_PROFILE}", ping_messages.OsMonoProfile, [*profile, results])
+    yield MessageLayout(f"message {ping_messages.OS_MONO_PROFILE}", ping_messages.OsMonoProfile, [*profile, results])
     for number, record in (
         (ping_messages.NACK, ping_messages.Nack),
         (ping_messages.ASCII_TEXT, ping_messages.AsciiText),
         (ping_messages.JSON_WRAPPER, ping_messages.JsonWrapper),
     ):
-        yield Layout(f"message {number}", record, record._fields)
+        yield MessageLayout(f"message {number}", record, record._fields)
 
 
 _JSF_HEADER: Final = ("sync", "version", "session", "message", "command", "subsystem", "channel", "sequence", "reserved", "n_bytes_behind")
 _JSF_NUMBERS: Final = ("PING_ENABLE", "PING_GAIN", "PING_RANGE", "SYSTEM_TIME")
 
 
-def _jsf() -> Iterable[Layout]:
-    yield Layout("every message", jsf_messages.JsfMessage, struct_fields(_JSF_HEADER, jsf_messages.HEADER))
+def _jsf() -> Iterable[MessageLayout]:
+    yield MessageLayout("every message", jsf_messages.JsfMessage, struct_fields(_JSF_HEADER, jsf_messages.HEADER))
     fields = struct_fields(jsf_messages.SideScanHeader._fields, jsf_messages.DATA_HEADER)
-    yield Layout(f"message {jsf_messages.SIDE_SCAN}", jsf_messages.SideScanHeader, fields)
+    yield MessageLayout(f"message {jsf_messages.SIDE_SCAN}", jsf_messages.SideScanHeader, fields)
     numbers = [f"message {getattr(jsf_messages, name)}: {name.lower()}" for name in _JSF_NUMBERS]
-    yield Layout("sets or asks one number", jsf_messages.Command, numbers)
+    yield MessageLayout("sets or asks one number", jsf_messages.Command, numbers)
 
 
-def _sportscan() -> Iterable[Layout]:
-    yield Layout(f"command, {imagenex.COMMAND_BYTES} bytes", imagenex.SwitchCommand, imagenex.SwitchCommand._fields)
-    yield Layout(f"answer, {imagenex.RETURN_BYTES} bytes", imagenex.IgxReturn, imagenex.IgxReturn._fields)
+def _sportscan() -> Iterable[MessageLayout]:
+    yield MessageLayout(f"command, {imagenex.COMMAND_BYTES} bytes", imagenex.SwitchCommand, imagenex.SwitchCommand._fields)
+    yield MessageLayout(f"answer, {imagenex.RETURN_BYTES} bytes", imagenex.IgxReturn, imagenex.IgxReturn._fields)
 
 
-def _nmea0183(is_of_burst: bool) -> Iterable[Layout]:
+def _nmea0183(is_of_burst: bool) -> Iterable[MessageLayout]:
     for key, kind in sentences.SENTENCES.items():
         if is_of_burst and not (key.startswith("PIXSE") or key == "HDT"):
             continue
-        yield Layout(f"${key}" if key.startswith("P") else f"$--{key}", kind.make, _sentence_fields(kind))
+        yield MessageLayout(f"${key}" if key.startswith("P") else f"$--{key}", kind.make, _sentence_fields(kind))
 
 
 def _sentence_fields(kind: sentences.Sentence[Any]) -> list[str]:
@@ -207,26 +207,26 @@ def _sentence_fields(kind: sentences.Sentence[Any]) -> list[str]:
     return fields
 
 
-def _pd6() -> Iterable[Layout]:
+def _pd6() -> Iterable[MessageLayout]:
     for record in get_args(dvl_pd6.Line):
-        yield Layout("line", record, record._fields)
+        yield MessageLayout("line", record, record._fields)
 
 
-def _water_linked() -> Iterable[Layout]:
+def _water_linked() -> Iterable[MessageLayout]:
     for record in get_args(dvl_water_linked.Record):
-        yield Layout("message", record, record._fields)
+        yield MessageLayout("message", record, record._fields)
 
 
-def _nmea2000() -> Iterable[Layout]:
+def _nmea2000() -> Iterable[MessageLayout]:
     for pgn, message in n2k_messages.MESSAGES.items():
         fields = [
             f"bit {field.start_bit:3d} {'i' if field.signed else 'u'}{field.n_bits:<3d} x {field.resolution:<8g} {name}"
             for field, name in zip(message.fields, message.make._fields, strict=True)  # type: ignore[attr-defined]  # a named tuple
         ]
-        yield Layout(f"PGN {pgn}, {message.n_bytes} bytes", message.make, fields)
+        yield MessageLayout(f"PGN {pgn}, {message.n_bytes} bytes", message.make, fields)
 
 
-def _imc() -> Iterable[Layout]:
+def _imc() -> Iterable[MessageLayout]:
     for number, layout in imc_messages.LAYOUTS.items():
         names = iter(layout.kind.__struct_fields__)
         fields = []
@@ -239,15 +239,15 @@ def _imc() -> Iterable[Layout]:
                 kind = "any message" if part.kind is None else part.kind.__name__
                 many = "list of " if isinstance(part, imc_messages.Many) else ""
                 fields.append(f"{'message':8} {next(names)}: {many}{kind}")
-        yield Layout(f"message {number}", layout.kind, fields)
+        yield MessageLayout(f"message {number}", layout.kind, fields)
 
 
-def _table(table: Table, start: str) -> Iterable[Layout]:
+def _table(table: Table, start: str) -> Iterable[MessageLayout]:
     for kind in table.kinds:
-        yield Layout(f"{start}{kind.key}", kind.make, _sentence_fields(kind))
+        yield MessageLayout(f"{start}{kind.key}", kind.make, _sentence_fields(kind))
 
 
-def _vehicle_can() -> Iterable[Layout]:
+def _vehicle_can() -> Iterable[MessageLayout]:
     for message in can_messages.MESSAGES:
         fields = []
         for part, first_byte, signal in message.placed:
@@ -255,7 +255,7 @@ def _vehicle_can() -> Iterable[Layout]:
             kind = f"{'i' if signal.signed else 'u'}{8 * signal.n_bytes}"
             place = f"part {part} byte {first_byte}" if message.is_transfer else f"byte {first_byte}"
             fields.append(f"{place:14} {kind:4} {scale:10} {signal.name}: {signal.comment}")
-        yield Layout(f"message {message.number}, from the {message.sender}", message.make, fields)
+        yield MessageLayout(f"message {message.number}, from the {message.sender}", message.make, fields)
 
 
 _LANGUAGES: Final[Mapping[str, _Language]] = MappingProxyType(

@@ -21,9 +21,9 @@ from drivers.links.link import LinkState
 from drivers.links.tcp import CONNECT_S
 from drivers.links.uri import TcpAddress
 from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
+from drivers.port_source import open_link
 from drivers.port_stream import PortStream
 from drivers.ports import PULSE, PortSettings, open_to_all, read_ports
-from drivers.source import open_link
 from drivers.vehicle.vehicles import VEHICLES
 
 LISTEN_S: Final = 4.0  # units send once a second and more, sonars ping every 2 s and more

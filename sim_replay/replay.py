@@ -20,24 +20,15 @@ from auv_mcm.clearance.clearance_picture import clearance_png
 from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.contacts.contact import best_view
-from auv_mcm.contacts.picture import snippet_png
+from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
-from auv_mcm.shell.results import (
-    Tally,
-    area_totals,
-    clearance_notices,
-    contact_totals,
-    make_results_directory,
-    notice_lists,
-    plan_waypoints,
-    search_totals,
-    write_clearance,
-    write_json,
-    write_results,
-    write_snippets,
-)
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, search_totals
+from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
+from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
+from auv_mcm.shell.tally import Tally
+from auv_mcm.shell.whole_files import write_json
 from sim_replay.logs.open_log import CHUNK_BYTES
 from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, write_report

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.records import NavSample, Ping
-from auv_mcm.shell.results import make_directory, write_json
+from auv_mcm.shell.whole_files import make_directory, write_json
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import planned_legs

@@ -25,8 +25,8 @@ from auv_mcm.kernels.shape import (
     top_m,
     up_to,
 )
-from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes
-from auv_mcm.solids.box_search import Array, Box, Optima, apart, curvature_covariance, look_around
+from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, WalkSpace, costs_at, hypotheses_at, walk_shapes
+from auv_mcm.solids.box_search import Array, Optima, SearchBox, apart, curvature_covariance, look_around
 from auv_mcm.solids.shapes import Shape
 
 SOLIDS: Final = tuple(FIELDS)
@@ -157,7 +157,7 @@ _TERMS: Final[dict[Solid, Array]] = {
 class _Class(NamedTuple):
     """One class under search, and what was found."""
 
-    chart: Chart
+    chart: WalkSpace
     found: Optima
 
     @property
@@ -165,7 +165,7 @@ class _Class(NamedTuple):
         return self.chart.solid
 
     @property
-    def box(self) -> Box:
+    def box(self) -> SearchBox:
         return self.chart.box
 
 
@@ -223,9 +223,9 @@ def _look(solid: Solid, region: Region, image: RowSums, effort: Effort) -> _Clas
         _Parameter(across_m - _BEFORE_M, across_m + _BEHIND_M, _PLACE_GRAIN_M),
     )
     parameters = place + _PARAMETERS[solid]
-    box = Box(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
+    box = SearchBox(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
     burial_sigma = math.inf if solid == "truncated_cone" else _BURIAL_SIGMA
-    chart = Chart(solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image))
+    chart = WalkSpace(solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image))
     starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), box, effort.n_starts, effort.n_walks)
     return _Class(chart, walk_shapes(chart, image, PENCIL, starts, effort.n_steps, effort.n_tries, first_stride=3.0))
 

@@ -25,7 +25,7 @@ _ONE_LOOK: Final = 3.0  # nats that another view may well bring
 _LOOKS: Final = 2  # directions proposed
 
 
-class Verdict(NamedTuple):
+class FusedViews(NamedTuple):
     """What is known of a contact; the fields are those of `Contact`. reasons: codes beyond those of the views."""
 
     p_mine: float
@@ -36,7 +36,7 @@ class Verdict(NamedTuple):
     reasons: tuple[str, ...]
 
 
-def fuse(views: Sequence[Detection], prior: float) -> Verdict:
+def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
     """Fuse the views of one contact, whose order does not matter.
 
     prior: log-odds of a mine among detections, which each view's p_mine contains and the contact's contains once. Views that contradict
@@ -97,7 +97,7 @@ def _shape_source(view: Detection) -> ViewMass:
     )
 
 
-def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detection], prior: float, reasons: tuple[str, ...]) -> Verdict:
+def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detection], prior: float, reasons: tuple[str, ...]) -> FusedViews:
     belief = singleton_belief(with_ratio(mass, prior))
     # Whether it is a mine goes by p_mine, of which kind by belief.
     told = max((name for name in belief if p_mine < MINE_LIKE_P or name != "clutter"), key=lambda name: belief[name])
@@ -105,4 +105,4 @@ def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detect
     aspects_rad = np.radians([view.aspect_deg for view in views])
     if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
         next_look_deg = tuple(np.degrees(next_look_aspects(aspects_rad)[:_LOOKS]).tolist())
-    return Verdict(p_mine, cast(ContactClass, told), belief, conflict, next_look_deg, reasons)
+    return FusedViews(p_mine, cast(ContactClass, told), belief, conflict, next_look_deg, reasons)

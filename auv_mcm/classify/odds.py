@@ -105,7 +105,7 @@ def parse_odds(data: bytes, place: str) -> MineOdds:
     try:
         return msgspec.json.decode(data, type=MineOdds)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'python -m sim_replay.fitting.odds'") from error
+        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate odds'") from error
 
 
 def share_of_ratio(log_ratio: float) -> float:

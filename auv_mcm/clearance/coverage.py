@@ -20,7 +20,7 @@ _MIN_ROW_COVER: Final = 0.2
 _MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
 
 
-class Grid(NamedTuple):
+class CoverageGrid(NamedTuple):
     """The mission's cells."""
 
     frame: LocalFrame
@@ -28,7 +28,7 @@ class Grid(NamedTuple):
 
 
 def cover_tile(
-    tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0, grid: Grid | None = None, seabed: SeabedCells | None = None
+    tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0, grid: CoverageGrid | None = None, seabed: SeabedCells | None = None
 ) -> CoveragePatch:
     """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh, it
     is not saturated, since among clipped echoes no highlight stands out, and it does not lie in the large shadow of something high. Of

@@ -7,7 +7,7 @@ import difflib
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from auv_mcm.errors import UsageError
 
@@ -23,8 +23,12 @@ EXIT_CODES: Final = "exit codes: 0 done, 2 bad usage or configuration, 3 bad inp
 class Parser(argparse.ArgumentParser):
     """Reject arguments that a command does not have with that command's own usage and the nearest option.
 
-    argparse hands what a subcommand does not know back to the main parser, which then prints its own usage.
+    argparse hands what a subcommand does not know back to the main parser, which then prints its own usage. It would also take the
+    beginning of an option for the whole: a slip such as `train --ou x` would train for minutes.
     """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
 
     def parse_known_args(  # type: ignore[override]  # argparse overloads it; here it is called by argparse alone
         self, args: Sequence[str] | None = None, namespace: Namespace | None = None

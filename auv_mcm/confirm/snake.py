@@ -56,7 +56,7 @@ class Start(NamedTuple):
     shadow: Nodes
 
 
-class Ground(NamedTuple):
+class RegionContext(NamedTuple):
     """What contours in a region share wherever they start. boxes: the start at the detection; spot: what is special about it there."""
 
     region: Region
@@ -163,7 +163,7 @@ def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coars
     return ground if isinstance(ground, Contours) else converge_on(ground, start, coarse=coarse, fine=fine)
 
 
-def survey(region: Region, correlation_px: float) -> Ground | Contours:
+def survey(region: Region, correlation_px: float) -> RegionContext | Contours:
     """What contours in a region share wherever they start, or those of nothing where nothing can be said. Raises as converge does."""
     if not 1.0 <= correlation_px < math.inf:
         raise ValueError(f"correlation_px must be a finite area of at least one pixel, not {correlation_px}")
@@ -177,10 +177,10 @@ def survey(region: Region, correlation_px: float) -> Ground | Contours:
     if sums.mean == 0.0:
         return _nothing(("no_echo",))
     boxes = _boxes_at(region, sums.table)
-    return Ground(region, sums, settings_of(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes))
+    return RegionContext(region, sums, settings_of(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes))
 
 
-def converge_on(ground: Ground, start: Start, *, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
+def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
     """converge, several times in one region."""
     region, sums, settings, boxes, spot = ground
     parts, replaced = _usable_start(region, sums.table, settings, start, boxes)

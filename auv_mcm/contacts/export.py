@@ -32,8 +32,8 @@ from auv_mcm.contacts.geojson import (
     collection,
     collection_parts,
     feature,
+    geojson_point,
     one_or_multi,
-    point_at,
     positions_of,
     rounded,
     rounded_longitude,
@@ -72,12 +72,8 @@ def contacts_geojson_parts(contacts: Iterable[Contact]) -> Iterator[bytes]:
     return collection_parts(map(contact_feature, contacts))
 
 
-def coverage_geojson(patches: Iterable[CoveragePatch]) -> bytes:
-    """A FeatureCollection with one polygon or multi-polygon per patch, in order of tile, port first."""
-    return b"".join(coverage_geojson_parts(sorted(patches, key=coverage_order)))
-
-
 def coverage_geojson_parts(patches: Iterable[CoveragePatch]) -> Iterator[bytes]:
+    """Write a FeatureCollection with one polygon or multi-polygon per patch, in parts. patches: in `coverage_order`."""
     return collection_parts(map(_coverage_feature, patches))
 
 
@@ -101,7 +97,7 @@ def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
             "contact_id": waypoint.contact_id,
             "why": waypoint.why,
         }
-        features.append(feature(point_at(waypoint.longitude_deg, waypoint.latitude_deg), properties))
+        features.append(feature(geojson_point(waypoint.longitude_deg, waypoint.latitude_deg), properties))
     positions = np.array([(waypoint.longitude_deg, waypoint.latitude_deg) for waypoint in waypoints], dtype=np.float64).reshape(-1, 2)
     for leg in dict.fromkeys(waypoint.leg for waypoint in waypoints):
         members = [order for order, waypoint in enumerate(waypoints) if waypoint.leg == leg]
@@ -120,27 +116,21 @@ CSV_COLUMNS: Final = (
 )
 
 
-def contacts_csv(contacts: Iterable[Contact]) -> str:
-    """One row per contact, sorted by id, under a row of column names. Lists are joined by blanks, reasons by semicolons.
-
-    Text that a spreadsheet would take for a formula gets an apostrophe in front.
-    """
-    return "".join(contacts_csv_parts(sorted(contacts, key=contact_order)))
-
-
 def contacts_csv_parts(contacts: Iterable[Contact]) -> Iterator[str]:
+    """Write a row of column names and one per contact, in parts. contacts: in `contact_order`.
+
+    Lists are joined by blanks, reasons by semicolons. Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    """
     yield _csv_row(CSV_COLUMNS)
     for contact in contacts:
         yield _csv_row(_csv_cells(contact))
 
 
-def contacts_kml(contacts: Iterable[Contact], mission: str = "") -> str:
-    """A KML document: mine-like contacts and the rest in two folders, each contact with a table and its 2-sigma error ellipse."""
-    return "".join(contacts_kml_parts(sorted(contacts, key=contact_order), mission))
-
-
 def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterator[str]:
-    """contacts: gone through several times."""
+    """Write a KML document: mine-like contacts and the rest in two folders, each contact with a table and its 2-sigma error ellipse.
+
+    contacts: in `contact_order`, gone through several times.
+    """
     head = (
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<kml xmlns="http://www.opengis.net/kml/2.2">',
@@ -188,7 +178,7 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "next_look_deg": [rounded(direction, METRE_DIGITS) for direction in contact.next_look_deg],
         "views": [_view(view) for view in contact.views],
     }
-    return feature(point_at(contact.longitude_deg, contact.latitude_deg), properties)
+    return feature(geojson_point(contact.longitude_deg, contact.latitude_deg), properties)
 
 
 def _view(view: Detection) -> dict[str, Json]:

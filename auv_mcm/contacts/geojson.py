@@ -48,7 +48,7 @@ def one_or_multi(kind: str, parts: list[Json]) -> Json:
     return {"type": kind, "coordinates": parts[0]} if len(parts) == 1 else {"type": f"Multi{kind}", "coordinates": parts}
 
 
-def point_at(longitude_deg: float, latitude_deg: float) -> Json:
+def geojson_point(longitude_deg: float, latitude_deg: float) -> Json:
     longitude, latitude = rounded_longitude(longitude_deg), rounded(latitude_deg, DEGREE_DIGITS)
     return None if longitude is None or latitude is None else {"type": "Point", "coordinates": [longitude, latitude]}
 

@@ -33,7 +33,7 @@ class Timed(Protocol):
 F = TypeVar("F", bound=Timed)
 
 
-class Decision(NamedTuple, Generic[F]):
+class FixDecision(NamedTuple, Generic[F]):
     """Report the decision that one fix brought.
 
     accepted: fixes believed now, in order of time. n_rejected: fixes refused for good. step_m: distance from the last fix believed before
@@ -109,7 +109,7 @@ class FixAgreement(Generic[F]):
         last = self._believed.last
         return max((self._apart_m(last, candidate.last) for candidate in self._candidates if candidate.waiting), default=0.0)
 
-    def add(self, fix: F) -> Decision[F]:
+    def add(self, fix: F) -> FixDecision[F]:
         """Take the next fix."""
         believed = self._believed
         candidate = self._nearest_candidate(fix)
@@ -121,7 +121,7 @@ class FixAgreement(Generic[F]):
             if self._candidates:
                 recent = set(map(id, self._recent))
                 self._candidates = [candidate for candidate in self._candidates if id(candidate) in recent]
-            return Decision((fix,), n_rejected, 0.0, *self._doubt())
+            return FixDecision((fix,), n_rejected, 0.0, *self._doubt())
         n_forgotten = 0
         if candidate is None:
             n_forgotten = self._make_room()
@@ -129,25 +129,25 @@ class FixAgreement(Generic[F]):
             self._candidates.append(candidate)
         candidate.take(fix, resumes=not self._recent or self._recent[-1] is not candidate)
         self._recent.append(candidate)
-        decision = self._settle(self._best_rival()) if believed is None and self._spans(fix.time_s) else Decision[F]()
+        decision = self._settle(self._best_rival()) if believed is None and self._spans(fix.time_s) else FixDecision[F]()
         if believed is not None and self._takes_over(candidate, believed, fix):
             decision = self._settle(candidate)
         return decision._replace(n_rejected=decision.n_rejected + n_forgotten)
 
-    def advance(self, time_s: float) -> Decision[F]:
+    def advance(self, time_s: float) -> FixDecision[F]:
         """Time has passed without a fix: settle the first track if it is due, reject fixes that waited too long."""
         if self._believed is None:
-            return self._settle(self._best_rival()) if self._candidates and self._spans(time_s) else Decision()
+            return self._settle(self._best_rival()) if self._candidates and self._spans(time_s) else FixDecision()
         n_rejected = 0
         for candidate in self._candidates:
             while candidate.waiting and time_s - candidate.waiting[0].time_s > _HOLD_FACTOR * self._span_s:
                 del candidate.waiting[0]
                 n_rejected += 1
-        return Decision(n_rejected=n_rejected)
+        return FixDecision(n_rejected=n_rejected)
 
-    def decide(self) -> Decision[F]:
+    def decide(self) -> FixDecision[F]:
         """Believe the track that most fixes support so far, because somebody cannot wait."""
-        return Decision() if self.is_decided else self._settle(self._best_rival())
+        return FixDecision() if self.is_decided else self._settle(self._best_rival())
 
     def _reaches(self, before: F, after: F) -> bool:
         return self._apart_m(before, after) <= self._reach_m(before, after)
@@ -195,7 +195,7 @@ class FixAgreement(Generic[F]):
             candidate.n_run = 0
         return n_rejected
 
-    def _settle(self, track: _Track[F]) -> Decision[F]:
+    def _settle(self, track: _Track[F]) -> FixDecision[F]:
         before = self._believed
         self._candidates.remove(track)
         n_rejected = self._reject_waiting()
@@ -209,7 +209,7 @@ class FixAgreement(Generic[F]):
                 candidate.n_since_settled = candidate.n_runs = 0
         track.waiting = []
         self._believed = track
-        return Decision(accepted, n_rejected, step_m, *self._doubt())
+        return FixDecision(accepted, n_rejected, step_m, *self._doubt())
 
     def _doubt(self) -> tuple[float, bool]:
         believed = self._believed

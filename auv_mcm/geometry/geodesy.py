@@ -19,12 +19,6 @@ ECCENTRICITY_SQUARED: Final = FLATTENING * (2.0 - FLATTENING)
 _SECOND_ECCENTRICITY_SQUARED: Final = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED)
 
 
-def wrap_angle_rad(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """The same direction within [-pi, pi]."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
-    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)), dtype=np.float64)
-
-
 def wrap_longitude_deg(longitude_deg: ArrayLike) -> NDArray[np.float64]:
     """The same meridian within [-180, 180); values already inside come back unchanged to the last bit."""
     longitude = np.asarray(longitude_deg, dtype=np.float64)

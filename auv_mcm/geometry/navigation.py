@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.fix_agreement import Decision, FixAgreement
+from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
 from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, ecef_to_geodetic, geodetic_to_ecef
 from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES, HeadingCheck
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
@@ -275,7 +275,7 @@ class NavBuffer:
         self._last_offered_s = time_s
         self._decide(self._agreement.add(_fix(time_s, latitude, longitude)))
 
-    def _decide(self, decision: Decision[_Fix]) -> None:
+    def _decide(self, decision: FixDecision[_Fix]) -> None:
         accepted = [fix for fix in decision.accepted if fix.time_s > self._position.last_s]
         for number, fix in enumerate(accepted):
             if number == 0 and decision.step_m > 0.0:

@@ -18,7 +18,7 @@ import numpy as np
 
 from auv_mcm import kernels
 from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, RowSums, Solid, kind_of, shape_costs
-from auv_mcm.solids.box_search import GROWTH, LEAST_STRIDE, SHRINKAGE, Box, Optima, best_first, directions, walk
+from auv_mcm.solids.box_search import GROWTH, LEAST_STRIDE, SHRINKAGE, Optima, SearchBox, best_first, directions, walk
 
 ONE: Final = 0  # numbers of the factors; value k of a point is factor k + 1
 SUNK: Final = 7
@@ -28,7 +28,7 @@ _N_FACTORS: Final = 9
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
-class Chart(NamedTuple):
+class WalkSpace(NamedTuple):
     """Points of a box and what they stand for.
 
     terms: (8, 3) float64, coefficient and the numbers of two factors of each column. sigma: of the altitude's share and of what the last
@@ -36,7 +36,7 @@ class Chart(NamedTuple):
     """
 
     solid: Solid
-    box: Box
+    box: SearchBox
     terms: Array
     sigma: tuple[float, float]
     fixed_cost: float
@@ -52,7 +52,7 @@ def hypotheses_at(terms: Array, points: Array) -> Array:
     return np.asarray(terms[:, 0] * factors[:, first] * factors[:, second], dtype=np.float64)
 
 
-def costs_at(chart: Chart, points: Array, image: RowSums, beam: Beam) -> Array:
+def costs_at(chart: WalkSpace, points: Array, image: RowSums, beam: Beam) -> Array:
     """Costs (n,) of points (n, d) with what an altitude that is wrong and a burial cost, half their squares in sigmas."""
     hypotheses = hypotheses_at(chart.terms, points)
     altitude = (hypotheses[:, 2] - 1.0) / chart.sigma[0]
@@ -60,7 +60,7 @@ def costs_at(chart: Chart, points: Array, image: RowSums, beam: Beam) -> Array:
     return shape_costs(chart.solid, hypotheses, image, beam).cost + 0.5 * (altitude * altitude + burial * burial) + chart.fixed_cost
 
 
-def walk_shapes(chart: Chart, image: RowSums, beam: Beam, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
+def walk_shapes(chart: WalkSpace, image: RowSums, beam: Beam, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
     """`search.walk` over costs_at. The box must hold only points that stand for solids that can be."""
     function = _function()
     if function is None:
@@ -87,7 +87,7 @@ def walk_shapes(chart: Chart, image: RowSums, beam: Beam, optima: Optima, n_step
 
 
 def walk_shapes_numpy(
-    chart: Chart, image: RowSums, beam: Beam, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float
+    chart: WalkSpace, image: RowSums, beam: Beam, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float
 ) -> Optima:
     """walk_shapes in numpy, but for the costs."""
     return walk(lambda points: costs_at(chart, points, image, beam), chart.box, optima, n_steps, n_tries, first_stride=first_stride)

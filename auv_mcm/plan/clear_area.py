@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.area import Area, area_state, in_plane, middles_m, over_area, plane_of
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel, look_bit
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits, obstacle
 from auv_mcm.plan.look_again import LEAVES_LEG_M, PlanRequest, Proposal, Run
+from auv_mcm.plan.plan_words import area_words
 from auv_mcm.plan.propose import propose
 from auv_mcm.plan.reinspect import SETTLING_RADII, most_undecided
-from auv_mcm.plan.survey import Plan, World, replan
-from auv_mcm.plan.words import area_words
+from auv_mcm.plan.survey import Plan, SurveyState, replan
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
 from auv_mcm.settings.config import Config
 
@@ -101,7 +101,7 @@ class ClearArea:
         asking = most_undecided((contact for contact in contacts if contact.id not in request.left_out), plan)
         p = ground.p_detected
         mean = (plan.required_clearance * np.count_nonzero(area.cells) - p[area.cells & ~wanted].sum()) / np.count_nonzero(wanted)
-        world = World(ground, wanted, wished(plan.required_clearance), self._model, asking, min(float(mean), 1.0))
+        world = SurveyState(ground, wanted, wished(plan.required_clearance), self._model, asking, min(float(mean), 1.0))
         self._previous = found = replan(world, pose, limits, self._previous, more_time)
         verdict = "" if found.legs or self._untold else found.verdict
         return Proposal(found.waypoints, (), state._replace(verdict=verdict))
@@ -121,7 +121,7 @@ class ClearArea:
             fence_margin_m=vehicle.fence_margin_m + vehicle.arrival_radius_m,
         )
 
-    def _hindrance(self, pose: Pose, limits: Limits) -> str:
+    def _hindrance(self, pose: PlanePose, limits: Limits) -> str:
         """Why nothing can be planned from here and now that may pass by itself."""
         if not self._slant_range_m:
             return "no ping has shown how far the sonar reaches"
@@ -202,12 +202,12 @@ def _done(area: Area, required: float) -> str:
     )
 
 
-def _pose(request: PlanRequest, plane: LocalFrame) -> Pose:
+def _pose(request: PlanRequest, plane: LocalFrame) -> PlanePose:
     """Where a plan begins, in the plane, whose north turns away from true north far from its origin and near the poles."""
     here = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
     ahead_deg = here.to_geodetic([math.sin(request.heading_rad), math.cos(request.heading_rad), 0.0])[:2]
     start, ahead = in_plane([(request.latitude_deg, request.longitude_deg), (float(ahead_deg[0]), float(ahead_deg[1]))], plane)
-    return Pose(float(start[0]), float(start[1]), math.atan2(ahead[0] - start[0], ahead[1] - start[1]))
+    return PlanePose(float(start[0]), float(start[1]), math.atan2(ahead[0] - start[0], ahead[1] - start[1]))
 
 
 def _heading_rad(ends: NDArray[np.float64]) -> float:
@@ -219,5 +219,5 @@ def _reach_m(trace: EchoTrace | None) -> float:
     return 0.0 if trace is None else trace.first_range_m + trace.spacing_m * trace.samples.size
 
 
-def _is_same(entry: Pose, leave: Pose, ends: NDArray[np.float64]) -> bool:
+def _is_same(entry: PlanePose, leave: PlanePose, ends: NDArray[np.float64]) -> bool:
     return float(np.hypot(*(np.array([entry[:2], leave[:2]]) - ends).T).max()) < _SAME_PLACE_M

@@ -27,7 +27,7 @@ _N_STRAIGHT: Final = 4  # that have a straight, first in order
 _ROUNDING: Final = 1e-12  # radians, and lengths over the radius, that rounding alone makes
 
 
-class Pose(NamedTuple):
+class PlanePose(NamedTuple):
     """A place in the plane and a direction of travel."""
 
     east_m: float
@@ -45,13 +45,15 @@ class Segment(NamedTuple):
 class DubinsPath(NamedTuple):
     """The shortest path from `start`; `segments` are its three parts, some possibly of no length."""
 
-    start: Pose
+    start: PlanePose
     turn_radius_m: float
     length_m: float
     segments: tuple[Segment, Segment, Segment]
 
 
-def dubins_path(start: Pose, end: Pose, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None) -> DubinsPath:
+def dubins_path(
+    start: PlanePose, end: PlanePose, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None
+) -> DubinsPath:
     """The shortest path; of equally short ones always the same. leave, arrive: as for `dubins_lengths`, (2,).
 
     Raises ValueError if the radius is not positive, a pose is not finite or no allowed path exists.
@@ -77,7 +79,7 @@ def dubins_paths(ends: Array, turn_radius_m: float, leave: Flags | None = None, 
             continue
         first, second, third = (Segment(_TURN[turn], length) for turn, length in zip(_WORDS[word[number]], lengths, strict=True))
         total_m = first.length_m + second.length_m + third.length_m
-        paths.append(DubinsPath(Pose(*start), turn_radius_m, total_m, (first, second, third)))
+        paths.append(DubinsPath(PlanePose(*start), turn_radius_m, total_m, (first, second, third)))
     return paths
 
 
@@ -110,7 +112,7 @@ def sample_path(path: DubinsPath, arc_step_rad: float) -> Array:
             else:
                 chord, direction = length * part, heading
             turned = heading + sign * angle * part
-            poses.append(Pose(east + chord * math.sin(direction), north + chord * math.cos(direction), turned))
+            poses.append(PlanePose(east + chord * math.sin(direction), north + chord * math.cos(direction), turned))
         east, north, heading = poses[-1]
     return np.array(poses, dtype=np.float64)
 

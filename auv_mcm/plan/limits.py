@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.fence import Flags, circles_inside
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 
 
 class Limits(NamedTuple):
@@ -30,7 +30,7 @@ class Limits(NamedTuple):
     fence_margin_m: float = 0.0
 
 
-def obstacle(pose: Pose, limits: Limits) -> str:
+def obstacle(pose: PlanePose, limits: Limits) -> str:
     """Why nothing can be planned from here, in words; empty if something may be."""
     near_m, far_m = limits.swath
     if not all(map(math.isfinite, pose)):

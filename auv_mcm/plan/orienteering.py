@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import LookModel
 from auv_mcm.geometry.fence import runs_inside
-from auv_mcm.plan.dubins import DubinsPath, Flags, Pose, dubins_lengths, dubins_paths, sample_path
+from auv_mcm.plan.dubins import DubinsPath, Flags, PlanePose, dubins_lengths, dubins_paths, sample_path
 from auv_mcm.plan.limits import Limits, turns_inside
 from auv_mcm.plan.tour import richest_tour, short_tour, tour_length
 from auv_mcm.plan.tracks import Cells, Tracks, enterable, half_extent_m
@@ -47,9 +47,9 @@ _MADE_GOOD: Final = 0.1  # of all that is gained, what moving the others can mak
 class Turns:
     """Ways between legs, each looked for once."""
 
-    def __init__(self, pose: Pose, limits: Limits) -> None:
+    def __init__(self, pose: PlanePose, limits: Limits) -> None:
         self._pose, self._limits = pose, limits
-        self._known: dict[tuple[Pose, Pose], DubinsPath | None] = {}
+        self._known: dict[tuple[PlanePose, PlanePose], DubinsPath | None] = {}
 
     @property
     def radius_m(self) -> float:
@@ -60,18 +60,18 @@ class Turns:
         """(..., 2) whether poses have room for full circles to the left and right; None without a fence."""
         return None if self._limits.fence is None else turns_inside(poses, _ROOM * self.radius_m, self._limits)
 
-    def between(self, start: Pose, end: Pose) -> DubinsPath | None:
+    def between(self, start: PlanePose, end: PlanePose) -> DubinsPath | None:
         """The shortest way that stays inside the fence with arcs of which the whole circles do; None if there is none."""
         return self.all_between([(start, end)])[0]
 
-    def all_between(self, ends: Sequence[tuple[Pose, Pose]]) -> list[DubinsPath | None]:
+    def all_between(self, ends: Sequence[tuple[PlanePose, PlanePose]]) -> list[DubinsPath | None]:
         """`between` of each start and end, at once, which is faster."""
         unknown = [pair for pair in dict.fromkeys(ends) if pair not in self._known]
         if unknown:
             self._known.update(zip(unknown, self._found(unknown), strict=True))
         return [self._known[pair] for pair in ends]
 
-    def _found(self, ends: list[tuple[Pose, Pose]]) -> list[DubinsPath | None]:
+    def _found(self, ends: list[tuple[PlanePose, PlanePose]]) -> list[DubinsPath | None]:
         places = np.array(ends)
         room = self.room(places)
         if room is None:
@@ -104,7 +104,7 @@ class Problem(NamedTuple):
     other_side: NDArray[np.int64]
     cells: Cells
     model: LookModel
-    pose: Pose
+    pose: PlanePose
     limits: Limits
     turns: Turns
     enough_m2: float = math.inf
@@ -399,12 +399,12 @@ def paths_inside(paths: list[DubinsPath], limits: Limits) -> NDArray[np.bool_]:
     return np.asarray(np.logical_and.reduceat(inside, first))
 
 
-def ends_of(tracks: Tracks, way: int) -> tuple[Pose, Pose]:
+def ends_of(tracks: Tracks, way: int) -> tuple[PlanePose, PlanePose]:
     """Entry and exit, with the heading sailed."""
     entry, leave = tracks.run[way // 2]
     if way % 2:
         entry, leave = _reversed(np.stack([leave, entry]))
-    return Pose(*entry.tolist()), Pose(*leave.tolist())
+    return PlanePose(*entry.tolist()), PlanePose(*leave.tolist())
 
 
 def _reversed(poses: Array) -> Array:

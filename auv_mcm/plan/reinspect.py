@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame, local_to_ecef_rotation
-from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
 from auv_mcm.records import Contact, Waypoint
 from auv_mcm.settings.config import PlanConfig
@@ -38,8 +38,8 @@ class _Leg(NamedTuple):
     contact: Contact
     look_side: str
     track_deg: float
-    entry: Pose
-    exit: Pose
+    entry: PlanePose
+    exit: PlanePose
     ends_deg: tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -85,7 +85,7 @@ def plan_reinspection(
             f"heading {start_heading_rad} rad); give a navigated pose to start from"
         )
     frame = LocalFrame(latitude_deg=start_latitude_deg, longitude_deg=start_longitude_deg)
-    start = Pose(0.0, 0.0, start_heading_rad)
+    start = PlanePose(0.0, 0.0, start_heading_rad)
     radius_m = config.turn_radius_m / math.cos(_ARC_STEP_RAD / 2.0)
     legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
     unwanted_m = np.array([0.0 if may_run(*leg.ends_deg) else _DETOUR_M for leg in legs])
@@ -113,11 +113,11 @@ def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> 
             heading = math.atan2(east1 - east0, north1 - north0)
             ends = (float(latitude[0]), float(longitude[0])), (float(latitude[1]), float(longitude[1]))
             look_side = "port" if side * way > 0.0 else "starboard"
-            legs.append(_Leg(contact, look_side, track_deg, Pose(east0, north0, heading), Pose(east1, north1, heading), ends))
+            legs.append(_Leg(contact, look_side, track_deg, PlanePose(east0, north0, heading), PlanePose(east1, north1, heading), ends))
     return legs
 
 
-def _connections(start: Pose, legs: list[_Leg], radius_m: float) -> NDArray[np.float64]:
+def _connections(start: PlanePose, legs: list[_Leg], radius_m: float) -> NDArray[np.float64]:
     """(n + 1, n) lengths from the start (row 0) and from every leg's exit to every leg's entry."""
     entries = np.array([leg.entry for leg in legs])
     exits = np.array([start, *(leg.exit for leg in legs)])
@@ -134,7 +134,7 @@ def _shares(unwanted_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _waypoints(
-    start: Pose, start_deg: tuple[float, float], legs: list[_Leg], radius_m: float, frame: LocalFrame, config: PlanConfig
+    start: PlanePose, start_deg: tuple[float, float], legs: list[_Leg], radius_m: float, frame: LocalFrame, config: PlanConfig
 ) -> tuple[Waypoint, ...]:
     waypoints: list[Waypoint] = []
 

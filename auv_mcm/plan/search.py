@@ -34,20 +34,20 @@ _LEAST_BETTER_M2: Final = 1e-6
 _TRACK_M2: Final = 0.02
 
 
-class Found(NamedTuple):
+class SearchedRoute(NamedTuple):
     problem: Problem  # with the legs that were cut for it
     route: list[int]
     worth_m2: float
 
 
-def searched(problem: Problem, more_time: MoreTime) -> tuple[Found, list[int]]:
+def searched(problem: Problem, more_time: MoreTime) -> tuple[SearchedRoute, list[int]]:
     """The best route found, and the legs that it began with.
 
     Ladders and greed make routes, more or less of one and the other; of the best one some legs in a row are taken out and chosen anew.
     """
     every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
     fresh_m2 = 2.0 * (problem.limits.swath[1] - problem.limits.swath[0])  # that a metre sees at most
-    best: Found | None = None
+    best: SearchedRoute | None = None
     tried: set[tuple[int, ...]] = set()
     began: list[int] = []
     for share in _TAILS:
@@ -73,10 +73,10 @@ def searched(problem: Problem, more_time: MoreTime) -> tuple[Found, list[int]]:
     return best, began
 
 
-def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> Found:
+def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> SearchedRoute:
     problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
     route = best_route(problem, legs, more_time)
-    found = Found(problem, route, _net_m2(problem, route))
+    found = SearchedRoute(problem, route, _net_m2(problem, route))
     wanting = Wanting(problem)
     wanting.take_all(way // 2 for way in route)
     if worth_m2(problem, (way // 2 for way in route)) >= NEARLY_ALL * wanting_m2_of(problem) or (route and not more_time()):
@@ -87,7 +87,7 @@ def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> Found:
             break
         fuller = best_route(problem, [*(way // 2 for way in found.route), leg], more_time)
         told_m2 = _net_m2(problem, fuller)
-        found = Found(problem, fuller, told_m2) if told_m2 > found.worth_m2 else found
+        found = SearchedRoute(problem, fuller, told_m2) if told_m2 > found.worth_m2 else found
     return found
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import Clearance, LookModel
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
-from auv_mcm.plan.dubins import Pose, sample_path
+from auv_mcm.plan.dubins import PlanePose, sample_path
 from auv_mcm.plan.limits import Limits, obstacle
 from auv_mcm.plan.orienteering import (
     ARC_STEP_RAD,
@@ -32,10 +32,10 @@ from auv_mcm.plan.orienteering import (
     sailable,
     worth_m2,
 )
+from auv_mcm.plan.plan_words import area_words, contact_words, survey_words
 from auv_mcm.plan.reinspect import on_the_globe
 from auv_mcm.plan.search import NEARLY_ALL, searched, wanting_m2_of
 from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
-from auv_mcm.plan.words import area_words, contact_words, survey_words
 from auv_mcm.records import Contact, Waypoint
 
 HIGHEST_REQUIRED: Final = 0.999
@@ -46,7 +46,7 @@ _LEAST_STEP_M: Final = 1e-3
 _KNOWN_LEGS: Final = 40
 
 
-class World(NamedTuple):
+class SurveyState(NamedTuple):
     """What is known. area: bool, of the shape of the clearance's arrays (see `clearance_over`), cells that must be cleared; required: the
     probability, below 1, with which a mine in each has to be found; mean_required: the mean over the cells that suffices, 1 for none;
     performance: what looks are worth; contacts: with `next_look_deg` where a look may decide.
@@ -63,8 +63,8 @@ class World(NamedTuple):
 class PlannedLeg(NamedTuple):
     """A straight run in the mission's plane, settling included; contact_id: "" for survey legs."""
 
-    entry: Pose
-    exit: Pose
+    entry: PlanePose
+    exit: PlanePose
     gain_m2: float
     contact_id: str
     why: str
@@ -86,7 +86,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     verdict: str = ""
 
 
-def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
+def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
     """The plan from here. It gets better as long as `more_time` says so, asked first when the first legs are known; equal input and equal
     answers give equal plans.
 
@@ -130,7 +130,7 @@ def replan(world: World, pose: Pose, limits: Limits, previous: Plan | None, more
     return msgspec.structs.replace(plan, bound_m2=max(bound_m2, plan.gain_m2), verdict=_verdict(problem, route, world, is_open))
 
 
-def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cells:
+def _open_cells(world: SurveyState, is_open: NDArray[np.bool_], wanted: float) -> Cells:
     clearance = world.clearance
     row, column = np.nonzero(is_open)
     thin = -(-len(row) // _MOST_CELLS) if len(row) else 1
@@ -152,7 +152,7 @@ def _open_cells(world: World, is_open: NDArray[np.bool_], wanted: float) -> Cell
     )
 
 
-def _enough_m2(world: World) -> float:
+def _enough_m2(world: SurveyState) -> float:
     """What is still to be gained for the mean that is required."""
     if world.mean_required >= 1.0:
         return math.inf
@@ -160,7 +160,7 @@ def _enough_m2(world: World) -> float:
     return max(world.mean_required - float(p.mean()), 0.0) * p.size * world.clearance.cell_m**2 / world.required
 
 
-def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: Pose, limits: Limits) -> Problem:
+def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: PlanePose, limits: Limits) -> Problem:
     """Survey legs, then those past contacts."""
     n_survey = tracks.n_legs
     n_sides = [len(look.runs) for look in looks]
@@ -183,7 +183,7 @@ def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: Look
     return Problem(everything, gain, other_side, cells, model, pose, limits, Turns(pose, limits))
 
 
-def _left_of(previous: Plan | None, pose: Pose) -> list[PlannedLeg]:
+def _left_of(previous: Plan | None, pose: PlanePose) -> list[PlannedLeg]:
     """Legs of the plan before, of one that is being sailed what lies ahead."""
     if previous is None:
         return []
@@ -195,7 +195,7 @@ def _left_of(previous: Plan | None, pose: Pose) -> list[PlannedLeg]:
         turned = abs(math.remainder(pose.heading_rad - leg.entry.heading_rad, 2.0 * math.pi))
         length = math.hypot(leg.exit.east_m - leg.entry.east_m, leg.exit.north_m - leg.entry.north_m)
         if 0.0 < along < length and abs(beside) < 2.0 and turned < _ON_TRACK_RAD:
-            ahead = Pose(leg.entry.east_m + along * sine, leg.entry.north_m + along * cosine, leg.entry.heading_rad)
+            ahead = PlanePose(leg.entry.east_m + along * sine, leg.entry.north_m + along * cosine, leg.entry.heading_rad)
             return [leg._replace(entry=ahead), *legs[place + 1 :]]
     return legs
 
@@ -226,14 +226,14 @@ def _is_better(problem: Problem, route: list[int], kept: list[int]) -> bool:
     return gain >= 0.999 * kept_gain and BETTER * route_length_m(problem, route) <= route_length_m(problem, kept)
 
 
-def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: World) -> Plan:
+def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: SurveyState) -> Plan:
     """The route as a plan, with words."""
     frame = LocalFrame(latitude_deg=world.clearance.origin_latitude_deg, longitude_deg=world.clearance.origin_longitude_deg)
     cells, tracks = problem.cells, problem.tracks
     of_leg = dict(zip(np.flatnonzero(tracks.heading < 0).tolist(), (look for look in looks for _ in look.runs), strict=True))
     wanting = Wanting(problem)
     legs: list[PlannedLeg] = []
-    points: list[tuple[Pose, int, str]] = []  # pose, number of the leg, kind
+    points: list[tuple[PlanePose, int, str]] = []  # pose, number of the leg, kind
     pose, length_m = problem.pose, 0.0
     for number, way in enumerate(route, start=1):
         entry, leave = ends_of(tracks, way)
@@ -254,7 +254,7 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: W
         turn = sample_path(path, ARC_STEP_RAD)
         steps = np.hypot(*np.diff(turn[:, :2], axis=0).T)
         away = np.hypot(*(turn[1:, :2] - entry[:2]).T)
-        points += [(Pose(*place), number, "turn") for place in turn[1:][(steps > _LEAST_STEP_M) & (away > _LEAST_STEP_M)].tolist()]
+        points += [(PlanePose(*place), number, "turn") for place in turn[1:][(steps > _LEAST_STEP_M) & (away > _LEAST_STEP_M)].tolist()]
         points += [(entry, number, "leg_entry"), (leave, number, "leg_exit")]
         length_m += path.length_m + float(tracks.length_m[leg])
         pose = leave
@@ -274,13 +274,13 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: W
     return Plan(waypoints=waypoints, legs=tuple(legs), length_m=length_m, gain_m2=sum(leg.gain_m2 for leg in legs))
 
 
-def _done(world: World) -> str:
+def _done(world: SurveyState) -> str:
     if not world.area.any():
         return "done: there is no area to clear and no contact that asks for a look"
     return f"done: required clearance of {world.required:.2f} reached in all of {area_words(world.area.sum() * world.clearance.cell_m**2)}"
 
 
-def _why_nothing(world: World, cells: Cells, is_open: NDArray[np.bool_], limits: Limits) -> str:
+def _why_nothing(world: SurveyState, cells: Cells, is_open: NDArray[np.bool_], limits: Limits) -> str:
     not_clear = area_words(np.count_nonzero(is_open) * cells.cell_m**2)
     best = float(world.clearance.p_detected[world.area].mean())
     without = survey_tracks(cells, world.performance, limits._replace(fence=None), [], lambda: True)
@@ -291,7 +291,7 @@ def _why_nothing(world: World, cells: Cells, is_open: NDArray[np.bool_], limits:
     return f"{not_clear} are not clear and no leg adds to that: {reason}. The best that can be reached is {best:.2f} on average"
 
 
-def _verdict(problem: Problem, route: list[int], world: World, is_open: NDArray[np.bool_]) -> str:
+def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: NDArray[np.bool_]) -> str:
     """Empty if all that is wanting is got by the route or by legs that a later plan may sail."""
     cells, tracks, budget_m = problem.cells, problem.tracks, problem.limits.budget_m
     if not route:

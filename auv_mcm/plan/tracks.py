@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, N_LOOKS, LookModel, look_bit
 from auv_mcm.geometry.fence import circles_inside, runs_inside
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits, turns_inside
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ def headings_rad(cells: Cells) -> list[float]:
     return headings[_N_HEADINGS:] + [headings[k] for k in _IN_TURN]
 
 
-def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[Pose, Pose]], more_time: MoreTime) -> Tracks:
+def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[PlanePose, PlanePose]], more_time: MoreTime) -> Tracks:
     """Legs over open cells, all of which can be entered and left inside the fence, in as many headings as there is time for, but at least
     so many that there is a leg. known: runs to be among them."""
     legs = _Legs(cells, limits)
@@ -197,7 +197,7 @@ class _Legs:
         self._lines: list[_Lines] = []
         self._looks: list[float] = []
         self._n_seen = 0
-        self._runs: list[tuple[Pose, Pose]] = []
+        self._runs: list[tuple[PlanePose, PlanePose]] = []
         self._numbers: list[tuple[int, int, int, int]] = []  # first, last, line, heading
 
     def add(self, lines: _Lines) -> None:
@@ -222,7 +222,7 @@ class _Legs:
                     self._add_piece(lines, number, low, along, float(along[begin]) - margin_m, float(along[end - 1]) + margin_m, inside)
         self._keep(lines)
 
-    def add_run(self, lines: _Lines, entry: Pose, leave: Pose) -> None:
+    def add_run(self, lines: _Lines, entry: PlanePose, leave: PlanePose) -> None:
         ahead = math.sin(entry.heading_rad), math.cos(entry.heading_rad)
         begin, end = (pose.east_m * ahead[0] + pose.north_m * ahead[1] for pose in (entry, leave))
         self._add_run(lines, 0, 0, lines.along_m, (begin, end), (entry, leave))
@@ -241,7 +241,7 @@ class _Legs:
             self._add_run(lines, number, low, along, (run_begin, run_end), None)
 
     def _add_run(
-        self, lines: _Lines, number: int, low: int, along: Array, stretch: tuple[float, float], ends: tuple[Pose, Pose] | None
+        self, lines: _Lines, number: int, low: int, along: Array, stretch: tuple[float, float], ends: tuple[PlanePose, PlanePose] | None
     ) -> None:
         begin, end = stretch
         # A cell counts if all of it lies abeam of the credited run.
@@ -327,10 +327,10 @@ def _only(tracks: Tracks, kept: NDArray[np.bool_]) -> Tracks:
     return tracks._replace(**{name: getattr(tracks, name)[kept] for name in ("run", "first", "last", "line", "heading")})
 
 
-def _across(pose: Pose) -> float:
+def _across(pose: PlanePose) -> float:
     return pose.east_m * math.cos(pose.heading_rad) - pose.north_m * math.sin(pose.heading_rad)
 
 
-def _on_line(lines: _Lines, number: int, along_m: float) -> Pose:
+def _on_line(lines: _Lines, number: int, along_m: float) -> PlanePose:
     sine, cosine, offset = math.sin(lines.heading_rad), math.cos(lines.heading_rad), float(lines.offset_m[number])
-    return Pose(along_m * sine + offset * cosine, along_m * cosine - offset * sine, lines.heading_rad)
+    return PlanePose(along_m * sine + offset * cosine, along_m * cosine - offset * sine, lines.heading_rad)

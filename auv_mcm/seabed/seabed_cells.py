@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import SEABED_TYPES, SeabedCells, Tile
-from auv_mcm.seabed.seabed_model import SeabedModel, kind_indices, odds_of
+from auv_mcm.seabed.seabed_model import SeabedModel, kind_indices, seabed_odds
 from auv_mcm.seabed.texture import CELL_BLOCKS, Texture, measure_texture
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
     texture = measure_texture(tile)
     measured: NDArray[np.bool_] = np.asarray(np.isfinite(texture.features).all(axis=-1))
     features = np.where(measured[..., np.newaxis], texture.features, 0.0)
-    found = odds_of(features, np.broadcast_to(texture.cot_grazing, measured.shape), model)
+    found = seabed_odds(features, np.broadcast_to(texture.cot_grazing, measured.shape), model)
     known = measured & (found.distance <= model.learnt.novelty)
     posterior = smoothed(found.log_p * known[..., np.newaxis], known)
     best = np.argmax(posterior, axis=-1)

@@ -88,7 +88,7 @@ class Odds(NamedTuple):
     distance: Array
 
 
-def odds_of(features: Array, cot_grazing: Array, model: SeabedModel) -> Odds:
+def seabed_odds(features: Array, cot_grazing: Array, model: SeabedModel) -> Odds:
     """Weigh features (..., len(NAMES)) seen at grazing angles of these cotangents (...)."""
     x = standardised(features, cot_grazing, np.array(model.centre), np.array(model.scale))
     units = bounded(x)

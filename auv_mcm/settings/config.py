@@ -17,7 +17,7 @@ from msgspec import Meta, inspect
 from auv_mcm.clean_text import clean, is_clean
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together
-from auv_mcm.settings.strict_yaml import explained, load_mapping
+from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
 
 
@@ -298,7 +298,7 @@ def parse_config(text: str, place: str) -> Config:
     try:
         return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explained(error, Config)}. {_HELP}") from error
+        raise UsageError(f"{place}: {explain_validation_error(error, Config)}. {_HELP}") from error
 
 
 def config_yaml(config: Config) -> str:

@@ -449,7 +449,7 @@ def _snippets(events: list[PipelineEvent]) -> dict[str, bytes]:
     contacts = [event for event in events if isinstance(event, Contact)]
     if not contacts:
         return {}
-    from auv_mcm.contacts.picture import snippet_png  # OpenCV: only in this process
+    from auv_mcm.contacts.contact_picture import snippet_png  # OpenCV: only in this process
 
     return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
 

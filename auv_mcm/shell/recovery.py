@@ -12,7 +12,7 @@ from typing import Final
 
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.records import Notice
-from auv_mcm.shell.results import Journal
+from auv_mcm.shell.journal import Journal
 
 RECORDING: Final = "recording"
 """The folder, among the results, for what live ports received and were sent."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any, Final
 
-SOURCES: Final[dict[str, str]] = {"ports": "drivers.source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
+SOURCES: Final[dict[str, str]] = {"ports": "drivers.port_source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
 """Openers of sources, by the scheme of `service.source`."""
 
 RECORDER: Final = "drivers.recording.start_recording:start_recording"

@@ -29,28 +29,19 @@ from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.found import Found
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, contact_number
+from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, search_totals
 from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
 from auv_mcm.shell.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
-from auv_mcm.shell.results import (
-    Journal,
-    Snippets,
-    Tally,
-    area_totals,
-    clearance_notices,
-    contact_totals,
-    make_directory,
-    notice_lists,
-    plan_waypoints,
-    result_writers,
-    search_totals,
-    write_clearance,
-    write_json,
-)
+from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
+from auv_mcm.shell.snippet_files import Snippets
 from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
+from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.vehicle_link import VehicleLink
+from auv_mcm.shell.whole_files import make_directory, write_json
 from auv_mcm.source import LiveSource, Recorder, Source
 
 log = logging.getLogger(__name__)
@@ -114,7 +105,7 @@ class Service:
         self._snippets = Snippets(self._folder)
         self._found = Found(self._folder)
         self._ballast = await asyncio.to_thread(Ballast, self._folder)
-        queue = EventQueue(self._config.service.queue_pings, self._source.lossless, self._counters)
+        queue = EventQueue(self._config.service.queue_pings, self._counters, self._see)
         perception = Perception(self._config, self._make_pipeline, folder=self._folder)
         failure: AuvMcmError | None = None
         missing: HardwareError | None = None
@@ -212,7 +203,7 @@ class Service:
 
     async def _take_in(self, queue: EventQueue) -> None:
         """Source to queue, until the source ends or the service is told to stop."""
-        reading = asyncio.ensure_future(self._read(queue))
+        reading = asyncio.ensure_future(self._source.run(queue))
         stopping = asyncio.ensure_future(self._stop.wait())
         try:
             await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -232,14 +223,12 @@ class Service:
         finally:
             reading.cancel()
             stopping.cancel()
-            await queue.close()
+            queue.close()
 
-    async def _read(self, queue: EventQueue) -> None:
-        async with contextlib.aclosing(self._source.events()) as events:
-            async for event in events:
-                if self._vehicle_link is not None:
-                    self._vehicle_link.see(event)
-                await queue.put(event)
+    def _see(self, event: SourceEvent) -> None:
+        """Show an event to the vehicle link as it comes, however long it waits for perception."""
+        if self._vehicle_link is not None:
+            self._vehicle_link.see(event)
 
     async def _feed(self, queue: EventQueue, perception: Perception) -> None:
         try:
@@ -268,7 +257,7 @@ class Service:
             if contacts:
                 await self._make_durable(contacts, answer.snippets, journal)
                 if self._vehicle_link is not None:
-                    self._vehicle_link.tell(contacts)
+                    self._vehicle_link.report(contacts)
             if patches := [event for event in answer.events if isinstance(event, CoveragePatch)]:
                 await self._on_disk(partial(self._found.keep, coverage=patches))
             for event in answer.events:

@@ -1,6 +1,6 @@
-"""What the service has to do with the vehicle: contacts are told at once, its own health as it changes, and legs are asked for.
+"""Connect the service to the vehicle: report contacts at once and health as it changes, and request legs.
 
-It neither knows how a vehicle is spoken to nor whether it grants anything: that is the pilot's affair, behind `VehiclePilot`.
+The pilot, behind `VehiclePilot`, knows the dialect of the vehicle and whether it grants anything.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class VehicleLink:
         self._plans = config.vehicle.command or bool(config.plan.area_deg)
         self._look_again = LookAgain(config)
         self._serving: asyncio.Future[None] | None = None
-        self._told_health: tuple[Health, str] | None = None
+        self._reported_health: tuple[Health, str] | None = None
         self._ending = ""
         self._proposed = False
         self._parted = ""
@@ -57,7 +57,7 @@ class VehicleLink:
     def start(self, serve: Coroutine[Any, Any, None]) -> None:
         """serve: talks to the vehicle until cancelled."""
         self._serving = asyncio.ensure_future(serve)
-        self._tell_health("starting", "the payload starts")
+        self._report_health("starting", "the payload starts")
 
     def see(self, event: SourceEvent) -> None:
         """Whatever the source gives, as it comes."""
@@ -69,10 +69,10 @@ class VehicleLink:
             self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), self._clock.monotonic_s()
             self._time_s = event.time_s
 
-    def tell(self, contacts: Iterable[Contact]) -> None:
-        """Contacts that are on disk, new or changed."""
+    def report(self, contacts: Iterable[Contact]) -> None:
+        """Report contacts that are on disk, new or changed, to the vehicle and to planning."""
         for contact in contacts:
-            self.vehicle.tell(contact)
+            self.vehicle.report(contact)
             self._look_again.learn(contact)
 
     def attend(self, faults: Sequence[str], ask: Callable[[PlanRequest], bool]) -> list[Notice]:
@@ -81,7 +81,7 @@ class VehicleLink:
         position_lost = now_s - self._position_s > _POSITION_LOST_S
         faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
         area = self._look_again.area
-        self._tell_health("fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])]))
+        self._report_health("fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])]))
         if self._plans and not self._ending and not position_lost and self.vehicle.authority != "down":
             self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
             if (plan := self._look_again.insist(now_s)) is not None:
@@ -99,7 +99,7 @@ class VehicleLink:
             self.vehicle.propose(plan)
 
     def release(self, reason: str) -> None:
-        """Give control back at once; contacts are still told."""
+        """Give control back at once; contacts are still reported."""
         self._ending = reason
         self.vehicle.release(reason)
 
@@ -110,7 +110,7 @@ class VehicleLink:
         reason = clean(reason)  # an error's words may hold those of a device or a file name
         try:
             self.release(reason)
-            self._tell_health("failure", reason)
+            self._report_health("failure", reason)
             await asyncio.wait({self._serving}, timeout=_LAST_WORDS_S)
         finally:
             self._parted = self.vehicle.health()
@@ -118,7 +118,7 @@ class VehicleLink:
         await asyncio.wait({self._serving})
         return self.vehicle.take_notices()
 
-    def _tell_health(self, state: Health, text: str) -> None:
-        if (state, text) != self._told_health:
-            self._told_health = state, text
-            self.vehicle.tell_health(state, text)
+    def _report_health(self, state: Health, text: str) -> None:
+        if (state, text) != self._reported_health:
+            self._reported_health = state, text
+            self.vehicle.report_health(state, text)

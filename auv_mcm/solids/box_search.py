@@ -21,7 +21,7 @@ _RISE: Final = 10.0  # nats
 _FLATTEST, _STEEPEST = 0.05, 1e6
 
 
-class Box(NamedTuple):
+class SearchBox(NamedTuple):
     """low, high: (d,) float64. wraps: (d,) bool, whether what leaves at one side comes in at the other. grain: (d,) float64, how
     far apart values are that hardly differ; walks measure their steps by it."""
 
@@ -63,13 +63,13 @@ def directions(n_steps: int, n_tries: int, n_dimensions: int) -> Array:
     return 2.0 * spread(n_steps * n_tries, n_dimensions).reshape(n_steps, n_tries, n_dimensions) - 1.0
 
 
-def look_around(cost: Callable[[Array], Array], box: Box, n_starts: int, n_kept: int) -> Optima:
+def look_around(cost: Callable[[Array], Array], box: SearchBox, n_starts: int, n_kept: int) -> Optima:
     """The best of n_starts places, each apart from better ones."""
     unit = spread(n_starts, box.low.size)
     return apart(Optima(unit, cost(box.points(unit))), box, n_kept)
 
 
-def walk(cost: Callable[[Array], Array], box: Box, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
+def walk(cost: Callable[[Array], Array], box: SearchBox, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
     """Every place takes the best of n_tries steps if that is better, n_steps times; steps grow with success and shrink without.
 
     first_stride: in grains."""
@@ -89,13 +89,13 @@ def walk(cost: Callable[[Array], Array], box: Box, optima: Optima, n_steps: int,
     return best_first(box, unit, best)
 
 
-def best_first(box: Box, unit: Array, cost: Array) -> Optima:
+def best_first(box: SearchBox, unit: Array, cost: Array) -> Optima:
     """Places (n, d) that may lie beyond the box, and their costs (n,), as optima."""
     order = np.argsort(cost, kind="stable")
     return Optima(box.folded(unit)[order], cost[order])
 
 
-def apart(optima: Optima, box: Box, n_kept: int) -> Optima:
+def apart(optima: Optima, box: SearchBox, n_kept: int) -> Optima:
     """The n_kept best of those that differ from every better one."""
     kept: list[int] = []
     for index in np.argsort(optima.cost, kind="stable").tolist():
@@ -108,7 +108,7 @@ def apart(optima: Optima, box: Box, n_kept: int) -> Optima:
     return Optima(optima.unit[kept], optima.cost[kept])
 
 
-def curvature_covariance(cost: Callable[[Array], Array], box: Box, point: Array) -> Array:
+def curvature_covariance(cost: Callable[[Array], Array], box: SearchBox, point: Array) -> Array:
     """Covariance (d, d) of a point where minus the log likelihood `cost` is least: the inverse of its second differences.
 
     Steps are a quarter to eight grains, the shortest at which the cost rises by ten nats: shorter ones feel single pixels. What is flat

@@ -110,7 +110,7 @@ class ConvexPolyhedron(msgspec.Struct, frozen=True, kw_only=True):
 Shape: TypeAlias = Sphere | Cylinder | TruncatedCone | Box | Wedge | ConvexPolyhedron
 
 
-class View(NamedTuple):
+class SolidView(NamedTuple):
     """What pings see of a solid: float64 arrays of the broadcast shape, NaN where a ping's slice misses it.
 
     front_slant_range_m: of its nearest point, where the highlight begins; on the image it lies before the object's foot.
@@ -132,7 +132,7 @@ def view_shape(
     *,
     slope_rad: ArrayLike = 0.0,
     squint_rad: ArrayLike = 0.0,
-) -> View:
+) -> SolidView:
     """View of a solid by pings.
 
     along_track_offset_m: of the ping from the object's place, positive after it has passed. ground_range_m: of that place from the
@@ -165,7 +165,7 @@ def view_shape(
         )
     below = seen.tangent_height_m < altitude
     reach = np.divide(altitude * seen.tangent_m, altitude - seen.tangent_height_m, out=np.full(below.shape, np.inf), where=below)
-    return View(
+    return SolidView(
         front_slant_range_m=seen.front_slant_range_m,
         tangent_slant_range_m=np.hypot(seen.tangent_m, altitude - seen.tangent_height_m),
         shadow_end_m=np.where(np.isnan(seen.tangent_m), np.nan, (reach + foot) * np.cos(slope)),

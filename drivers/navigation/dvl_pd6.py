@@ -15,15 +15,15 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.candidates import Candidates
 from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nav_decoder import NavFix
 
 _MAX_LINE_BYTES: Final = 128
 _BODY: Final = rb"[\x20-\x39\x3b-\x7e]"
 _LINE: Final = re.compile(rb":([A-Z]{2}),(%b{0,%d})[\r\n]" % (_BODY, _MAX_LINE_BYTES - 5))
 _RUN: Final = re.compile(rb":%b*" % _BODY)
-_CANDIDATES: Final = Candidates(
+_CANDIDATES: Final = MessageCandidates(
     (b":",),
     alive=rb":(?:[A-Z]{2},%b{0,%d}+[\r\n]|%b{0,%d}+\Z)" % (_BODY, _MAX_LINE_BYTES - 5, _BODY, _MAX_LINE_BYTES - 2),
     dead=rb"((?::(?=:))++)|:(?:(%b{%d})|%b*+(?:(?=(:))|(?=([\x80-\xff]))|()))" % (_BODY, _MAX_LINE_BYTES - 1, _BODY),

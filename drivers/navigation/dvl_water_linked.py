@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.candidates import Candidates
 from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nav_decoder import NavFix
 
 _MAX_MESSAGE_BYTES: Final = 384
@@ -21,7 +21,7 @@ _BODY: Final = rb"[\x20-\x29\x2b-\x76\x78-\x7e]"
 _MESSAGE: Final = re.compile(rb"(w%b{3,%d})\*([0-9A-Fa-f]{2})" % (_BODY, _MAX_MESSAGE_BYTES - 4))
 _RUN: Final = re.compile(rb"w%b*" % _BODY)
 _MAX_RUN_BYTES: Final = _MAX_MESSAGE_BYTES - 3
-_CANDIDATES: Final = Candidates(
+_CANDIDATES: Final = MessageCandidates(
     (b"w",),
     alive=rb"w(?:%b{3,%d}+\*(?:[0-9A-Fa-f]{2}|.?\Z)|%b{0,%d}+\Z)" % (_BODY, _MAX_MESSAGE_BYTES - 4, _BODY, _MAX_RUN_BYTES - 1),
     dead=rb"((?:w(?=w))++)|w(?:(%b{%d})|%b*+(?:(?=(w))|(?=(\*))|()))" % (_BODY, _MAX_RUN_BYTES, _BODY),

@@ -11,8 +11,8 @@ from functools import reduce
 from operator import xor
 from typing import Final
 
-from drivers.candidates import Candidates
 from drivers.framing import Grammar
+from drivers.message_candidates import MessageCandidates
 
 MAX_SENTENCE_BYTES: Final = 255
 _BODY: Final = rb"[\x20\x22\x23\x25-\x29\x2b-\x7e]"
@@ -20,7 +20,7 @@ _SENTENCE: Final = re.compile(rb"[$!](%b{4,%d})\*([0-9A-Fa-f]{2})\r?\n?" % (_BOD
 _RUN: Final = re.compile(rb"[$!]%b*" % _BODY)
 _MAX_RUN_BYTES: Final = MAX_SENTENCE_BYTES - 5  # of `$` and body, with room for the checksum and CR LF
 
-_CANDIDATES: Final = Candidates(
+_CANDIDATES: Final = MessageCandidates(
     (b"$", b"!"),
     alive=rb"[$!](?:%b{4,%d}+\*(?:[0-9A-Fa-f]{2}|[0-9A-Fa-f]?\Z)|%b{0,%d}+\Z)" % (_BODY, MAX_SENTENCE_BYTES - 6, _BODY, _MAX_RUN_BYTES - 1),
     dead=rb"((?:[$!](?=[$!]))++)|[$!](?:(%b{%d})|%b*+(?:(?=([$!]))|(?=(\*))|(?=([\r\n]))|(?=([\x80-\xff]))|()))"

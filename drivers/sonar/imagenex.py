@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace
-from drivers.candidates import Candidates
 from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.message_candidates import MessageCandidates
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
 
@@ -105,7 +105,7 @@ def encode_return(ping: IgxReturn) -> bytes:
     return head + np.minimum(ping.echo, _MAX_ECHO).astype(np.uint8).tobytes() + bytes((_TERMINATOR,))
 
 
-_CANDIDATES: Final = Candidates(
+_CANDIDATES: Final = MessageCandidates(
     (_SYNC,),
     alive=rb"IGX(?:.{0,8}\Z|%b%b)" % (_HEADER, _COUNT),
     dead=rb"(?!)()|IGX(?:%b()|())" % _HEADER,

@@ -146,22 +146,6 @@ class SideScanHeader(NamedTuple):
         return 1e-9 * (self.interval_ns + (self.lsb_1 & 0xFF) / 256.0)
 
     @property
-    def start_frequency_hz(self) -> float:
-        return 10.0 * (self.start_frequency_dahz | (self.msb & 0xF) << 16)
-
-    @property
-    def end_frequency_hz(self) -> float:
-        return 10.0 * (self.end_frequency_dahz | (self.msb >> 4 & 0xF) << 16)
-
-    @property
-    def mark_number(self) -> int:
-        return self.mark_low | (self.msb >> 12 & 0xF) << 16
-
-    @property
-    def sweep_s(self) -> float:
-        return 1e-3 * self.sweep_ms + 1e-6 * (self.lsb_2 >> 4 & 0x3FF)
-
-    @property
     def utc_s(self) -> float:
         """Of the ping, since 1970."""
         return self.time_s + 1e-3 * (self.milliseconds_today % 1000)
@@ -246,11 +230,6 @@ def set_value(message_type: int, value: int, subsystem: int) -> bytes:
 
 
 _TIME: Final = Struct("<II")
-
-
-def time_request() -> bytes:
-    """Asks for the sonar's clock."""
-    return to_wire(JsfMessage(SYSTEM_TIME, b"", Command.GET))
 
 
 def time_reply(utc_s: float) -> bytes:

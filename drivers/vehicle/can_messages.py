@@ -186,7 +186,7 @@ class Signal(NamedTuple):
         return (1 << 8 * self.n_bytes - self.signed) - 1
 
 
-class Placed(NamedTuple):
+class PlacedSignal(NamedTuple):
     """A signal of a message. part: of its transfer, 0 where there is one frame. first_byte: in the frame."""
 
     part: int
@@ -211,12 +211,12 @@ class Message(NamedTuple):
         return len(self.parts) > 1
 
     @property
-    def placed(self) -> Iterator[Placed]:
+    def placed(self) -> Iterator[PlacedSignal]:
         """Where every signal but head and CRC is."""
         for part, signals in enumerate(self.parts):
             at = HEAD_BYTES if self.is_transfer else 0
             for signal in signals:
-                yield Placed(part, at, signal)
+                yield PlacedSignal(part, at, signal)
                 at += signal.n_bytes
 
 

@@ -24,7 +24,7 @@ Wntra = TypeVar("Wntra", contravariant=True)
 class Capability(enum.Flag):
     """What a dialect can carry."""
 
-    NAVIGATION = enum.auto()  # it tells where the vehicle is
+    NAVIGATION = enum.auto()  # it says where the vehicle is
     WAYPOINT = enum.auto()  # the vehicle goes to a place by itself
     STEERING = enum.auto()  # the vehicle holds a heading, a depth or altitude, and a speed
     CONTACT = enum.auto()  # it takes reports of contacts
@@ -61,7 +61,7 @@ Command: TypeAlias = GoTo | Steer
 
 
 class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
-    """A contact as the vehicle is told of it.
+    """A contact as it is reported to the vehicle.
 
     session: of the run that numbers its contacts, so that two runs are not confused. number, revision: of the contact, and which telling of
     it this is, 1 the first; a report with the session, number and revision of an earlier one is a repetition. time_s: UTC seconds
@@ -239,10 +239,10 @@ class Talker(Protocol[W]):
         ...
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
-        """Tell of a contact. ticket: for Acknowledged or Rejected; 1 to 65535, not used again while one is awaited."""
+        """Report a contact. ticket: for Acknowledged or Rejected; 1 to 65535, not used again while one is awaited."""
         ...
 
-    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+    def report_health(self, health: PayloadHealth, now_s: float) -> None:
         """Called whenever it changes; the dialect repeats it as its vehicle wants."""
         ...
 

@@ -36,7 +36,7 @@ class OffTrack(NamedTuple):
     cross_m: float
 
 
-class Track:
+class WaypointTrack:
     """Way-points to be flown in order on the straight legs between them.
 
     places_deg: latitude, longitude; the first is where the way begins and is not flown to. radius_m: as near counts as there. A
@@ -212,7 +212,9 @@ class LineOfSight:
         self._turned_s = -math.inf
         self._current.restart()
 
-    def heading_rad(self, track: Track, position_deg: tuple[float, float], position_s: float, heading_rad: float, now_s: float) -> float:
+    def heading_rad(
+        self, track: WaypointTrack, position_deg: tuple[float, float], position_s: float, heading_rad: float, now_s: float
+    ) -> float:
         """The true heading to command, [0, 2 pi). position_s: when the position was told. heading_rad: of the vehicle."""
         if position_s > self._position_s:
             self._current.observe(position_deg, heading_rad, self._speed_mps, position_s)

@@ -378,7 +378,7 @@ _CODES: Final = {"u8": "B", "u16": "H", "u32": "I", "i32": "i", "f32": "f", "f64
 _FEWEST_BYTES: Final = 2  # of a text, a message or a list
 
 
-class Layout(NamedTuple):
+class ImcLayout(NamedTuple):
     """One row of the table. fewest, most: bytes of payload that are believed of this message."""
 
     number: int
@@ -388,7 +388,7 @@ class Layout(NamedTuple):
     most: int
 
 
-def _layout(number: int, kind: type[_Message], *fields: Field) -> Layout:
+def _layout(number: int, kind: type[_Message], *fields: Field) -> ImcLayout:
     assert len(fields) == len(kind.__struct_fields__), f"{kind.__name__}: one field of the wire for one of the record"
     parts: list[_Part] = []
     run = ""
@@ -403,7 +403,7 @@ def _layout(number: int, kind: type[_Message], *fields: Field) -> Layout:
             parts.append("text" if isinstance(field, str) else field)
     fewest = sum(part.layouts["<"].size if isinstance(part, Numbers) else _FEWEST_BYTES for part in parts)
     fixed = all(isinstance(part, Numbers) for part in parts)
-    return Layout(number, kind, tuple(parts), fewest, fewest if fixed else MAX_PAYLOAD_BYTES)
+    return ImcLayout(number, kind, tuple(parts), fewest, fewest if fixed else MAX_PAYLOAD_BYTES)
 
 
 def _times(n: int, field: Field) -> tuple[Field, ...]:
@@ -432,7 +432,7 @@ _ROWS: Final = (
     _layout(1701, MineContactTaken, "u32", "u32", "u16", "u8", "text"),
 )
 LAYOUTS: Final = {row.number: row for row in _ROWS}
-_BY_KIND: Final[dict[type, Layout]] = {row.kind: row for row in _ROWS}
+_BY_KIND: Final[dict[type, ImcLayout]] = {row.kind: row for row in _ROWS}
 
 
 def number_of(kind: type[_Message]) -> int:
@@ -491,7 +491,7 @@ class _Reader:
         self._order = order
         self._u16 = Struct(order + "H")
 
-    def message(self, layout: Layout, depth: int) -> ImcMessage:
+    def message(self, layout: ImcLayout, depth: int) -> ImcMessage:
         if depth > MAX_DEPTH:
             raise ValueError(f"messages inside messages deeper than {MAX_DEPTH}")
         values: list[Any] = []

@@ -1,8 +1,8 @@
 """The payload's end of the talk with a vehicle: contacts and health out always, commands only while the vehicle lets it.
 
 No ports and no clocks: what is heard is handed in, what is to be sent is fetched. Control is wanted only while there is a plan ahead that
-may be flown, and goes back as soon as that ends, for whatever reason. A vehicle that is never told so, because the payload died or the
-wire broke, takes control back by itself once commands stay away; that is why every dialect repeats them.
+may be flown, and goes back as soon as that ends, for whatever reason. Where the payload died or the wire broke, the vehicle takes control
+back by itself once commands stay away; that is why every dialect repeats them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from drivers.vehicle.guard import Guard, Refusal
-from drivers.vehicle.guidance import LineOfSight, Track
-from drivers.vehicle.report_queue import Outbox
+from drivers.vehicle.guidance import LineOfSight, WaypointTrack
+from drivers.vehicle.report_queue import ReportQueue
 from drivers.vehicle.runs import ON_LEG, with_points_on_legs
 from drivers.vehicle.whereabouts import Whereabouts
 
@@ -55,7 +55,7 @@ class _Plan(NamedTuple):
 
     proposed: tuple[Waypoint, ...]
     waypoints: tuple[Waypoint, ...]
-    track: Track
+    track: WaypointTrack
     approved_s: float
 
     @property
@@ -77,7 +77,7 @@ class Pilot(Generic[W]):
     session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the water.
 
     counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason), vehicle.requested,
-    .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of `Outbox`.
+    .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of `ReportQueue`.
 
     Raises UsageError for a fence that is no area.
     """
@@ -92,8 +92,8 @@ class Pilot(Generic[W]):
             silent_after_s=talker.silent_after_s, ask_again_s=config.ask_again_s, max_control_s=config.max_control_s
         )
         self._guard = Guard(config)
-        self._outbox = Outbox(
-            session=session, min_p_mine=config.report_min_p_mine, acknowledged=Capability.ACKNOWLEDGED in talker.capabilities
+        self._report_queue = ReportQueue(
+            session=session, min_p_mine=config.report_min_p_mine, acknowledges=Capability.ACKNOWLEDGED in talker.capabilities
         )
         self._line_of_sight = LineOfSight(turn_radius_m=turn_radius_m, speed_mps=config.speed_mps)
         self._whereabouts = Whereabouts(config.state_valid_s)
@@ -107,7 +107,7 @@ class Pilot(Generic[W]):
         self._refusal: Refusal | None = None  # the last, for people
         self._counted: set[str] = set()  # reasons of refusals of this plan
         self._wire_open = False
-        self._told_state: AuthorityState = "down"
+        self._announced_state: AuthorityState = "down"
         self._rejected: set[int] = set()  # contacts
         self._notices: deque[Notice] = deque(maxlen=_MAX_NOTICES)
         self._own: Counter[str] = Counter()
@@ -118,14 +118,14 @@ class Pilot(Generic[W]):
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self._outbox.counters + self._talker.counters
+        return self._own + self._report_queue.counters + self._talker.counters
 
     def health(self) -> str:
         """One line for people and for the health line."""
         leg, n_legs = (self._plan.leg, self._plan.waypoints[-1].leg) if self._plan else (0, 0)
         refused = f"{self._refusal.code} ({self._refusal.text})" if self._refusal else "nothing"
-        told = f"reports_waiting={self._outbox.n_waiting} refused={refused}"
-        return f"vehicle={self.authority} ({self._authority.reason}) leg={leg}/{n_legs} {told}"
+        reports = f"reports_waiting={self._report_queue.n_pending} refused={refused}"
+        return f"vehicle={self.authority} ({self._authority.reason}) leg={leg}/{n_legs} {reports}"
 
     def take_notices(self) -> list[Notice]:
         """What a person should know since this was asked last."""
@@ -136,17 +136,17 @@ class Pilot(Generic[W]):
     def connected(self, now_s: float) -> None:
         """The wire is open, perhaps again."""
         self._do(self._authority.connected(now_s), now_s)
-        self._outbox.link_lost()
+        self._report_queue.link_lost()
         self._wire_open = True
         self._talker.connected(now_s)
         if self._health is not None:
-            self._talker.tell_health(self._health, now_s)
+            self._talker.report_health(self._health, now_s)
         self._notice_authority()
 
     def disconnected(self, now_s: float) -> None:
         """The wire is gone."""
         self._do(self._authority.disconnected(now_s), now_s)
-        self._outbox.link_lost()
+        self._report_queue.link_lost()
         self._wire_open = False
         self._talker.disconnected()
         self._notice_authority()
@@ -168,7 +168,7 @@ class Pilot(Generic[W]):
                 case PlaceReached():
                     self._arrived()
                 case Acknowledged():
-                    self._outbox.acknowledged(event.ticket)
+                    self._report_queue.acknowledge(event.ticket)
                 case Rejected():
                     self._report_rejected(event)
                 case Doubted(reason):
@@ -192,25 +192,25 @@ class Pilot(Generic[W]):
             self._fly(self._plan, state, now_s)
         up = self._authority.state != "down"
         if was_up and not up:
-            self._outbox.link_lost()
+            self._report_queue.link_lost()
         if up and Capability.CONTACT in self._talker.capabilities:
-            for report, ticket in self._outbox.take_due(now_s):
+            for report, ticket in self._report_queue.take_due(now_s):
                 self._talker.report(report, ticket, now_s)
         self._notice_authority()
         return self._talker.take_outgoing(now_s) if self._wire_open else []
 
-    def tell(self, contact: Contact) -> None:
-        """A contact that is new or has changed.
+    def report(self, contact: Contact) -> None:
+        """Queue the report of a contact that is new or has changed.
 
         Raises ValueError for an id that is not C and a number.
         """
-        self._outbox.tell(contact)
+        self._report_queue.add(contact)
 
-    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
-        """How the payload is."""
+    def report_health(self, health: PayloadHealth, now_s: float) -> None:
+        """Report how the payload is, at once if it changed."""
         if health != self._health:
             self._health = health
-            self._talker.tell_health(health, now_s)
+            self._talker.report_health(health, now_s)
 
     def propose(self, plan: tuple[Waypoint, ...], now_s: float) -> None:
         """Fly this instead of the plan before; () withdraws it. What of it is behind the vehicle is not flown.
@@ -232,7 +232,7 @@ class Pilot(Generic[W]):
         radius_m, cut_radius_m = self._config.arrival_radius_m, self._turn_radius_m if self._may_steer else 0.0
         flown = plan if self._may_steer else with_points_on_legs(plan, max(self._turn_radius_m, 2.0 * radius_m))
         places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in flown)
-        self._plan = _Plan(plan, flown, Track(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
+        self._plan = _Plan(plan, flown, WaypointTrack(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
 
     def release(self, reason: str, now_s: float) -> None:
         """Control back, the plan dropped, nothing asked for any more: the service stops. What is to be sent is still to be fetched."""
@@ -330,7 +330,7 @@ class Pilot(Generic[W]):
             return
         self._counted.add(refusal.code)
         self._own[f"vehicle.refused.{refusal.code}"] += 1
-        self._tell("vehicle_refused", f"the vehicle is not commanded: {refusal.text} [{refusal.code}]", logging.WARNING)
+        self._raise_notice("vehicle_refused", f"the vehicle is not commanded: {refusal.text} [{refusal.code}]", logging.WARNING)
 
     def _do(self, action: Action | None, now_s: float) -> None:
         match action:
@@ -341,36 +341,36 @@ class Pilot(Generic[W]):
                 self._command, self._joined = None, False
                 self._own["vehicle.returned"] += 1
                 self._talker.release(reason, now_s)
-                self._tell("vehicle_control_returned", f"control of the vehicle is given back: {reason}", logging.INFO)
+                self._raise_notice("vehicle_control_returned", f"control of the vehicle is given back: {reason}", logging.INFO)
 
     def _notice_authority(self) -> None:
-        """Tell of a new state, once."""
+        """Raise a notice of a new state, once."""
         state, reason = self._authority.state, self._authority.reason
-        if state == self._told_state:
+        if state == self._announced_state:
             return
-        self._told_state = state
+        self._announced_state = state
         if state == "granted":
             self._own["vehicle.granted"] += 1
-            self._tell("vehicle_control_granted", f"the vehicle lets the payload command: {reason}", logging.INFO)
+            self._raise_notice("vehicle_control_granted", f"the vehicle lets the payload command: {reason}", logging.INFO)
         elif state == "revoked":
             self._own["vehicle.withheld"] += 1
             self._command, self._joined = None, False
-            self._tell("vehicle_control_withheld", f"the vehicle keeps control: {reason}", logging.WARNING)
+            self._raise_notice("vehicle_control_withheld", f"the vehicle keeps control: {reason}", logging.WARNING)
         else:
             log.info("vehicle: %s: %s", state, reason)
 
     def _report_rejected(self, rejected: Rejected) -> None:
-        report = self._outbox.rejected(rejected.ticket)
+        report = self._report_queue.reject(rejected.ticket)
         if report is not None and report.number not in self._rejected:
             self._rejected.add(report.number)
-            self._tell("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
+            self._raise_notice("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
 
     def _doubted(self, reason: str) -> None:
         """Report the first message that is not believed, and count the others: an attacker may send many."""
         self._own["vehicle.doubted"] += 1
         if self._own["vehicle.doubted"] == 1:
-            self._tell("vehicle_doubted", f"a message of the vehicle is not believed: {reason} More are counted.", logging.WARNING)
+            self._raise_notice("vehicle_doubted", f"a message of the vehicle is not believed: {reason} More are counted.", logging.WARNING)
 
-    def _tell(self, code: str, text: str, level: int) -> None:
+    def _raise_notice(self, code: str, text: str, level: int) -> None:
         log.log(level, "%s", text)
         self._notices.append(Notice(code=code, text=text, for_the_record=level < logging.WARNING))

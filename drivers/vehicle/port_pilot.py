@@ -57,16 +57,16 @@ class PortPilot:
         """Messages of the vehicle, if any; stamp: when the last of its bytes were read."""
         self._have(lambda now_s: self._pilot.hear(said, stamp))
 
-    def tell(self, contact: Contact) -> None:
-        self._have(lambda now_s: self._pilot.tell(contact))
+    def report(self, contact: Contact) -> None:
+        self._have(lambda now_s: self._pilot.report(contact))
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
         """Take the place of the plan before; () withdraws it."""
         if not self._n_failed:
             self._have(lambda now_s: self._pilot.propose(plan, now_s))
 
-    def tell_health(self, state: Literal["starting", "normal", "fault", "failure"], text: str) -> None:
-        self._have(lambda now_s: self._pilot.tell_health(PayloadHealth(state, text), now_s))
+    def report_health(self, state: Literal["starting", "normal", "fault", "failure"], text: str) -> None:
+        self._have(lambda now_s: self._pilot.report_health(PayloadHealth(state, text), now_s))
 
     def release(self, reason: str) -> None:
         """Give control back, for good."""

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.candidates import Candidates
 from drivers.framing import Grammar
+from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES
 from drivers.navigation.sentences import Codec, Sentence
 from drivers.vehicle.ascii_fields import (
@@ -41,7 +41,7 @@ from drivers.vehicle.dialect import ContactReport
 _BODY: Final = rb"[\x20-\x22\x24-\x29\x2b-\x7e]"
 _FRAME: Final = re.compile(rb"#([A-Za-z](?:,%b{0,%d})?),\*([0-9A-F]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 9))
 _BEGUN: Final = re.compile(rb"#%b*(?:\*[0-9A-F]?)?" % _BODY)
-_CANDIDATES: Final = Candidates(
+_CANDIDATES: Final = MessageCandidates(
     (b"#",),
     alive=rb"#(?:[A-Za-z](?:,%b{0,%d})?,\*(?:[0-9A-F]{2}|[0-9A-F]?\Z)|%b{0,%d}+(?:\*[0-9A-F]?)?\Z)"
     % (_BODY, MAX_SENTENCE_BYTES - 9, _BODY, MAX_SENTENCE_BYTES - 2),

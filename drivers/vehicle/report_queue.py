@@ -1,7 +1,7 @@
-"""Contacts on their way to the vehicle: each in its latest revision, exactly once as the vehicle sees it.
+"""Queue the reports of contacts for the vehicle: each contact in its latest revision, exactly once as the vehicle sees it.
 
-A revision gets its number when it is told, not when it is known: what is known later before that takes its place. A report with the number
-and revision of an earlier one is a repetition, and so nothing is lost by telling again whatever was not acknowledged.
+A revision gets its number when it is sent. A change that comes before that replaces what was pending. The vehicle takes a report with the
+number and revision of an earlier one as a repetition, so a report that was not acknowledged can be sent again without harm.
 """
 
 from __future__ import annotations
@@ -17,161 +17,172 @@ from auv_mcm.records import Contact, contact_number
 from drivers.vehicle.dialect import ContactReport
 
 MAX_CONTACTS: Final = 10_000
-MAX_AWAITED: Final = 64  # acknowledgements, before new reports wait for them
-_MAX_AWAITED_REPEATS: Final = 8  # as above, for what is told again: what is new comes first
-_MAX_AT_ONCE: Final = 8  # without acknowledgements, so that a slow wire is not asked for more than it carries
-_REPEAT_S: Final = 30.0  # with the link up all the time: the dialect has given up, or the answer was lost
-_MAX_TICKET: Final = 65_535
+"""Contacts reported in one mission; the others are counted as vehicle.reports_not_kept."""
+MAX_UNACKNOWLEDGED: Final = 64
+"""Reports sent and not acknowledged, before new ones wait."""
+_MAX_UNACKNOWLEDGED_REPEATS: Final = 8  # as above, before repetitions wait: new reports go first
+_MAX_AT_ONCE: Final = 8  # reports per call, so that a slow wire without acknowledgements is not asked for more than it carries
+_REPEAT_S: Final = 30.0  # without an answer on a link that stays up: the dialect's own repetitions have ended, or the answer was lost
+_MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
-class _Telling:
-    """One contact. revision: told last, 0 for none."""
+class _QueuedContact:
+    """What is known and what was sent of one contact.
+
+    latest: as it is known. revision: sent last, 0 for none; sent: that report, at sent_s. ticket: of the acknowledgement that it awaits.
+    """
 
     def __init__(self, latest: ContactReport) -> None:
         self.latest = latest
         self.revision = 0
-        self.told: ContactReport | None = None
-        self.ticket: int | None = None  # awaited for the revision told last
-        self.told_s = -math.inf
+        self.sent: ContactReport | None = None
+        self.ticket: int | None = None
+        self.sent_s = -math.inf
 
 
-class Due(NamedTuple):
-    """Tell this now."""
+class DueReport(NamedTuple):
+    """A report to send now. ticket: identifies its acknowledgement."""
 
     report: ContactReport
     ticket: int
 
 
-class Outbox:
-    """Which reports are due. Holds at most 10,000 contacts, each once.
+class ReportQueue:
+    """Decide which reports are due. Holds at most 10,000 contacts, each once.
 
-    session: of the run. min_p_mine: contacts less likely to be mines are not told, unless they were before. acknowledged: the vehicle says
-    what it has got; if not, what was told is told again after every loss of the link.
-
-    counters: vehicle.reports_told, .reports_repeated, .reports_acknowledged, .reports_rejected, .reports_not_kept (more than 10,000),
-    .reports_without_place.
+    counters: vehicle.reports_told (revisions sent), .reports_repeated, .reports_acknowledged, .reports_rejected, .reports_not_kept (more
+    than 10,000 contacts), .reports_without_place.
     """
 
-    def __init__(self, *, session: int, min_p_mine: float, acknowledged: bool) -> None:
+    def __init__(self, *, session: int, min_p_mine: float, acknowledges: bool) -> None:
+        """Start with an empty queue.
+
+        session: number of the run. min_p_mine: contacts less likely to be mines are reported only if an earlier revision was. acknowledges:
+        the vehicle acknowledges reports; if not, all that was sent is sent again after every loss of the link.
+        """
         self.counters: Counter[str] = Counter()
         self._session = session
         self._min_p_mine = min_p_mine
-        self._acknowledged = acknowledged
-        self._contacts: dict[int, _Telling] = {}
-        self._new: dict[int, None] = {}  # numbers with something untold, in order
-        self._again: dict[int, None] = {}  # numbers told, to be repeated, in order
-        self._awaited: dict[int, int] = {}  # ticket: number
+        self._acknowledges = acknowledges
+        self._contacts: dict[int, _QueuedContact] = {}
+        self._pending: dict[int, None] = {}  # contact numbers with a revision to be sent, in order
+        self._repeats: dict[int, None] = {}  # contact numbers whose last report is to be sent again, in order
+        self._unacknowledged: dict[int, int] = {}  # contact numbers by ticket
         self._last_ticket = 0
 
     @property
-    def n_waiting(self) -> int:
-        """Contacts of which the vehicle does not have, or has not acknowledged, the latest."""
-        return len(self._new.keys() | self._again.keys() | set(self._awaited.values()))
+    def n_pending(self) -> int:
+        """Count the contacts whose latest revision the vehicle does not have, or has not acknowledged."""
+        return len(self._pending.keys() | self._repeats.keys() | set(self._unacknowledged.values()))
 
-    def tell(self, contact: Contact) -> None:
-        """A contact that is new or has changed.
-
-        Raises ValueError for an id that is not C and a number.
-        """
+    def add(self, contact: Contact) -> None:
+        """Queue a contact that is new or has changed. Raises ValueError for an id that is not C and a number."""
         report = report_of(contact, self._session)
-        telling = self._contacts.get(report.number)
+        queued = self._contacts.get(report.number)
         if not math.isfinite(report.latitude_deg + report.longitude_deg):
             self.counters["vehicle.reports_without_place"] += 1
             return
-        if telling is None:
+        if queued is None:
             if not report.p_mine >= self._min_p_mine:
                 return
             if len(self._contacts) >= MAX_CONTACTS:
                 self.counters["vehicle.reports_not_kept"] += 1
                 return
-            telling = self._contacts[report.number] = _Telling(report)
-        telling.latest = report
-        if telling.told is None and not report.p_mine >= self._min_p_mine:
+            queued = self._contacts[report.number] = _QueuedContact(report)
+        queued.latest = report
+        if queued.sent is None and not report.p_mine >= self._min_p_mine:
             del self._contacts[report.number]
-            self._new.pop(report.number, None)
-        elif telling.told is not None and _same(report, telling.told):
-            self._new.pop(report.number, None)
+            self._pending.pop(report.number, None)
+        elif queued.sent is not None and _is_unchanged(report, queued.sent):
+            self._pending.pop(report.number, None)
         else:
-            self._new.setdefault(report.number)
+            self._pending.setdefault(report.number)
 
-    def take_due(self, now_s: float) -> list[Due]:
-        """What to tell now, with the link up: new revisions first."""
+    def take_due(self, now_s: float) -> list[DueReport]:
+        """Take the reports to send now, with the link up: new revisions first."""
         self._repeat_unanswered(now_s)
-        due: list[Due] = []
-        for numbers, room in ((self._new, MAX_AWAITED), (self._again, _MAX_AWAITED_REPEATS)):
-            while numbers and len(due) < _MAX_AT_ONCE and len(self._awaited) < room:
+        due: list[DueReport] = []
+        for numbers, room in ((self._pending, MAX_UNACKNOWLEDGED), (self._repeats, _MAX_UNACKNOWLEDGED_REPEATS)):
+            while numbers and len(due) < _MAX_AT_ONCE and len(self._unacknowledged) < room:
                 number = next(iter(numbers))
-                self._new.pop(number, None)
-                self._again.pop(number, None)
-                due.append(self._tell(number, now_s))
+                self._pending.pop(number, None)
+                self._repeats.pop(number, None)
+                due.append(self._send(number, now_s))
         return due
 
-    def acknowledged(self, ticket: int) -> None:
-        """The vehicle has got it. Tickets that are not awaited mean nothing."""
+    def acknowledge(self, ticket: int) -> None:
+        """Note that the vehicle has a report. A ticket that is not awaited is ignored."""
         if self._answered(ticket) is not None:
             self.counters["vehicle.reports_acknowledged"] += 1
 
-    def rejected(self, ticket: int) -> ContactReport | None:
-        """The vehicle has refused it: it is not told again, though a later revision is. The report, if it was awaited."""
-        telling = self._answered(ticket)
-        if telling is None:
+    def reject(self, ticket: int) -> ContactReport | None:
+        """Note that the vehicle rejected a report, and return it, or None if its ticket is not awaited.
+
+        It is not sent again; a later revision is.
+        """
+        queued = self._answered(ticket)
+        if queued is None:
             return None
         self.counters["vehicle.reports_rejected"] += 1
-        return telling.told
+        return queued.sent
 
     def link_lost(self) -> None:
-        """Whatever is under way is lost, and is told again."""
-        numbers = self._awaited.values() if self._acknowledged else [n for n, telling in self._contacts.items() if telling.told is not None]
+        """Queue for repetition whatever was on its way when the link was lost."""
+        numbers = (
+            self._unacknowledged.values() if self._acknowledges else [n for n, queued in self._contacts.items() if queued.sent is not None]
+        )
         for number in numbers:
             self._contacts[number].ticket = None
-            self._again.setdefault(number)
-        self._awaited.clear()
+            self._repeats.setdefault(number)
+        self._unacknowledged.clear()
 
     def _repeat_unanswered(self, now_s: float) -> None:
-        while self._awaited:
-            ticket, number = next(iter(self._awaited.items()))
-            telling = self._contacts[number]
-            if now_s - telling.told_s <= _REPEAT_S:
+        while self._unacknowledged:
+            ticket, number = next(iter(self._unacknowledged.items()))
+            queued = self._contacts[number]
+            if now_s - queued.sent_s <= _REPEAT_S:
                 return
-            del self._awaited[ticket]
-            telling.ticket = None
-            self._again.setdefault(number)
+            del self._unacknowledged[ticket]
+            queued.ticket = None
+            self._repeats.setdefault(number)
 
-    def _tell(self, number: int, now_s: float) -> Due:
-        telling = self._contacts[number]
-        if telling.told is None or not _same(telling.latest, telling.told):
-            telling.revision += 1
-            telling.told = _revised(telling.latest, telling.revision)
+    def _send(self, number: int, now_s: float) -> DueReport:
+        """Give the latest report of a contact, as a new revision if it changed since the last."""
+        queued = self._contacts[number]
+        if queued.sent is None or not _is_unchanged(queued.latest, queued.sent):
+            queued.revision += 1
+            queued.sent = _revised(queued.latest, queued.revision)
             self.counters["vehicle.reports_told"] += 1
         else:
             self.counters["vehicle.reports_repeated"] += 1
-        if telling.ticket is not None:
-            del self._awaited[telling.ticket]  # of the revision before, which nobody needs any more
+        if queued.ticket is not None:
+            del self._unacknowledged[queued.ticket]  # of the revision before, which is superseded
         ticket = self._free_ticket()
-        telling.told_s = now_s
-        if self._acknowledged:
-            telling.ticket = ticket
-            self._awaited[ticket] = number
-        return Due(telling.told, ticket)
+        queued.sent_s = now_s
+        if self._acknowledges:
+            queued.ticket = ticket
+            self._unacknowledged[ticket] = number
+        return DueReport(queued.sent, ticket)
 
     def _free_ticket(self) -> int:
-        """Tickets go round, so that those of answers that are late do not come again soon."""
+        """Take the next ticket that is not awaited; one is not used again soon, in case its answer is late."""
         while True:
             self._last_ticket = self._last_ticket % _MAX_TICKET + 1
-            if self._last_ticket not in self._awaited:
+            if self._last_ticket not in self._unacknowledged:
                 return self._last_ticket
 
-    def _answered(self, ticket: int) -> _Telling | None:
-        number = self._awaited.pop(ticket, None)
+    def _answered(self, ticket: int) -> _QueuedContact | None:
+        """Stop awaiting a ticket; return its contact, None if it was not awaited."""
+        number = self._unacknowledged.pop(ticket, None)
         if number is None:
             return None
-        telling = self._contacts[number]
-        telling.ticket = None
-        return telling
+        queued = self._contacts[number]
+        queued.ticket = None
+        return queued
 
 
 def report_of(contact: Contact, session: int) -> ContactReport:
-    """A contact as it is told, revision 0. The depth of the sea floor is not known of contacts.
+    """Make the report of a contact, revision 0. Contacts carry no depth of the sea floor.
 
     Raises ValueError for an id that is not C and a number.
     """
@@ -200,6 +211,6 @@ def _revised(report: ContactReport, revision: int) -> ContactReport:
     return msgspec.structs.replace(report, revision=revision)
 
 
-def _same(report: ContactReport, told: ContactReport) -> bool:
-    """Whether they say the same. By their text: what is not known is the same as what was not known."""
-    return repr(_revised(report, told.revision)) == repr(told)
+def _is_unchanged(report: ContactReport, sent: ContactReport) -> bool:
+    """Check whether two reports say the same. Compares their text, in which NaN equals NaN."""
+    return repr(_revised(report, sent.revision)) == repr(sent)

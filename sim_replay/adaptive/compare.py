@@ -14,15 +14,15 @@ from auv_mcm.clearance.detection_performance import Performance, shipped_perform
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.orienteering import LEAST_ALIKE
 from sim_replay.adaptive.decide import by_replanning
-from sim_replay.adaptive.flight import Flight, fly_adaptive, fly_fixed
-from sim_replay.adaptive.ground import would_come_to
-from sim_replay.adaptive.lawnmower import Lawnmower, shortest_lawnmower, worst_seabed
+from sim_replay.adaptive.flight import AdaptiveFlight, fly_adaptive, fly_fixed
+from sim_replay.adaptive.lawnmower import LawnmowerLegs, shortest_lawnmower, worst_seabed
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
+from sim_replay.adaptive.ordered_ground import would_come_to
 from sim_replay.missions import config_for
-from sim_replay.scoring import Mission, parse_contacts, parse_truth, score_missions
+from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact, Truth, TruthObject
 from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene import Origin
@@ -33,7 +33,7 @@ HALF_P: Final = 0.5
 GATE_M: Final = 2.0
 
 
-class Target(msgspec.Struct, frozen=True, kw_only=True):
+class AreaMine(msgspec.Struct, frozen=True, kw_only=True):
     """A mine in the area: how likely the clearance map says it is found, and whether a mine-like contact lies within 2 m."""
 
     p_detected: float
@@ -59,7 +59,7 @@ class Arm(msgspec.Struct, frozen=True, kw_only=True):
     believed: float
     n_targets: int
     at_end: Counts
-    targets: tuple[Target, ...]
+    targets: tuple[AreaMine, ...]
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,7 +77,7 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
 def compare(seed: int) -> Compared:
     """Fly and score the world of a seed both ways, with what ships."""
     order, model = usual_order(), shipped_performance()
-    flights = fly_all(seed, order, model)
+    flights = fly_comparison(seed, order, model)
     return Compared(
         seed=seed,
         area_km2=order.side_m**2 / 1e6,
@@ -92,12 +92,12 @@ def compare(seed: int) -> Compared:
 class Flights(NamedTuple):
     """lawnmower: that was flown as `fixed`."""
 
-    adaptive: Flight
-    fixed: Flight
-    lawnmower: Lawnmower
+    adaptive: AdaptiveFlight
+    fixed: AdaptiveFlight
+    lawnmower: LawnmowerLegs
 
 
-def fly_all(seed: int, order: Order, model: Performance) -> Flights:
+def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
     """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The replanned flight goes
     on until the order is met and its map is ABOVE what the lawnmower would come to on the same sea floor, as the map has it by then. Maps
     and plans count of a look from where one was had before LEAST_ALIKE as nothing new.
@@ -109,7 +109,7 @@ def fly_all(seed: int, order: Order, model: Performance) -> Flights:
     # Over vegetation the first pings may be taken for intensities; whoever sends a vehicle knows what its recorder writes.
     config = msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, transfer="amplitude"))
     first = planned_legs(scene.track.plan)[0]
-    start = Pose(first.east_m, first.north_m, first.direction_rad)
+    start = PlanePose(first.east_m, first.north_m, first.direction_rad)
     lawnmower = shortest_lawnmower(order.side_m, order.required, {worst_seabed(model, limits): 1.0}, model, limits, start)
     if lawnmower is None:
         raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
@@ -123,7 +123,7 @@ def fly_all(seed: int, order: Order, model: Performance) -> Flights:
     return Flights(adaptive, fly_fixed(scene, order, legs, careful, config), lawnmower)
 
 
-def _arm(flight: Flight, order: Order) -> Arm:
+def _arm(flight: AdaptiveFlight, order: Order) -> Arm:
     """Scored inside the ordered area alone; a mine there that was never swept is missed."""
     truth = parse_truth(flight.truth, "the flight's truth")
     frame = local_frame(Origin())
@@ -137,7 +137,7 @@ def _arm(flight: Flight, order: Order) -> Arm:
     scored = Truth(area_km2=order.side_m**2 / 1e6, objects=objects)
     called = [contact for contact in contacts if contact.p_mine >= MINE_LIKE_P]
     targets = tuple(
-        Target(p_detected=_p_at(flight.ground, thing), found=any(_apart_m(thing, contact) <= GATE_M for contact in called))
+        AreaMine(p_detected=_p_at(flight.ground, thing), found=any(_apart_m(thing, contact) <= GATE_M for contact in called))
         for thing in objects
         if thing.is_target
     )
@@ -148,12 +148,12 @@ def _arm(flight: Flight, order: Order) -> Arm:
         verdict=flight.verdict,
         believed=float(flight.ground.p_detected.mean()),
         n_targets=len(targets),
-        at_end=_counts(Mission(contacts, scored)),
+        at_end=_counts(ScoredMission(contacts, scored)),
         targets=targets,
     )
 
 
-def _counts(mission: Mission) -> Counts:
+def _counts(mission: ScoredMission) -> Counts:
     mine_like, half = (score_missions([mission], gate_m=GATE_M, threshold=p).at_threshold for p in (MINE_LIKE_P, HALF_P))
     return Counts(
         n_found=mine_like.pd.count,

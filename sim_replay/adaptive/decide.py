@@ -12,8 +12,8 @@ from auv_mcm.clearance.clearance_map import LookModel
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.clear_area import wished
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import Plan, World, replan
-from sim_replay.adaptive.flight import Decide, Decision, Situation
+from auv_mcm.plan.survey import Plan, SurveyState, replan
+from sim_replay.adaptive.flight import Decide, LegDecision, Situation
 from sim_replay.adaptive.order import Order
 from sim_replay.simulator.plan import Leg
 
@@ -26,12 +26,12 @@ def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalF
     previous: Plan | None = None
     plane: LocalFrame | None = None
 
-    def decide(now: Situation) -> Decision:
+    def decide(now: Situation) -> LegDecision:
         nonlocal previous, plane
         here = LocalFrame(latitude_deg=now.ground.origin_latitude_deg, longitude_deg=now.ground.origin_longitude_deg)
         corner = here.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)[:2]
         kept = previous if here == plane else None
-        world = World(
+        world = SurveyState(
             clearance=now.ground,
             area=np.ones(now.ground.looks.shape, dtype=bool),
             required=wished(now.required),
@@ -47,7 +47,7 @@ def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalF
             Leg(leg.entry.east_m, leg.entry.north_m, leg.entry.heading_rad, float(np.hypot(*np.subtract(leg.exit[:2], leg.entry[:2]))))
             for leg in plan.legs
         )
-        return Decision(legs, plan.verdict, "; ".join(leg.why for leg in plan.legs[:1]) or plan.verdict)
+        return LegDecision(legs, plan.verdict, "; ".join(leg.why for leg in plan.legs[:1]) or plan.verdict)
 
     return decide
 

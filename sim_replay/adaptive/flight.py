@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap, LookModel
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits
 from auv_mcm.records import SIDES, Contact, CoveragePatch, NavSample, Side
 from auv_mcm.settings.config import Config
-from sim_replay.adaptive.ground import over_area, with_expected
 from sim_replay.adaptive.order import Order
+from sim_replay.adaptive.ordered_ground import clearance_over_order, with_expected
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import Leg, local_frame
 from sim_replay.simulator.scene import Scene
@@ -42,12 +42,12 @@ class Situation(NamedTuple):
     ground: Clearance
     required: float
     contacts: tuple[Contact, ...]
-    pose: Pose
+    pose: PlanePose
     left_m: float
     complete: bool
 
 
-class Decision(NamedTuple):
+class LegDecision(NamedTuple):
     """legs: in the plane of the situation's ground, each from where it is to be straight; none to end here. verdict, why: in words."""
 
     legs: tuple[Leg, ...]
@@ -55,7 +55,7 @@ class Decision(NamedTuple):
     why: str
 
 
-Decide = Callable[[Situation], Decision]
+Decide = Callable[[Situation], LegDecision]
 Wanted = Callable[[Clearance], float]
 """The mean clearance that is to be reached, by what is known of the sea floor."""
 
@@ -67,7 +67,7 @@ class Told(NamedTuple):
     p_detected: float
 
 
-class Flight(NamedTuple):
+class AdaptiveFlight(NamedTuple):
     """How a mission went. track: (n, 2) east and north in the scene's plane. ground: the ordered area at the end, every ping counted.
 
     reached_m: track after which the ordered clearance was known to be reached, infinite if it never was. told: what was known when.
@@ -86,12 +86,14 @@ class Flight(NamedTuple):
     truth: dict[str, object]
 
 
-def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel, config: Config) -> Flight:
+def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel, config: Config) -> AdaptiveFlight:
     """Legs (scene's plane) flown to the end, whatever is found."""
     return _Loop(scene, order, model, config, None, None, lambda ground: math.inf).fly(legs)
 
 
-def fly_adaptive(scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted) -> Flight:
+def fly_adaptive(
+    scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted
+) -> AdaptiveFlight:
     """Legs decided on at the start and whenever one ends, until the wanted clearance is reached, `decide` has no more, or the budget is
     used up."""
     return _Loop(scene, order, model, config, decide, limits, wanted).fly(())
@@ -139,7 +141,7 @@ class _Loop:
         self._reasons: list[str] = []
         self._track: list[tuple[float, float]] = []
 
-    def fly(self, legs: Sequence[Leg]) -> Flight:
+    def fly(self, legs: Sequence[Leg]) -> AdaptiveFlight:
         first_leg = self._mission.vehicle.legs[0]
         start = _Flown(self._scene.track.start_time_s, first_leg.east_m, first_leg.north_m, first_leg.direction_rad)
         if self._decide is None:
@@ -164,7 +166,7 @@ class _Loop:
             if isinstance(result, CoveragePatch):
                 self._take(result)
         start_s = self._scene.track.start_time_s
-        return Flight(
+        return AdaptiveFlight(
             way_m=self._way_m,
             duration_s=0.0 if self._last is None else self._last.time_s - start_s,
             reached_m=self._reached_m,
@@ -210,7 +212,7 @@ class _Loop:
             self._verdict = f"done: mines in the area are found with probability {p_detected:.3f}"
 
     def _ground(self) -> Clearance:
-        return over_area(self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m)
+        return clearance_over_order(self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m)
 
     def _steer(self, here: _Flown) -> None:
         if self._verdict:
@@ -237,7 +239,7 @@ class _Loop:
         for side in SIDES:
             until = self._told_until[side]
             ground = with_expected(ground, self._model, self._limits, side, self._in_plane([f for f in self._untold if f.time_s > until]))
-        pose = Pose(*self._in_plane([here])[0].tolist())
+        pose = PlanePose(*self._in_plane([here])[0].tolist())
         complete = self._last is None or min(self._told_until.values()) >= min(self._waits_from_s, here.time_s)
         left_m = self._order.budget_m - self._way_m
         required = self._wanted(known)

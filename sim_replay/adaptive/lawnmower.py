@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, LookModel
-from auv_mcm.plan.dubins import Pose, dubins_lengths
+from auv_mcm.plan.dubins import PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
 from auv_mcm.records import NAN, SEABED_TYPES, SeabedType
 from sim_replay.simulator.plan import Leg
@@ -27,7 +27,7 @@ _CELL_M: Final = 4.0
 _N_CRESTS: Final = 6
 
 
-class Lawnmower(NamedTuple):
+class LawnmowerLegs(NamedTuple):
     """legs: in order of flying, the first set of lines northwards and back, the second, if any, eastwards and back.
 
     length_m: from the start to the end of the last leg. expected: mean p_detected on the assumed sea floor.
@@ -41,8 +41,8 @@ class Lawnmower(NamedTuple):
 
 
 def shortest_lawnmower(
-    side_m: float, required: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits, start: Pose
-) -> Lawnmower | None:
+    side_m: float, required: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits, start: PlanePose
+) -> LawnmowerLegs | None:
     """The shortest of all lawnmowers with up to MOST_LINES lines each way that is expected to clear a square as required; None if none is.
 
     assumed: shares of the kinds of sea floor, of which the ripples may run in any direction.
@@ -106,17 +106,17 @@ def _p(model: LookModel, kind: SeabedType, ground_m: Array, look_rad: Array, lim
     return np.asarray(np.clip(p, 0.0, HIGHEST_P).reshape(n, m).mean(axis=1))
 
 
-def _lawnmowers(side_m: float, limits: Limits, start: Pose) -> Iterator[Lawnmower]:
+def _lawnmowers(side_m: float, limits: Limits, start: PlanePose) -> Iterator[LawnmowerLegs]:
     for n_north in range(1, MOST_LINES + 1):
         for n_east in range(MOST_LINES + 1):
             legs = [*_lines(side_m, n_north, 0.0, limits, start)]
             if n_east:
                 last = legs[-1]
-                legs += _lines(side_m, n_east, 0.5 * math.pi, limits, Pose(*last.end, last.direction_rad))
-            yield Lawnmower(n_north, n_east, tuple(legs), way_m(legs, limits, start), NAN)
+                legs += _lines(side_m, n_east, 0.5 * math.pi, limits, PlanePose(*last.end, last.direction_rad))
+            yield LawnmowerLegs(n_north, n_east, tuple(legs), way_m(legs, limits, start), NAN)
 
 
-def _lines(side_m: float, n_lines: int, direction_rad: float, limits: Limits, start: Pose) -> list[Leg]:
+def _lines(side_m: float, n_lines: int, direction_rad: float, limits: Limits, start: PlanePose) -> list[Leg]:
     """Evenly spaced lines there and back, begun at the corner that is nearest to the start."""
     length_m = side_m + 2.0 * limits.settling_m
     offsets = [(number + 0.5) * side_m / n_lines for number in range(n_lines)]
@@ -134,8 +134,8 @@ def _lines(side_m: float, n_lines: int, direction_rad: float, limits: Limits, st
     return min(ways, key=lambda legs: way_m(legs, limits, start))
 
 
-def way_m(legs: Sequence[Leg], limits: Limits, start: Pose) -> float:
+def way_m(legs: Sequence[Leg], limits: Limits, start: PlanePose) -> float:
     """Length of the legs and of the shortest turns to and between them."""
-    entries = [Pose(leg.east_m, leg.north_m, leg.direction_rad) for leg in legs]
-    exits = [start, *(Pose(*leg.end, leg.direction_rad) for leg in legs[:-1])]
+    entries = [PlanePose(leg.east_m, leg.north_m, leg.direction_rad) for leg in legs]
+    exits = [start, *(PlanePose(*leg.end, leg.direction_rad) for leg in legs[:-1])]
     return float(dubins_lengths(exits, entries, limits.turn_radius_m).sum()) + sum(leg.length_m for leg in legs)

@@ -17,8 +17,8 @@ from sim_replay.simulator.scene import (
     Motion,
     NavigationError,
     ObjectKind,
-    Recorder,
     Ripples,
+    SampleRecorder,
     Scene,
     SceneObject,
     Seabed,
@@ -39,7 +39,7 @@ _RUN_IN_M: Final = 30.0  # before the area, where the vehicle starts
 _FIRST_LEG_M: Final = 18.0  # inside the area's western edge
 _TRIES: Final = 20_000
 _STREAM: Final = 0x41444150
-_UNCLIPPED: Final = Recorder(samples="amplitude_float32")  # levels differ by 20 dB from one sea floor to the next
+_UNCLIPPED: Final = SampleRecorder(samples="amplitude_float32")  # levels differ by 20 dB from one sea floor to the next
 _MINE_KINDS: Final[tuple[ObjectKind, ...]] = ("cylinder", "sphere", "truncated_cone", "wedge", "box")
 
 

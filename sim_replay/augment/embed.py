@@ -22,15 +22,15 @@ from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.grid import slice_pose
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
+from sim_replay.augment.background_log import SamplePlace, Stretch, Survey, overwrite, sample_places, to_samples
 from sim_replay.augment.direct import invert
-from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
+from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, PingWindow, Relief, echoes
 from sim_replay.augment.forward import SeafloorScene
-from sim_replay.augment.line import Change, Line, measure_line, mixed, spread
-from sim_replay.augment.log import SamplePlace, Stretch, Survey, overwrite, sample_places, to_samples
+from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed, spread_over_taps
 from sim_replay.augment.shadows import Runs, shadow_runs
 from sim_replay.augment.targets import Placement
-from sim_replay.augment.track import SIGN, Track
-from sim_replay.simulator.objects import Placed
+from sim_replay.augment.track import SIGN, PingTrack
+from sim_replay.simulator.objects import PlacedObject
 
 _COLUMN_M: Final = 0.1  # of the image that is inverted, which shows no relief finer than that
 _AROUND_M: Final = 3.0  # of sea floor recovered before and after an object
@@ -46,7 +46,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 Recover: TypeAlias = Callable[[Floats, Bools, Floats, Floats, float], SeafloorScene]  # see direct.invert
 
 
-class Picture(NamedTuple):
+class EmbeddedPicture(NamedTuple):
     """One side of a window over ground range, as an inversion takes it.
 
     intensity: (n_pings, n_columns) float64, linear, 0 where not valid. valid: the same shape, bool. shadow: where it lies in shadow.
@@ -61,7 +61,7 @@ class Picture(NamedTuple):
     column_spacing_m: float
 
 
-class Look(NamedTuple):
+class EmbeddedView(NamedTuple):
     """What one pass shows of an embedded object. visible_fraction: of its echo, 0 to 1; contrast_db: its highlight over the floor's level,
     NaN if nothing of either is heard. n_samples: that were changed."""
 
@@ -77,10 +77,10 @@ class Look(NamedTuple):
 class Embedded(NamedTuple):
     """One object as it lies in the log; looks: by pass, the one it was placed by first."""
 
-    thing: Placed
+    thing: PlacedObject
     latitude_deg: float
     longitude_deg: float
-    looks: tuple[Look, ...]
+    looks: tuple[EmbeddedView, ...]
 
 
 class Augmented(NamedTuple):
@@ -92,7 +92,7 @@ class Augmented(NamedTuple):
 
 def embed(
     survey: Survey,
-    track: Track,
+    track: PingTrack,
     placements: Sequence[Placement],
     config: Config,
     seed: int,
@@ -105,11 +105,11 @@ def embed(
     """
     data = bytearray(survey.path.read_bytes())
     places = sample_places(survey.path, [ping for stretch in survey.stretches for ping in stretch.pings])
-    lines: dict[tuple[int, Side], Line] = {}
+    lines: dict[tuple[int, Side], SampleScatter] = {}
     done: list[Embedded] = []
     for number, placement in enumerate(placements):
-        looks: list[Look] = []
-        for pass_number, (ping, side, ground_range_m, ahead_m) in enumerate(passes(track, placement)):
+        looks: list[EmbeddedView] = []
+        for pass_number, (ping, side, ground_range_m, ahead_m) in enumerate(passes_over_object(track, placement)):
             stretch_number, index = int(track.stretch[ping]), int(track.row[ping])
             stretch = survey.stretches[stretch_number]
             if (stretch_number, side) not in lines:
@@ -123,7 +123,7 @@ def embed(
     return Augmented(bytes(data), tuple(done))
 
 
-def passes(track: Track, placement: Placement) -> list[tuple[int, Side, float, float]]:
+def passes_over_object(track: PingTrack, placement: Placement) -> list[tuple[int, Side, float, float]]:
     """Ping, side, ground range and distance ahead of that ping for every pass that sees an object, the one it was placed by first."""
     own = [(placement.ping, placement.side, placement.ground_range_m, 0.0)]
     for ping, side, ground_range_m in track.looks(placement.thing.east_m, placement.thing.north_m):
@@ -147,7 +147,7 @@ class _Window(NamedTuple):
     side: Side
     ground_range_m: float
     ahead_m: float
-    line: Line
+    line: SampleScatter
 
     def samples(self, pings: slice) -> NDArray[Any]:
         """(n_pings, n_samples) stored numbers, near to far. Raises BadInputError where the file does not hold them as they are read."""
@@ -164,7 +164,9 @@ class _Window(NamedTuple):
         return np.stack(rows)
 
 
-def _embed_look(window: _Window, survey: Survey, thing: Placed, config: Config, recover: Recover, seed: int, stream: int) -> Look:
+def _embed_look(
+    window: _Window, survey: Survey, thing: PlacedObject, config: Config, recover: Recover, seed: int, stream: int
+) -> EmbeddedView:
     stretch, side, line, ground_m = window.stretch, window.side, window.line, window.ground_range_m
     trace = stretch.trace(window.ping, side)
     assert trace is not None
@@ -188,7 +190,7 @@ def _embed_look(window: _Window, survey: Survey, thing: Placed, config: Config, 
     scene = recover(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m)
     first = max(0, math.floor((ground_m - reach_m - _BEFORE_M) / picture.column_spacing_m))
     stands_on, hides = reliefs(scene, picture, along[pings], first)
-    view = View(
+    view = PingWindow(
         side=side,
         along_m=along[pings],
         turn_rad=stretch.poses.heading_rad[pings] - stretch.poses.heading_rad[window.ping],
@@ -214,7 +216,7 @@ def _embed_look(window: _Window, survey: Survey, thing: Placed, config: Config, 
             new = to_samples(changed_intensity[row], survey.transfer, full_scale, samples.dtype)
             overwrite(window.data, window.places[stretch.pings[k].number, side], new, changed[row])
     whole = float(heard.in_full_view.sum())
-    return Look(
+    return EmbeddedView(
         ping=window.ping,
         side=side,
         ground_range_m=ground_m,
@@ -234,7 +236,7 @@ def _picture(
     first_range_m: float,
     spacing_m: float,
     farthest_m: float,
-) -> Picture:
+) -> EmbeddedPicture:
     n_columns = max(8, math.floor(farthest_m / _COLUMN_M))
     traces = make_traces(intensity.astype(np.float32), valid, np.zeros(valid.shape, dtype=np.bool_), first_range_m, spacing_m)
     edges = ground_edges_m(stretch.first_return_m[pings], n_columns, _COLUMN_M)
@@ -243,10 +245,10 @@ def _picture(
     along_m = stretch.along_m[pings]
     row_m = max(float(along_m[-1] - along_m[0]) / max(len(along_m) - 1, 1), 1e-3)
     shadow = shadow_runs(ground.intensity, window.line.noise[sample], row_m, _COLUMN_M)
-    return Picture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
+    return EmbeddedPicture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
 
 
-def reliefs(scene: SeafloorScene, picture: Picture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
+def reliefs(scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
     """The floor that an object stands on, and the floor that hides and echoes.
 
     The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the sonar where it is
@@ -283,9 +285,11 @@ def _floor_strength(relief: Relief, ground_m: float, ahead_m: float, height_m: f
     return float(height_m / math.hypot(ground_m, height_m) * max(float(around.mean()) if around.size else 1.0, 1e-3))
 
 
-def _heard_anew(recorded: Floats, heard: Echoes, line: Line, spacing_m: float, seed: int, stream: int) -> tuple[Floats, Bools, float]:
+def _heard_anew(
+    recorded: Floats, heard: Echoes, line: SampleScatter, spacing_m: float, seed: int, stream: int
+) -> tuple[Floats, Bools, float]:
     """Intensity with the object, what of it changed, and the highlight's contrast."""
-    bare, floor = spread(heard.bare, line.range_taps), spread(heard.floor, line.range_taps)
+    bare, floor = spread_over_taps(heard.bare, line.range_taps), spread_over_taps(heard.floor, line.range_taps)
     # Where nothing echoed before, nothing can be lost: a real shadow stays as it is.
     little = 1e-2 * uniform_filter1d(bare.mean(axis=0), max(3, round(_LEVEL_M / spacing_m)), mode="nearest")
     kept = np.divide(floor, bare, out=np.ones_like(bare), where=(bare > little) & (floor != bare))
@@ -299,7 +303,7 @@ def _heard_anew(recorded: Floats, heard: Echoes, line: Line, spacing_m: float, s
     change = Change(kept[:, columns], added[:, columns])
     new, changed = recorded.copy(), np.zeros(recorded.shape, dtype=np.bool_)
     new[:, columns], changed[:, columns] = mixed(recorded[:, columns], change, line, line.noise[columns], seed, stream)
-    highlight = spread(added, line.range_taps)
+    highlight = spread_over_taps(added, line.range_taps)
     if not highlight.any():
         return new, changed, math.nan
     bright = highlight > 0.5 * highlight.max()
@@ -307,7 +311,7 @@ def _heard_anew(recorded: Floats, heard: Echoes, line: Line, spacing_m: float, s
     return new, changed, 10.0 * (math.log10(there) - math.log10(around)) if there > 0.0 and around > 0.0 else math.nan
 
 
-def _level(recorded: Floats, bare: Floats, line: Line, spacing_m: float) -> Floats:
+def _level(recorded: Floats, bare: Floats, line: SampleScatter, spacing_m: float) -> Floats:
     """Recorded intensity of the floor per rendered, (n_samples,), over a few metres, without shadows, glints and noise."""
     lit = (bare > 0.0).astype(np.float64)
     width = max(3, round(_LEVEL_M / spacing_m))
@@ -321,7 +325,7 @@ def _level(recorded: Floats, bare: Floats, line: Line, spacing_m: float) -> Floa
     return np.asarray(echo / np.maximum(along_range(bare), 1e-30))
 
 
-def _position(survey: Survey, track: Track, placement: Placement, config: Config) -> tuple[float, float]:
+def _position(survey: Survey, track: PingTrack, placement: Placement, config: Config) -> tuple[float, float]:
     stretch, index = survey.stretches[int(track.stretch[placement.ping])], int(track.row[placement.ping])
     first_return_m = stretch.first_return_m[index : index + 1]
     latitude, longitude, _ = locate(

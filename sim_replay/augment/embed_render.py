@@ -21,9 +21,9 @@ from sim_replay.augment.forward import BeamPattern
 from sim_replay.augment.track import SIGN
 from sim_replay.simulator.backscatter import TABLE_SIZE, target_table
 from sim_replay.simulator.bodies import Bodies, Body, pack
-from sim_replay.simulator.objects import Placed, bodies_of, material_of
+from sim_replay.simulator.objects import PlacedObject, bodies_of, material_of
 from sim_replay.simulator.rays import beam_rays
-from sim_replay.simulator.render import Lines, render
+from sim_replay.simulator.render import Lines, render_pings
 from sim_replay.simulator.scene import Sonar
 from sim_replay.simulator.world import NODES, PATCH, Patches
 
@@ -66,7 +66,7 @@ class Relief(NamedTuple):
         return taken(self.elevation_m, 0.0), taken(self.reflectivity, 1.0)
 
 
-class View(NamedTuple):
+class PingWindow(NamedTuple):
     """Pings of a window and the sonar they were heard with.
 
     along_m: (n_pings,) float64 from the reference ping. turn_rad: (n_pings,) float64, heading against the reference ping's. height_m:
@@ -94,7 +94,7 @@ class Echoes(NamedTuple):
     in_full_view: Floats
 
 
-def floor_bodies(thing: Placed, relief: Relief, side: Side) -> list[Body]:
+def floor_bodies(thing: PlacedObject, relief: Relief, side: Side) -> list[Body]:
     """The bodies of an object of the window's plane, standing on the relief."""
 
     def floor_m(east_m: float, north_m: float) -> float:
@@ -103,7 +103,7 @@ def floor_bodies(thing: Placed, relief: Relief, side: Side) -> list[Body]:
     return bodies_of(thing, floor_m, _TARGET)
 
 
-def echoes(view: View, relief: Relief, thing: Placed, stands_on: Relief, farthest_m: float) -> Echoes:
+def echoes(view: PingWindow, relief: Relief, thing: PlacedObject, stands_on: Relief, farthest_m: float) -> Echoes:
     """Mean echoes without and with an object.
 
     relief: of the floor as it hides and echoes. stands_on: as the object stands on it, without what only hides. thing: in the window's
@@ -124,7 +124,7 @@ def echoes(view: View, relief: Relief, thing: Placed, stands_on: Relief, farthes
 
     def heard(floor: Patches, standing: Bodies, tables: NDArray[np.float32]) -> Floats:
         first_bin = round(view.first_edge_m / view.spacing_m)
-        rendered = render(
+        rendered = render_pings(
             lines,
             floor,
             standing,
@@ -156,7 +156,7 @@ def _beam_table(beam: BeamPattern) -> NDArray[np.float32]:
     return (gain / np.max(beam.gain) * np.sqrt(1.0 - sine**2)).astype(np.float32)
 
 
-def _lines(view: View, farthest_m: float) -> tuple[Lines, int]:
+def _lines(view: PingWindow, farthest_m: float) -> tuple[Lines, int]:
     angle, share = beam_rays(Sonar(beam_width_deg=view.beam_width_deg, beam_lines=BEAM_LINES))
     shape = (len(view.along_m), len(angle))
     direction = view.turn_rad[:, None] + SIGN[view.side] * (0.5 * math.pi - angle[None, :])

@@ -65,7 +65,7 @@ class Rendering(NamedTuple):
     shadow: NDArray[np.bool_]
 
 
-def render(scene: SeafloorScene) -> Rendering:
+def render_image(scene: SeafloorScene) -> Rendering:
     """The noise-free image of a scene and its cast shadows."""
     shadow = cast_shadow(scene.elevation_m, scene.altitude_m, scene.column_spacing_m)
     intensity = beam_gain(scene.beam, scene.elevation_m, scene.altitude_m, scene.column_spacing_m)

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter, uniform_filter1d
 from scipy.special import polygamma
 
 from auv_mcm.records import Side, Transfer
-from sim_replay.augment.log import Stretch, window_intensity
+from sim_replay.augment.background_log import Stretch, window_intensity
 from sim_replay.augment.shadows import shadow_runs
 from sim_replay.simulator.speckle import WHITE, Float32s, band_limited_rows, gaussian_taps
 
@@ -44,7 +44,7 @@ _MAX_WIDTH: Final = 12.0
 Floats: TypeAlias = NDArray[np.float64]
 
 
-class Line(NamedTuple):
+class SampleScatter(NamedTuple):
     """How one side's samples scatter around their means.
 
     range_taps, ping_taps: point-spread function along range and from ping to ping, sums of squares 1. looks: averaged per sample.
@@ -60,7 +60,7 @@ class Line(NamedTuple):
     floor: Floats
 
 
-def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: float, absorption_per_m: float) -> Line:
+def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: float, absorption_per_m: float) -> SampleScatter:
     """The statistics of one side of a stretch, from up to 24 blocks of 64 pings spread over it.
 
     absorption_per_m: two-way, nepers of power, that a recorder whose gain makes up for spreading makes up for as well; 0 if not known.
@@ -79,7 +79,7 @@ def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: floa
     sea_floor = [block.intensity[:, _floor_from(block, range_m) :] for block in blocks]
     level = _floor_level(blocks, range_m, spacing_m)
     noise, quantiles = _noise(blocks, range_m, spacing_m, level, blank_m, absorption_per_m)
-    return Line(
+    return SampleScatter(
         range_taps=gaussian_taps(_speckle_width(sea_floor, axis=1)),
         ping_taps=gaussian_taps(_speckle_width(sea_floor, axis=0)),
         looks=_looks(sea_floor),
@@ -267,7 +267,7 @@ class Change(NamedTuple):
     added: Floats
 
 
-def spread(energy: Floats, taps: Float32s) -> Floats:
+def spread_over_taps(energy: Floats, taps: Float32s) -> Floats:
     """Mean intensities along range (axis 1) after the point-spread function, whose power is the squared taps."""
     if taps.size == 1:
         return energy
@@ -280,12 +280,12 @@ def spread(energy: Floats, taps: Float32s) -> Floats:
     return total
 
 
-def mixed(recorded: Floats, change: Change, line: Line, noise: Floats, seed: int, stream: int) -> tuple[Floats, NDArray[np.bool_]]:
+def mixed(recorded: Floats, change: Change, line: SampleScatter, noise: Floats, seed: int, stream: int) -> tuple[Floats, NDArray[np.bool_]]:
     """Intensity with the change made, and where it was; elsewhere the recorded value comes back.
 
     recorded: (n_pings, n_samples) linear intensity. noise: (n_samples,) of these samples. seed and stream (below 2^56) choose the speckle.
     """
-    changed = (change.kept != 1.0) | (spread(change.added, line.range_taps) > 0.0)
+    changed = (change.kept != 1.0) | (spread_over_taps(change.added, line.range_taps) > 0.0)
     n_pings, n_samples = recorded.shape
 
     def field(kind: int, energy: Floats | None = None) -> NDArray[np.complex128]:

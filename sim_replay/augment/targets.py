@@ -18,9 +18,9 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, Side
-from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
-from sim_replay.augment.track import Track
-from sim_replay.simulator.objects import USUAL, Placed
+from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
+from sim_replay.augment.track import PingTrack
+from sim_replay.simulator.objects import USUAL, PlacedObject
 from sim_replay.simulator.scene import TARGET_KINDS
 from sim_replay.simulator.scene_file import HIGHEST_SHARE
 
@@ -45,7 +45,7 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     pass
 
 
-class Target(_Section, frozen=True, kw_only=True):
+class EmbeddedTarget(_Section, frozen=True, kw_only=True):
     """One object at a place: side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from the first ping).
 
     contrast_db: backscattering strength of its surface at normal incidence over that of the sea floor around it, as seen from there;
@@ -70,7 +70,7 @@ class Target(_Section, frozen=True, kw_only=True):
     is_target: bool | None = None
 
 
-class Scatter(_Section, frozen=True, kw_only=True):
+class ScatteredTargets(_Section, frozen=True, kw_only=True):
     """`count` objects of the kinds, at random: even over the sea floor seen, in azimuth, and within each range of [lowest, highest].
 
     contrast_db: [mean, standard deviation] of a normal distribution. apart_m: from each other, other objects and `keep_clear` places.
@@ -105,17 +105,17 @@ class TargetSpec(_Section, frozen=True, kw_only=True):
     """Everything that is to be put into a log. seed: of places, sizes and speckle."""
 
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 1
-    targets: tuple[Target, ...] = ()
-    scatter: tuple[Scatter, ...] = ()
+    targets: tuple[EmbeddedTarget, ...] = ()
+    scatter: tuple[ScatteredTargets, ...] = ()
     keep_clear: tuple[ClearPlace, ...] = ()
 
 
-def read_spec(path: Path) -> TargetSpec:
+def read_target_spec(path: Path) -> TargetSpec:
     """The spec in a YAML file. Raises UsageError if it cannot be read, and as parse_spec does."""
-    return parse_spec(read_text(path, "target spec"), str(path))
+    return parse_target_spec(read_text(path, "target spec"), str(path))
 
 
-def parse_spec(text: str, place: str) -> TargetSpec:
+def parse_target_spec(text: str, place: str) -> TargetSpec:
     """Spec from YAML text; `place` names it in messages.
 
     Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and what contradicts itself.
@@ -124,14 +124,14 @@ def parse_spec(text: str, place: str) -> TargetSpec:
     try:
         spec = msgspec.convert(data, TargetSpec)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explained(error, TargetSpec)}") from error
+        raise UsageError(f"{place}: {explain_validation_error(error, TargetSpec)}") from error
     for reason in _contradictions(spec):
         raise UsageError(f"{place}: {reason}")
     return spec
 
 
 def _contradictions(spec: TargetSpec) -> Iterator[str]:
-    placed: list[tuple[str, Target | ClearPlace]] = [(f"targets[{k}]", target) for k, target in enumerate(spec.targets)]
+    placed: list[tuple[str, EmbeddedTarget | ClearPlace]] = [(f"targets[{k}]", target) for k, target in enumerate(spec.targets)]
     placed += [(f"keep_clear[{k}]", clear) for k, clear in enumerate(spec.keep_clear)]
     for where, thing in placed:
         if (thing.ping is None) == (thing.along_m is None):
@@ -152,13 +152,13 @@ class Placement(NamedTuple):
     thing: with azimuth from true north, east and north in the track's plane, and the contrast as its strength.
     """
 
-    thing: Placed
+    thing: PlacedObject
     ping: int
     side: Side
     ground_range_m: float
 
 
-def place_targets(spec: TargetSpec, track: Track) -> tuple[Placement, ...]:
+def place_targets(spec: TargetSpec, track: PingTrack) -> tuple[Placement, ...]:
     """All objects of a spec, those named first.
 
     Raises UsageError for a place that the log does not show well, saying why, for a spec without objects, and where there is no room.
@@ -175,7 +175,7 @@ def place_targets(spec: TargetSpec, track: Track) -> tuple[Placement, ...]:
     return tuple(placed)
 
 
-def _ping_of(track: Track, thing: Target | ClearPlace, where: str) -> int:
+def _ping_of(track: PingTrack, thing: EmbeddedTarget | ClearPlace, where: str) -> int:
     if thing.ping is not None:
         found = np.flatnonzero(track.number == thing.ping)
         if not found.size:
@@ -188,7 +188,7 @@ def _ping_of(track: Track, thing: Target | ClearPlace, where: str) -> int:
     return int(np.abs(track.along_m - along_m).argmin())
 
 
-def _named(track: Track, target: Target, index: int) -> Placement:
+def _named(track: PingTrack, target: EmbeddedTarget, index: int) -> Placement:
     where = f"targets[{index}]"
     ping = _ping_of(track, target, where)
     reason = track.refusal(ping, target.side, target.ground_range_m)
@@ -228,7 +228,7 @@ def solid_sizes(kind: EmbeddedKind, length_m: float | None, width_m: float | Non
 
 
 def _placement(
-    track: Track,
+    track: PingTrack,
     ping: int,
     side: Side,
     ground_range_m: float,
@@ -253,7 +253,7 @@ def _placement(
         )
     usual = USUAL[kind]
     east_m, north_m = track.plane_place(ping, side, ground_range_m)
-    thing = Placed(
+    thing = PlacedObject(
         kind=kind,
         east_m=east_m,
         north_m=north_m,
@@ -273,7 +273,9 @@ def _placement(
     return Placement(thing, ping, side, ground_range_m)
 
 
-def _scattered(track: Track, group: Scatter, index: int, seed: int, taken: list[tuple[float, float, float]]) -> list[Placement]:
+def _scattered(
+    track: PingTrack, group: ScatteredTargets, index: int, seed: int, taken: list[tuple[float, float, float]]
+) -> list[Placement]:
     """The group's objects; their places are added to `taken`: east, north and reach."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM, index])))
     where = f"scatter[{index}]"

@@ -14,7 +14,7 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SIDES, Side
 from auv_mcm.settings.config import Config
-from sim_replay.augment.log import Survey
+from sim_replay.augment.background_log import Survey
 
 _MARGIN_PINGS: Final = 8  # of sea floor that must have been recorded before and after an object
 _MARGIN_M: Final = 1.5  # the same across the track
@@ -25,7 +25,7 @@ Floats: TypeAlias = NDArray[np.float64]
 SIGN: Final[dict[Side, float]] = {"port": -1.0, "starboard": 1.0}
 
 
-class Track(NamedTuple):
+class PingTrack(NamedTuple):
     """All pings of a log; arrays are (n_pings,), float64 unless named otherwise.
 
     number: int64, in the log. stretch, row: int64, the stretch of the survey and the ping's place in it. east_m, north_m: in the plane
@@ -104,7 +104,7 @@ class Track(NamedTuple):
         return seen
 
 
-def track_of(survey: Survey, config: Config) -> Track:
+def track_of(survey: Survey, config: Config) -> PingTrack:
     """The track of a log. Raises BadInputError if none of its pings has a position."""
     waterfall = config.waterfall
     latitude, longitude = (
@@ -141,7 +141,7 @@ def track_of(survey: Survey, config: Config) -> Track:
     lost = ~np.isfinite(enu).all(axis=1) | ~np.isfinite(of_pose("heading_rad")) | of_pose("stale").astype(bool)
     blind = ~joined("bottom_seen").astype(bool)
     edge = (index < _MARGIN_PINGS) | (index >= count - _MARGIN_PINGS)
-    return Track(
+    return PingTrack(
         frame=frame,
         number=np.array([ping.number for stretch in survey.stretches for ping in stretch.pings], dtype=np.int64),
         stretch=np.concatenate([np.full(stretch.n_pings, k) for k, stretch in enumerate(survey.stretches)]),

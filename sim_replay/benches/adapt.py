@@ -17,10 +17,10 @@ import msgspec
 
 from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.errors import UsageError
-from auv_mcm.shell.results import write_file
-from sim_replay.adaptive.compare import Compared, compare, fly_all
+from auv_mcm.shell.whole_files import write_file
+from sim_replay.adaptive.compare import Compared, compare, fly_comparison
+from sim_replay.adaptive.flight_picture import mission_png
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
-from sim_replay.adaptive.picture import mission_png
 from sim_replay.adaptive.summary import HEADER, planned_words, rows
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     first = arguments.first_seed
     if arguments.picture is not None:
         order = usual_order()
-        flights = fly_all(first, order, shipped_performance())
+        flights = fly_comparison(first, order, shipped_performance())
         drawn = mission_png(drawn_scene(first, order.side_m), order, {"replanned": flights.adaptive, "lawnmower": flights.fixed})
         _write("--picture", arguments.picture, drawn)
         return 0

@@ -26,16 +26,16 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from sim_replay.arguments import count
+from sim_replay.augment.background_log import Survey, read_survey, window_intensity
 from sim_replay.augment.embed import embed
-from sim_replay.augment.log import Survey, read_survey, window_intensity
-from sim_replay.augment.targets import Placement, Target, TargetSpec, place_targets
-from sim_replay.augment.track import Track, track_of
+from sim_replay.augment.targets import EmbeddedTarget, Placement, TargetSpec, place_targets
+from sim_replay.augment.track import PingTrack, track_of
 from sim_replay.simulate import simulate
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.echo import floor_tables
 from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, TargetKind
 from sim_replay.simulator.scene_file import read_scene
-from sim_replay.simulator.world import World
+from sim_replay.simulator.world import SimulatedFloor
 
 _FIRST_SEED: Final = 9300
 _LEG_M: Final = 320.0
@@ -57,7 +57,7 @@ class Chips(NamedTuple):
     mission: NDArray[np.int64]
 
 
-class Verdict(NamedTuple):
+class ClassifierVerdict(NamedTuple):
     """accuracy: of the classifier on missions it has not learned from; sigma: what chance makes of it. n_chips: it was tried on."""
 
     accuracy: float
@@ -141,9 +141,9 @@ def _things(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject,
     return rocks, tuple(thing(_KINDS[k % len(_KINDS)], place) for k, place in enumerate(places[_ROCKS:]))
 
 
-def _placements(scene: Scene, targets: Sequence[SceneObject], track: Track) -> tuple[Placement, ...]:
+def _placements(scene: Scene, targets: Sequence[SceneObject], track: PingTrack) -> tuple[Placement, ...]:
     """The native targets as a spec would place them, with the contrast that their strength has on the floor they lie on."""
-    world = World(scene.world, scene.seed)
+    world = SimulatedFloor(scene.world, scene.seed)
     tables = floor_tables(scene, world.covers)
     heading = math.radians(20.0)
     wanted = []
@@ -159,7 +159,7 @@ def _placements(scene: Scene, targets: Sequence[SceneObject], track: Track) -> t
             sine = height_m / math.hypot(height_m, ground_range_m)
             floor = float(tables[int(world.seabed_at(east, north)), int(sine * TABLE_SIZE)])
             wanted.append(
-                Target(
+                EmbeddedTarget(
                     kind=thing.kind,  # type: ignore[arg-type]  # one of _KINDS
                     side=side,
                     ping=int(track.number[ping]),
@@ -175,7 +175,7 @@ def _placements(scene: Scene, targets: Sequence[SceneObject], track: Track) -> t
 # --- telling them apart ---
 
 
-def chip(survey: Survey, track: Track, placement: Placement) -> Floats:
+def chip(survey: Survey, track: PingTrack, placement: Placement) -> Floats:
     """Natural logarithm of the intensity around a target, (n_pings, n_columns) over ground range, its median taken off."""
     stretch, row = survey.stretches[int(track.stretch[placement.ping])], int(track.row[placement.ping])
     pings = slice(max(row - _CHIP_PINGS, 0), min(row + _CHIP_PINGS + 1, stretch.n_pings))
@@ -214,7 +214,7 @@ def statistics_of(image: Floats) -> Floats:
     return np.array(values)
 
 
-def discriminate(chips: Chips) -> Verdict:
+def discriminate(chips: Chips) -> ClassifierVerdict:
     """Accuracy of a classifier of embedded and native chips; each mission is judged by what the others taught."""
     right = 0
     for mission in np.unique(chips.mission):
@@ -224,7 +224,7 @@ def discriminate(chips: Chips) -> Verdict:
         score = _with_one((chips.features[here] - mean) / spread) @ weights
         right += int(np.count_nonzero((score > 0.0) == chips.embedded[here]))
     accuracy = right / chips.embedded.size
-    return Verdict(accuracy, math.sqrt(0.25 / chips.embedded.size), chips.embedded.size)
+    return ClassifierVerdict(accuracy, math.sqrt(0.25 / chips.embedded.size), chips.embedded.size)
 
 
 def _logistic_regression(features: Floats, truth: NDArray[np.bool_]) -> Floats:

@@ -22,6 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from auv_mcm.commands import Parser
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.config import Config
@@ -154,7 +155,7 @@ def _sample_type(log: Path) -> Any:
 
 def main() -> int:
     """One run over a log in this process, told as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m sim_replay.benches.chain", description=main.__doc__)
+    parser = Parser(prog="python -m sim_replay.benches.chain", description=main.__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--exhaustive", action="store_true")
     arguments = parser.parse_args()

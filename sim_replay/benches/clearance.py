@@ -23,7 +23,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.detection_performance.looks import GATE_M
@@ -57,7 +57,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     with_targets: bool
 
 
-class Judged(msgspec.Struct, frozen=True, kw_only=True):
+class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
     """One mission. n_targets: seen on legs; n_found: near a contact called mine-like. by_tables: sum of p_detected where they lie.
 
     p_doubtful: sum of p_mine over contacts not called. p_detected: mean over what was searched.
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def judged(task: Task) -> Judged:
+def judged(task: Task) -> JudgedClearance:
     """Fly one mission with the whole chain."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
     if not task.with_targets:
@@ -133,7 +133,7 @@ def judged(task: Task) -> Judged:
     return judge(task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets])
 
 
-def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]) -> Judged:
+def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]) -> JudgedClearance:
     """Compare a search with where targets really lie, latitude and longitude in degrees."""
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
     at_m = np.array([frame.to_enu(*place, 0.0)[:2] for place in targets_deg]).reshape(-1, 2)
@@ -146,7 +146,7 @@ def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets
     n_north, n_east = clearance.looks.shape
     inside = (east >= 0) & (east < n_east) & (north >= 0) & (north < n_north)
     p_detected = clearance.p_detected
-    return Judged(
+    return JudgedClearance(
         scene=scene,
         n_targets=len(at_m),
         n_found=int(np.count_nonzero((distance_m <= gates_m(GATE_M, sigma_m)).any(axis=1))),
@@ -156,14 +156,14 @@ def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets
     )
 
 
-def fitted_share(missions: Sequence[Judged]) -> float:
+def fitted_share(missions: Sequence[JudgedClearance]) -> float:
     """Fit the share of the doubtful sum that makes the mines expected as many as those left."""
     doubtful = sum(mission.p_doubtful for mission in missions)
     left = sum(mission.n_left - without_contact(mission.p_detected) for mission in missions)
     return max(left / doubtful, 0.0) if doubtful > 0.0 else 0.0
 
 
-def report(missions: Sequence[Judged], in_markdown: bool = False) -> str:
+def report(missions: Sequence[JudgedClearance], in_markdown: bool = False) -> str:
     """Lay out missions by scene and all together. The share that the scene's estimates use is fitted on the other scenes alone."""
     names = list(dict.fromkeys(mission.scene for mission in missions))
     shares = {name: fitted_share([mission for mission in missions if mission.scene != name] or missions) for name in names}
@@ -192,7 +192,7 @@ def report(missions: Sequence[Judged], in_markdown: bool = False) -> str:
     )
 
 
-def _counted(results: Iterator[Judged], total: int) -> Iterator[Judged]:
+def _counted(results: Iterator[JudgedClearance], total: int) -> Iterator[JudgedClearance]:
     for done, result in enumerate(results, 1):
         print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
         yield result

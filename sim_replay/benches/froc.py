@@ -30,17 +30,17 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Tile
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
-from sim_replay.augment.command import augment
-from sim_replay.augment.targets import Scatter, TargetSpec
+from sim_replay.augment.augment_log import augment
+from sim_replay.augment.targets import ScatteredTargets, TargetSpec
 from sim_replay.benches.scenes import as_after
-from sim_replay.fitting.cascade.classical.detect import detect_classical
-from sim_replay.fitting.cascade.classical.model import parse_model as parse_classical
+from sim_replay.fitting.cascade.classical.classical_model import parse_classical_model
+from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import HELD_OUT, SCENES, config_for, unconfirmed, untrained_alone
-from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
 from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.matching import gates_m
@@ -77,7 +77,7 @@ _OUTDONE_HEADER: Final = ("missions", "thresholds of the plain one", "outdone in
 _ROCK_HEADER: Final = ("mine-sized rocks of the chain", "called", "share")
 
 
-class SimulatedLine(NamedTuple):
+class HeldOutSimulatedLine(NamedTuple):
     """A named scene with a seed."""
 
     name: str
@@ -88,7 +88,7 @@ class SimulatedLine(NamedTuple):
         return self.name
 
 
-class AugmentedLine(NamedTuple):
+class HeldOutAugmentedLine(NamedTuple):
     """A recorded log into which targets and rocks are embedded, drawn by a seed."""
 
     log: Path
@@ -99,7 +99,7 @@ class AugmentedLine(NamedTuple):
         return self.log.stem
 
 
-Line: TypeAlias = SimulatedLine | AugmentedLine
+Line: TypeAlias = HeldOutSimulatedLine | HeldOutAugmentedLine
 
 
 class Rock(NamedTuple):
@@ -113,7 +113,7 @@ class Flown(NamedTuple):
     """What every system of SYSTEMS reports of one line."""
 
     group: str
-    reported: dict[str, Mission]
+    reported: dict[str, ScoredMission]
     rocks: tuple[Rock, ...]
 
 
@@ -137,8 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     first = arguments.first_seed
-    lines: list[Line] = [SimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)]
-    lines += [AugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)]
+    lines: list[Line] = [HeldOutSimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)]
+    lines += [HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)]
 
     def progress(done: int) -> None:
         print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
@@ -160,7 +160,7 @@ def run(arguments: argparse.Namespace) -> int:
     print()
     print(laid_out(_ROCK_HEADER, list(_rock_rows(list(joined.from_iterable(one.rocks for one in flown))))))
     if arguments.json is not None:
-        told = {f"{group} {system}": json.loads(to_json(score)) for (group, system), score in scores.items()}
+        told = {f"{group} {system}": json.loads(score_json(score)) for (group, system), score in scores.items()}
         try:
             write_file(arguments.json, json.dumps(told, indent=1).encode())
         except OSError as error:
@@ -171,7 +171,7 @@ def run(arguments: argparse.Namespace) -> int:
 def fly(line: Line) -> Flown:
     """One line as all systems report it."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
-    if isinstance(line, SimulatedLine):
+    if isinstance(line, HeldOutSimulatedLine):
         scene = msgspec.structs.replace(read_scene(line.name), seed=line.seed)
         mission = simulated.Mission(scene)
         return _seen(line, config_for(scene), mission.events(), mission.truth)
@@ -212,7 +212,7 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
     alone = unconfirmed(config)
     untrained = untrained_alone(config)
     stages = parse_model(comparison_model("stages"), "stages.json")
-    classical = parse_classical(comparison_model("classical"), "classical.json")
+    classical = parse_classical_model(comparison_model("classical"), "classical.json")
     pipelines = {
         "contrast": Pipeline(untrained),
         "classical": Pipeline(untrained, detect=partial(detect_classical, config=untrained, model=classical)),
@@ -234,8 +234,10 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
     prior = shipped_odds("cascade").prior
     for system, step in _STEPS.items():
         contacts[system] = [as_after(contact, step, prior) for contact in pipelines["chain"].contacts]
-    reported = {name: Mission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()}
-    reported["rival"] = Mission(tuple(rival_contacts(kept)), truth, place)
+    reported = {
+        name: ScoredMission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()
+    }
+    reported["rival"] = ScoredMission(tuple(rival_contacts(kept)), truth, place)
     return Flown(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
 
 
@@ -244,14 +246,14 @@ def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetection
 
 
 def _scattered(seed: int) -> TargetSpec:
-    targets = Scatter(
+    targets = ScatteredTargets(
         kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=True
     )
-    rocks = Scatter(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
+    rocks = ScatteredTargets(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
     return TargetSpec(seed=seed, scatter=(targets, rocks))
 
 
-def _rocks(contacts: Sequence[Contact], mission: Mission) -> Iterator[Rock]:
+def _rocks(contacts: Sequence[Contact], mission: ScoredMission) -> Iterator[Rock]:
     """Every rock, with the most mine-like contact within the gate of it."""
     for thing in mission.truth.objects:
         if thing.kind != "rock" or thing.looks == ():

@@ -29,7 +29,7 @@ from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import open_mission
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Recorder
+from sim_replay.simulator.scene import SampleRecorder
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import columns, markdown
 
@@ -74,7 +74,7 @@ _KINDS: Final[tuple[tuple[Law, float | None], ...]] = (
 STORES: Final = tuple(Store(law, db_per_count, bits, clips) for (law, db_per_count), bits, clips in product(_KINDS, (8, 16), (False, True)))
 
 
-class Judged(NamedTuple):
+class JudgedLaw(NamedTuple):
     """One mission. decided, ended: transfer after the first verdict, and after the last ping. doubts: codes of what was said against the
     law when it was configured rightly."""
 
@@ -90,7 +90,7 @@ class Judged(NamedTuple):
 def floor_intensity(scene_name: str, seed: int, looks: int, n_pings: int = N_PINGS) -> NDArray[np.float64]:
     """Received intensity (n_pings, 2, n_samples) of the first pings of a named scene, 1 where its plain floor is in mid-range."""
     scene = read_scene(scene_name)
-    recorder = Recorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
+    recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
     scene = msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, looks=looks, recorder=recorder))
     heard = (event for event in Mission(scene).events() if isinstance(event, Ping))
     amplitude = [[trace.samples for trace in (ping.port, ping.starboard) if trace is not None] for ping in islice(heard, n_pings)]
@@ -111,7 +111,7 @@ def stored(intensity: NDArray[np.float64], store: Store) -> NDArray[Any]:
     return np.rint(np.clip(counts, 0.0, full)).astype(np.uint8 if store.bits == 8 else np.uint16)
 
 
-def judge(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0) -> Judged:
+def judge(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0) -> JudgedLaw:
     """Let a mission of these echoes be decided, and doubted when configured rightly."""
     pings = [
         Ping(
@@ -124,7 +124,7 @@ def judge(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np
     ]
     transfers, _ = _watched(SonarConfig(), pings)
     _, notices = _watched(SonarConfig(transfer=store.law, db_per_count=store.db_per_count), pings)
-    return Judged(scene, seed, looks, store, transfers[0], transfers[-1], tuple(notice.code for notice in notices))
+    return JudgedLaw(scene, seed, looks, store, transfers[0], transfers[-1], tuple(notice.code for notice in notices))
 
 
 def _watched(sonar: SonarConfig, pings: Sequence[Ping]) -> tuple[list[Transfer], list[Notice]]:
@@ -135,7 +135,7 @@ def _watched(sonar: SonarConfig, pings: Sequence[Ping]) -> tuple[list[Transfer],
     return [v.transfer for v in verdicts if v.transfer is not None], [notice for v in verdicts for notice in v.notices]
 
 
-def judged_missions(task: tuple[str, int, int]) -> list[Judged]:
+def judged_missions(task: tuple[str, int, int]) -> list[JudgedLaw]:
     """All recorders over one floor: scene, seed, looks."""
     scene, seed, looks = task
     intensity = floor_intensity(scene, seed, looks)
@@ -158,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     scenes = arguments.scene or list(FLOORS)
     tasks = [(scene, FIRST_SEED + k, looks) for k, scene, looks in product(range(arguments.seeds), scenes, LOOKS)]
-    missions: list[Judged] = []
+    missions: list[JudgedLaw] = []
     for done, some in enumerate(run_tasks(judged_missions, tasks, Farm(arguments.workers)), 1):
         missions += some
         print(f"\r{done} of {len(tasks)} floors", end="", file=sys.stderr, flush=True)
@@ -167,9 +167,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def print_tables(missions: Sequence[Judged], laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:
+def print_tables(missions: Sequence[JudgedLaw], laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:
     header = ("", "missions", "law right", "at once", "wrong doubts", "dB/count within 15 %", "off by, 5 % to 95 %", "worst")
-    groups: list[tuple[str, Callable[[Judged], str]]] = [
+    groups: list[tuple[str, Callable[[JudgedLaw], str]]] = [
         ("all", lambda m: "all"),
         ("law", lambda m: m.store.name),
         ("looks", lambda m: f"{m.looks} looks"),
@@ -183,7 +183,7 @@ def print_tables(missions: Sequence[Judged], laid_out: Callable[[Sequence[str], 
     print(laid_out(header, rows))
 
 
-def _row(name: str, missions: Sequence[Judged]) -> tuple[str, ...]:
+def _row(name: str, missions: Sequence[JudgedLaw]) -> tuple[str, ...]:
     right = sum(m.ended.kind == m.store.law for m in missions)
     at_once = sum(m.decided.kind == m.store.law for m in missions)
     doubted = sum(bool(m.doubts) for m in missions)
@@ -198,7 +198,7 @@ def _row(name: str, missions: Sequence[Judged]) -> tuple[str, ...]:
     return name, str(n), f"{right / n:.1%}", f"{at_once / n:.1%}", str(doubted), within, spread, worst
 
 
-def decibel_errors(missions: Sequence[Judged]) -> NDArray[np.float64]:
+def decibel_errors(missions: Sequence[JudgedLaw]) -> NDArray[np.float64]:
     """Relative error of decibels per count at the end of the missions whose logarithm was recognised."""
     known = [(m.ended.db_per_count, m.store.db_per_count) for m in missions if m.ended.kind == "log"]
     return np.array([found / true - 1.0 for found, true in known if true is not None])

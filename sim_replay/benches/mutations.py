@@ -20,7 +20,7 @@ _LONGEST_JUMP_M: Final = 90.0 * _METRES_PER_DEGREE
 _NONSENSE: Final = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-30, 1e30, 1e9, -1e9, 360.0, 90.001)
 
 
-class Log(NamedTuple):
+class XtfPieces(NamedTuple):
     """An XTF file in pieces: its header, and its packets in order."""
 
     header: bytearray
@@ -31,10 +31,10 @@ class Log(NamedTuple):
 
 
 Random = np.random.Generator
-Change = Callable[[Log, Random], "Log | bytes"]
+Change = Callable[[XtfPieces, Random], "XtfPieces | bytes"]
 
 
-def split(data: bytes, max_packets: int) -> Log:
+def split(data: bytes, max_packets: int) -> XtfPieces:
     """The pieces of an undamaged log: its header and at most so many of its first packets."""
     packets: list[bytearray] = []
     offset = FILE_HEADER_BYTES
@@ -44,12 +44,12 @@ def split(data: bytes, max_packets: int) -> Log:
             break
         packets.append(bytearray(data[offset : offset + n_bytes]))
         offset += n_bytes
-    return Log(bytearray(data[:FILE_HEADER_BYTES]), packets)
+    return XtfPieces(bytearray(data[:FILE_HEADER_BYTES]), packets)
 
 
-def mutated(log: Log, kinds: Sequence[str], random: Random) -> bytes:
+def mutated(log: XtfPieces, kinds: Sequence[str], random: Random) -> bytes:
     """The log after changes of these kinds, one after the other; a kind that works on packets comes before one that works on bytes."""
-    log = Log(bytearray(log.header), [bytearray(packet) for packet in log.packets])
+    log = XtfPieces(bytearray(log.header), [bytearray(packet) for packet in log.packets])
     for kind in sorted(kinds, key=lambda kind: kind in BYTES):
         changed = CHANGES[kind](log, random)
         if isinstance(changed, bytes):
@@ -61,7 +61,7 @@ def mutated(log: Log, kinds: Sequence[str], random: Random) -> bytes:
 # --- pings -----------------------------------------------------------------------------------------------------------
 
 
-def _pings(log: Log) -> list[Any]:
+def _pings(log: XtfPieces) -> list[Any]:
     """The headers of the pings, which write through to the packets."""
     return [pyxtf.XTFPingHeader.from_buffer(packet) for packet in log.packets if packet[2] == _SONAR and len(packet) >= _PING_HEADER_BYTES]
 
@@ -87,35 +87,35 @@ def _jump(random: Random) -> tuple[float, float]:
     return length_deg * math.cos(direction), length_deg * math.sin(direction)
 
 
-def _jump_and_back(log: Log, random: Random) -> Log:
+def _jump_and_back(log: XtfPieces, random: Random) -> XtfPieces:
     pings, jump = _pings(log), _jump(random)
     for header in pings[_some(random, len(pings))]:
         _move(header, *jump)
     return log
 
 
-def _jump_and_stay(log: Log, random: Random) -> Log:
+def _jump_and_stay(log: XtfPieces, random: Random) -> XtfPieces:
     pings, jump = _pings(log), _jump(random)
     for header in pings[int(random.integers(0, max(len(pings), 1))) :]:
         _move(header, *jump)
     return log
 
 
-def _wrong_first_fix(log: Log, random: Random) -> Log:
+def _wrong_first_fix(log: XtfPieces, random: Random) -> XtfPieces:
     pings, jump = _pings(log), _jump(random)
     for header in pings[: int(random.integers(1, 12))]:
         _move(header, *jump)
     return log
 
 
-def _every_other_fix(log: Log, random: Random) -> Log:
+def _every_other_fix(log: XtfPieces, random: Random) -> XtfPieces:
     jump, every = _jump(random), int(random.integers(2, 6))
     for header in _pings(log)[::every]:
         _move(header, *jump)
     return log
 
 
-def _half_of_the_fixes(log: Log, random: Random) -> Log:
+def _half_of_the_fixes(log: XtfPieces, random: Random) -> XtfPieces:
     jump = _jump(random)
     for header in _pings(log):
         if random.random() < 0.5:
@@ -123,7 +123,7 @@ def _half_of_the_fixes(log: Log, random: Random) -> Log:
     return log
 
 
-def _scattered_fixes(log: Log, random: Random) -> Log:
+def _scattered_fixes(log: XtfPieces, random: Random) -> XtfPieces:
     share = random.uniform(0.05, 0.9)
     for header in _pings(log):
         if random.random() < share:
@@ -131,7 +131,7 @@ def _scattered_fixes(log: Log, random: Random) -> Log:
     return log
 
 
-def _drifting_fixes(log: Log, random: Random) -> Log:
+def _drifting_fixes(log: XtfPieces, random: Random) -> XtfPieces:
     step_deg = math.exp(random.uniform(math.log(1.0), math.log(1e5))) / _METRES_PER_DEGREE
     for number, header in enumerate(_pings(log)):
         _move(header, number * step_deg, 0.0)
@@ -141,7 +141,7 @@ def _drifting_fixes(log: Log, random: Random) -> Log:
 def _set_fields(*names: str) -> Change:
     """A change that gives one of the fields one value, over a stretch of pings or in all."""
 
-    def change(log: Log, random: Random) -> Log:
+    def change(log: XtfPieces, random: Random) -> XtfPieces:
         name = names[int(random.integers(len(names)))]
         value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.6 else float(random.normal(0.0, 100.0))
         pings = _pings(log)
@@ -161,7 +161,7 @@ def _set(structure: Any, name: str, value: float) -> None:
         setattr(structure, name, int(value) if math.isfinite(value) else -1)
 
 
-def _random_fields(log: Log, random: Random) -> Log:
+def _random_fields(log: XtfPieces, random: Random) -> XtfPieces:
     pings = _pings(log)
     if not pings:
         return log
@@ -173,7 +173,7 @@ def _random_fields(log: Log, random: Random) -> Log:
     return log
 
 
-def _turned_heading(log: Log, random: Random) -> Log:
+def _turned_heading(log: XtfPieces, random: Random) -> XtfPieces:
     degrees = float(random.choice([90.0, 180.0, -90.0, random.uniform(0.0, 360.0)]))
     for header in _pings(log):
         header.SensorHeading = (header.SensorHeading + degrees) % 360.0
@@ -181,7 +181,7 @@ def _turned_heading(log: Log, random: Random) -> Log:
     return log
 
 
-def _mirrored_position(log: Log, random: Random) -> Log:
+def _mirrored_position(log: XtfPieces, random: Random) -> XtfPieces:
     swaps = random.random() < 0.5
     for header in _pings(log):
         for prefix in ("Ship", "Sensor"):
@@ -191,7 +191,7 @@ def _mirrored_position(log: Log, random: Random) -> Log:
     return log
 
 
-def _near_pole_or_antimeridian(log: Log, random: Random) -> Log:
+def _near_pole_or_antimeridian(log: XtfPieces, random: Random) -> XtfPieces:
     pings = _pings(log)
     placed = next((header for header in pings if header.SensorYcoordinate or header.ShipYcoordinate), None)
     if placed is None:
@@ -205,7 +205,7 @@ def _near_pole_or_antimeridian(log: Log, random: Random) -> Log:
     return log
 
 
-def _clock(log: Log, random: Random) -> Log:
+def _clock(log: XtfPieces, random: Random) -> XtfPieces:
     """A clock that stops, runs backwards, leaps, or says anything."""
     pings = _pings(log)
     part = pings[_some(random, len(pings))]
@@ -232,9 +232,9 @@ def _clock(log: Log, random: Random) -> Log:
 
 
 def _order(how: Callable[[list[bytearray], Random], list[bytearray]]) -> Change:
-    def change(log: Log, random: Random) -> Log:
+    def change(log: XtfPieces, random: Random) -> XtfPieces:
         part = _some(random, len(log.packets))
-        return Log(log.header, [*log.packets[: part.start], *how(log.packets[part], random), *log.packets[part.stop :]])
+        return XtfPieces(log.header, [*log.packets[: part.start], *how(log.packets[part], random), *log.packets[part.stop :]])
 
     return change
 
@@ -252,7 +252,7 @@ def _repeated(packets: list[bytearray], random: Random) -> list[bytearray]:
     return [bytearray(packet) for packet in packets for _ in range(1 + int(random.random() < 0.5))]
 
 
-def _channel_fields(log: Log, random: Random) -> Log:
+def _channel_fields(log: XtfPieces, random: Random) -> XtfPieces:
     names = [field[0] for field in pyxtf.XTFPingChanHeader._fields_]
     for _ in range(int(random.integers(1, 20)) if log.packets else 0):
         packet = log.packets[int(random.integers(len(log.packets)))]
@@ -263,7 +263,7 @@ def _channel_fields(log: Log, random: Random) -> Log:
     return log
 
 
-def _samples(log: Log, random: Random) -> Log:
+def _samples(log: XtfPieces, random: Random) -> XtfPieces:
     """Samples that are zero, full scale, noise, stuck, or anything, over a stretch of pings."""
     how = int(random.integers(4))
     for packet in log.packets[_some(random, len(log.packets))]:
@@ -279,45 +279,45 @@ def _samples(log: Log, random: Random) -> Log:
 # --- bytes -----------------------------------------------------------------------------------------------------------
 
 
-def _flipped_bits(log: Log, random: Random) -> bytes:
+def _flipped_bits(log: XtfPieces, random: Random) -> bytes:
     data = bytearray(log.joined())
     for _ in range(int(random.integers(1, 200))):
         data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
     return bytes(data)
 
 
-def _flipped_header_bits(log: Log, random: Random) -> bytes:
+def _flipped_header_bits(log: XtfPieces, random: Random) -> bytes:
     data = bytearray(log.joined())
     for _ in range(int(random.integers(1, 20))):
         data[int(random.integers(FILE_HEADER_BYTES))] ^= 1 << int(random.integers(8))
     return bytes(data)
 
 
-def _truncated(log: Log, random: Random) -> bytes:
+def _truncated(log: XtfPieces, random: Random) -> bytes:
     data = log.joined()
     return data[: int(random.integers(len(data)))]
 
 
-def _inserted(log: Log, random: Random) -> bytes:
+def _inserted(log: XtfPieces, random: Random) -> bytes:
     data = log.joined()
     at = int(random.integers(FILE_HEADER_BYTES, len(data) + 1))
     return data[:at] + random.bytes(int(random.integers(1, 5000))) + data[at:]
 
 
-def _removed(log: Log, random: Random) -> bytes:
+def _removed(log: XtfPieces, random: Random) -> bytes:
     data = log.joined()
     at = int(random.integers(FILE_HEADER_BYTES, len(data) + 1))
     return data[:at] + data[at + int(random.integers(1, 20_000)) :]
 
 
-def _zeroed(log: Log, random: Random) -> bytes:
+def _zeroed(log: XtfPieces, random: Random) -> bytes:
     data = bytearray(log.joined())
     at, n_bytes = int(random.integers(len(data))), int(random.integers(1, 20_000))
     data[at : at + n_bytes] = bytes(len(data[at : at + n_bytes]))
     return bytes(data)
 
 
-def _joined_twice(log: Log, random: Random) -> bytes:
+def _joined_twice(log: XtfPieces, random: Random) -> bytes:
     return log.joined() * 2
 
 

@@ -16,7 +16,7 @@ from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
 from sim_replay.fitting.detection_performance.fit_performance import outcomes
-from sim_replay.fitting.detection_performance.judge import LEAST_LOOKS, Judged, Share, judge, mean_error
+from sim_replay.fitting.detection_performance.judge import LEAST_LOOKS, JudgedPredictions, PerformanceShare, judge, mean_error
 from sim_replay.scoring.intervals import wilson_interval
 from sim_replay.text_tables import NOTHING, columns, markdown
 
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def report(found: Judged, in_markdown: bool = False) -> str:
+def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
     """The judgement in words and tables."""
     laid_out = markdown if in_markdown else columns
     lines = [
@@ -83,7 +83,7 @@ def report(found: Judged, in_markdown: bool = False) -> str:
     return "\n".join(lines) + "\n\n" + laid_out(header, [*rows, *two])
 
 
-def plot(found: Judged, path: Path) -> None:
+def plot(found: JudgedPredictions, path: Path) -> None:
     """Realised against predicted: groups of looks with 95 % intervals, and kinds and bands. Raises UsageError if it cannot be written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -135,6 +135,6 @@ def _show(done: int, of: int) -> None:
     print(f"\r{done} of {of} missions flown", end="", file=sys.stderr, flush=True)
 
 
-def _cells(share: Share) -> Sequence[str]:
+def _cells(share: PerformanceShare) -> Sequence[str]:
     numbers = (share.predicted, share.realised, share.error, share.by_chance, share.by_mission)
     return [str(share.n), *(f"{number:.3f}" for number in numbers)]

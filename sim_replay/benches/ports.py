@@ -83,7 +83,7 @@ class Latency(NamedTuple):
     n_lost: int
 
 
-class Line:
+class PacedLine:
     """The far end of a serial line at a pseudo-terminal. Messages leave at the line's rate, in packets, while it is entered.
 
     sent_s: by message, the instant of the monotonic clock just before its last byte was there to be read. n_lost: bytes that nobody took.
@@ -102,7 +102,7 @@ class Line:
         self.sent_s: list[float] = []
         self.n_lost = 0
 
-    def __enter__(self) -> Line:
+    def __enter__(self) -> PacedLine:
         self._thread.start()
         return self
 
@@ -186,7 +186,7 @@ class Served:
 
 
 @contextmanager
-def served(line: Line, folder: Path, baud: int, *, watched: bool = False) -> Iterator[Served]:
+def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -> Iterator[Served]:
     """A new service at a line. watched: perception is busy, and `queued.json` is written, as of `ports_watched`."""
     folder.mkdir()
     config = folder / "service.yaml"
@@ -252,7 +252,7 @@ def _print_latencies(runs: Sequence[Latency]) -> None:
 
 def start_up(folder: Path, baud: int) -> StartUp:
     """Start a service at a sonar that is sending already."""
-    with Line(pings(round(_SPARE_S * baud / _BITS_PER_BYTE)), baud) as line, served(line, folder, baud) as service:
+    with PacedLine(pings(round(_SPARE_S * baud / _BITS_PER_BYTE)), baud) as line, served(line, folder, baud) as service:
         ready_s, taken_s = service.said_s("ready: "), service.said_s("first ping: ")
         time.sleep(_SETTLE_S)
         service.stop()
@@ -263,7 +263,7 @@ def start_up(folder: Path, baud: int) -> StartUp:
 
 def cost(messages: Sequence[bytes], seconds: float, folder: Path, baud: int) -> Cost:
     """What a service takes with these messages on the line."""
-    with Line(messages, baud) as line, served(line, folder, baud) as service:
+    with PacedLine(messages, baud) as line, served(line, folder, baud) as service:
         service.said_s("ready: ")
         time.sleep(_SETTLE_S)
         begun_s, begun_cpu_s, n_before = time.monotonic(), _cpu_s(service.pid), _n_wake_ups(service.pid)
@@ -275,7 +275,7 @@ def cost(messages: Sequence[bytes], seconds: float, folder: Path, baud: int) -> 
 def latency(seconds: float, folder: Path, baud: int) -> Latency:
     """How late pings are in the queue of a service whose perception is busy."""
     with (
-        Line(pings(round((seconds + _SPARE_S) * baud / _BITS_PER_BYTE)), baud) as line,
+        PacedLine(pings(round((seconds + _SPARE_S) * baud / _BITS_PER_BYTE)), baud) as line,
         served(line, folder, baud, watched=True) as service,
     ):
         service.said_s("ready: ")

@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import AsyncGenerator
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,8 @@ from auv_mcm.contacts.ledger import Contacts
 from auv_mcm.records import Contact, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.service import Service
-from drivers.source import PortSource
+from auv_mcm.source import EventSink
+from drivers.port_source import PortSource
 
 _BUSY_S: Final = 0.08  # of a core, per ping: more than there is between two pings at the rates that are measured
 _N_SORTED: Final = 1 << 15
@@ -37,11 +37,28 @@ class WatchedPorts(PortSource):
         super().__init__(*arguments)
         self.queued_s: dict[int, float] = {}
 
-    async def events(self) -> AsyncGenerator[SourceEvent, None]:
-        async for event in super().events():
-            yield event
-            if isinstance(event, Ping):
-                self.queued_s[event.number] = time.monotonic()
+    async def run(self, sink: EventSink) -> None:
+        await super().run(_WatchedSink(sink, self.queued_s))
+
+
+class _WatchedSink:
+    """The queue of the service, and the instant at which each ping was in it."""
+
+    def __init__(self, sink: EventSink, queued_s: dict[int, float]) -> None:
+        self._sink = sink
+        self._queued_s = queued_s
+
+    async def put(self, event: SourceEvent) -> None:
+        await self._sink.put(event)
+        self._note(event)
+
+    def push(self, event: SourceEvent) -> None:
+        self._sink.push(event)
+        self._note(event)
+
+    def _note(self, event: SourceEvent) -> None:
+        if isinstance(event, Ping):
+            self._queued_s[event.number] = time.monotonic()
 
 
 class BusyPipeline:

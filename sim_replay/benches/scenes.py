@@ -23,9 +23,9 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.missions import FIRST_SEED, SCENES, config_for, served_by, untrained_alone
-from sim_replay.scoring import Mission, Score, parse_contacts, parse_truth, score_missions, to_json
+from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
 from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import density
 from sim_replay.simulator import mission as simulated
@@ -77,10 +77,10 @@ class Flown(NamedTuple):
     that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
     """
 
-    chain: Mission
-    detector: Mission
-    rival: Mission
-    steps: dict[LookStep, Mission]
+    chain: ScoredMission
+    detector: ScoredMission
+    rival: ScoredMission
+    steps: dict[LookStep, ScoredMission]
     n_looks: dict[LookStep, int]
     looks_s: tuple[float, ...]
     costs_s: dict[str, float]
@@ -144,7 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
     print()
     print(laid_out(_SEABED_HEADER, list(_seabed_rows({system: scores[last, system] for system in SYSTEMS}))))
     if arguments.json is not None:
-        told = {f"{name} {system}": json.loads(to_json(score)) for (name, system), score in scores.items()}
+        told = {f"{name} {system}": json.loads(score_json(score)) for (name, system), score in scores.items()}
         try:
             write_file(arguments.json, json.dumps(told, indent=1).encode())
         except OSError as error:
@@ -179,14 +179,14 @@ def fly(name: str, seed: int, detector: Detector) -> Flown:
     place = f"{name}, seed {seed}"
     truth = parse_truth(mission.truth(), place)
 
-    def told(contacts: Sequence[Contact]) -> Mission:
-        return Mission(parse_contacts(json.loads(contacts_geojson(contacts)), place), truth, place)
+    def told(contacts: Sequence[Contact]) -> ScoredMission:
+        return ScoredMission(parse_contacts(json.loads(contacts_geojson(contacts)), place), truth, place)
 
     pings = [event.time_s for event in kept if isinstance(event, Ping)]
     return Flown(
         chain=told(chain.contacts),
         detector=told(alone.contacts),
-        rival=Mission(tuple(rival_contacts(kept)), truth, place),
+        rival=ScoredMission(tuple(rival_contacts(kept)), truth, place),
         steps={step: told([as_after(contact, step, odds.prior) for contact in chain.contacts]) for step in STEPS},
         n_looks={step: sum(len(looks_s[later]) for later in STEPS if _ORDER[later] >= _ORDER[step]) for step in STEPS},
         looks_s=tuple(looks_s["shape"]),

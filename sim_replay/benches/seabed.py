@@ -21,18 +21,18 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.clearance.detection_performance import shipped_performance
-from auv_mcm.contacts.picture import encoded
+from auv_mcm.contacts.contact_picture import encoded
 from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.fitting.seabed.picture import seabed_picture
-from sim_replay.fitting.seabed.score import Shares, confusion_m2, shares
+from sim_replay.fitting.seabed.seabed_picture import seabed_picture
+from sim_replay.fitting.seabed.seabed_score import Shares, confusion_m2, shares
 from sim_replay.missions import SCENES, config_for
 from sim_replay.scoring.seabed_map import SeabedMap
 from sim_replay.simulator.mission import Mission

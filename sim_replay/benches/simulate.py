@@ -35,13 +35,13 @@ from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import pack
 from sim_replay.simulator.echo import beam_table, bin_ranges_m, floor_tables, recorder_gain
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.objects import Placed, bodies_of, place_objects
+from sim_replay.simulator.objects import PlacedObject, bodies_of, place_objects
 from sim_replay.simulator.recording import complete, record
-from sim_replay.simulator.render import Lines, Rendered, render, render_numpy
+from sim_replay.simulator.render import Lines, Rendered, render_numpy, render_pings
 from sim_replay.simulator.scene import Lawnmower, ObjectKind, Scene, SceneObject, Seabed, Sonar, Track
 from sim_replay.simulator.speckle import row_keys, speckle_rows, speckle_rows_numpy
-from sim_replay.simulator.vehicle import Pose
-from sim_replay.simulator.world import NODES, Patches, World
+from sim_replay.simulator.vehicle import SonarPose
+from sim_replay.simulator.world import NODES, Patches, SimulatedFloor
 
 _SOURCE_PAPER_S: Final = 7.0
 _SWATH_M: Final = 50.0
@@ -94,11 +94,11 @@ def _scene(cell_m: float, beam_lines: int) -> Scene:
     )
 
 
-def _task(what: Scene, world: World) -> Task:
+def _task(what: Scene, world: SimulatedFloor) -> Task:
     """Pings to starboard every 5 cm along the western side of the square."""
     depth_m = what.world.depth_m - _ALTITUDE_M
     norths = np.arange(_N_PINGS) * (_SWATH_M / _N_PINGS)
-    poses = [Pose(0.0, 0.0, float(north), depth_m, 0.0, 0.0, 0.0, 0.0, what.track.speed_mps, 0) for north in norths]
+    poses = [SonarPose(0.0, 0.0, float(north), depth_m, 0.0, 0.0, 0.0, 0.0, what.track.speed_mps, 0) for north in norths]
     fan = rays.fan(poses, np.zeros(_N_PINGS), what.sonar, what.world.depth_m, what.world.cell_m)
     starboard = fan.ping % 2 == 1
     fan = fan._replace(**{name: values[starboard] for name, values in fan._asdict().items() if name != "n_nodes"})
@@ -157,13 +157,13 @@ def _medians_ms(steps: dict[str, Callable[[], None]], repeat: int) -> dict[str, 
 
 def _print_rendering(repeat: int) -> None:
     what, wide = _scene(0.05, 1), _scene(0.05, 5)
-    world = World(what.world, what.seed)
+    world = SimulatedFloor(what.world, what.seed)
     task, fan_task = _task(what, world), _task(wide, world)
     needed = task.patches.slots >= 0
     place = task.patches.first_patch_row, task.patches.first_patch_column
 
     def synthesise() -> None:
-        World(what.world, what.seed, max_patches=int(needed.sum())).patches(needed, *place)
+        SimulatedFloor(what.world, what.seed, max_patches=int(needed.sum())).patches(needed, *place)
 
     steps: dict[str, Callable[[], None]] = {
         "numpy: rays": lambda: _render_all(task, render_numpy, None),
@@ -172,9 +172,9 @@ def _print_rendering(repeat: int) -> None:
     }
     if backend.library() is not None:
         steps = {
-            "C: rays": lambda: _render_all(task, render, None),
-            "C: rays, speckle, 16-bit recorder": lambda: _render_all(task, render, speckle_rows),
-            "C: 5 rays per ping": lambda: _render_all(fan_task, render, None),
+            "C: rays": lambda: _render_all(task, render_pings, None),
+            "C: rays, speckle, 16-bit recorder": lambda: _render_all(task, render_pings, speckle_rows),
+            "C: 5 rays per ping": lambda: _render_all(fan_task, render_pings, None),
             **steps,
         }
     steps["sea floor from scratch"] = synthesise
@@ -194,7 +194,7 @@ def _print_rendering(repeat: int) -> None:
 
 # --- accuracy ---
 
-_SOLIDS: Final[dict[ObjectKind, Callable[[Placed], Shape]]] = {
+_SOLIDS: Final[dict[ObjectKind, Callable[[PlacedObject], Shape]]] = {
     "sphere": lambda p: Sphere(radius_m=0.5 * p.width_m),
     "cylinder": lambda p: Cylinder(radius_m=0.5 * p.width_m, length_m=p.length_m, azimuth_rad=p.azimuth_rad),
     "truncated_cone": lambda p: TruncatedCone(base_radius_m=0.5 * p.width_m, top_radius_m=0.5 * p.top_m, height_m=p.height_m),
@@ -223,7 +223,7 @@ def _shadow_errors_m(cell_m: float) -> NDArray[np.float64]:
         for turn, ground_range_m in enumerate(np.linspace(10.0, 30.0, 41).tolist()):
             thing = SceneObject(kind=kind, east_m=ground_range_m, north_m=0.0, azimuth_deg=37.0 * turn % 360.0)
             (placed,) = place_objects(Scene(objects=(thing,), track=Track(plan=Lawnmower())))
-            lit = render(
+            lit = render_pings(
                 ray,
                 level,
                 pack(bodies_of(placed, lambda east_m, north_m: 0.0, 1)),
@@ -248,8 +248,8 @@ def _print_accuracy(repeat: int) -> None:
     tasks = {}
     for cell_m in _CELLS_M:
         what = _scene(cell_m, 1)
-        tasks[cell_m] = _task(what, World(what.world, what.seed))
-    medians = _medians_ms({f"{cell_m}": partial(_render_all, task, render, None) for cell_m, task in tasks.items()}, repeat)
+        tasks[cell_m] = _task(what, SimulatedFloor(what.world, what.seed))
+    medians = _medians_ms({f"{cell_m}": partial(_render_all, task, render_pings, None) for cell_m, task in tasks.items()}, repeat)
     print(f"shadow ends against closed forms, {len(_SOLIDS)} shapes at 10 to 30 m, and {_N_PINGS} pings of {_SWATH_M:.0f} m")
     print(f"  {'cell':<16}{'rms error cm':>14}{'in cells':>10}{'worst cm':>10}{'ms':>10}")
     for cell_m in _CELLS_M:

@@ -21,9 +21,9 @@ from auv_mcm.clearance.clearance_map import clearance_over, unsearched
 from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import contact_legs
-from auv_mcm.plan.dubins import Pose, dubins_lengths
+from auv_mcm.plan.dubins import PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import Plan, World, replan
+from auv_mcm.plan.survey import Plan, SurveyState, replan
 from auv_mcm.plan.tour import richest_tour
 from auv_mcm.records import SEABED_TYPES, Contact
 from sim_replay.arguments import count
@@ -31,7 +31,7 @@ from sim_replay.arguments import count
 _CELL_M: Final = 4.0
 _SIDE_CELLS: Final = 45  # 2025 cells
 _ORIGIN: Final = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
-_START: Final = Pose(-20.0, -20.0, 0.3)
+_START: Final = PlanePose(-20.0, -20.0, 0.3)
 _FENCE: Final = np.array([[-80.0, -80.0], [-80.0, 260.0], [260.0, 260.0], [260.0, -80.0]])
 _LIMITS: Final = Limits(10.0, 6000.0, _FENCE, 6.5, 2.0, (5.0, 40.0))
 _SEED: Final = 9500
@@ -98,7 +98,7 @@ def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
     return rows
 
 
-def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> World:
+def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> SurveyState:
     """A square whose eastern part is rippled, and contacts strewn over it."""
     clearance = clearance_over(unsearched(_ORIGIN.latitude_deg, _ORIGIN.longitude_deg, _CELL_M), 0, 0, (_SIDE_CELLS, _SIDE_CELLS))
     clearance.seabed[:] = SEABED_TYPES.index("flat")
@@ -113,7 +113,7 @@ def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> Wo
         _contact(f"C{k:05d}", float(latitude[k]), float(longitude[k]), generator.uniform(0.1, 0.9), generator.uniform(0.0, 180.0))
         for k in range(n_contacts)
     )
-    return World(clearance, np.ones(clearance.looks.shape, dtype=np.bool_), _REQUIRED, shipped_performance(), contacts)
+    return SurveyState(clearance, np.ones(clearance.looks.shape, dtype=np.bool_), _REQUIRED, shipped_performance(), contacts)
 
 
 def _contact(name: str, latitude_deg: float, longitude_deg: float, p_mine: float, look_deg: float) -> Contact:
@@ -136,7 +136,7 @@ def _contact(name: str, latitude_deg: float, longitude_deg: float, p_mine: float
     )
 
 
-def _optimum_m2(world: World, limits: Limits) -> float:
+def _optimum_m2(world: SurveyState, limits: Limits) -> float:
     """The most that looks can gain, by exact tours through every set of contacts."""
     looks = contact_legs(world.contacts, world.clearance, world.performance, limits)
     if not looks:

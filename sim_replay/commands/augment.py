@@ -33,10 +33,10 @@ def add(commands: Commands) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     config = read_config(arguments.config)
 
-    from sim_replay.augment.command import augment
-    from sim_replay.augment.targets import read_spec
+    from sim_replay.augment.augment_log import augment
+    from sim_replay.augment.targets import read_target_spec
 
-    spec = read_spec(arguments.targets)
+    spec = read_target_spec(arguments.targets)
     with Progress("augment") as progress:
         done = augment(arguments.log, spec, arguments.out, config, seabed=arguments.seabed, progress=progress.show)
     hidden = f"; {done.n_hidden} of all hidden by the sea floor" if done.n_hidden else ""

@@ -1,4 +1,4 @@
-"""What is measured rather than chosen: a detector's budget for this computer, and the tables that predict performance."""
+"""Measure what is not chosen: a detector's budget for this computer, and the models and tables that missions give."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Final
 
 from auv_mcm.commands import Commands, add_config_option, command, read_config, whole, write_new
 from auv_mcm.errors import UsageError
+from sim_replay.arguments import count
 
 _SIDES: Final = 2
 _LAST_SEED: Final = 2**32 - 1
@@ -30,12 +31,19 @@ def add(commands: Commands) -> None:
         "calibrate",
         "measure this computer, or the payload's own performance",
         "budget:       the detector's budget that this computer can afford; also without the word, with --speed\n"
+        "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; the file\n"
+        "              that ships was fitted so\n"
+        "odds:         what each measurement of a detection says about the odds of a mine, from simulated missions; the\n"
+        "              weights that ship were fitted so\n"
         "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
         "              'detect.performance' of the configuration loads the file\n"
-        "seabed:       what kinds of sea floor look like, from simulated missions; 'detect.seabed_model' loads the file",
+        "seabed:       what kinds of sea floor look like, from simulated missions; 'detect.seabed_model' loads the file\n\n"
+        "The detector's cascade has a command of its own, 'auv-mcm train'.",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
             "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
+            "auv-mcm calibrate gate --out gate.json",
+            "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate performance --out performance.json",
             "auv-mcm calibrate seabed --out model.json",
         ],
@@ -43,8 +51,10 @@ def add(commands: Commands) -> None:
     # As it was before there was a choice, and as scripts have it.
     _add_budget_options(parser, required=False)
     parser.set_defaults(command=partial(_run_without_a_word, parser))
-    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|performance|seabed")
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|gate|odds|performance|seabed")
     _add_budget(kinds)
+    _add_gate(kinds)
+    _add_odds(kinds)
     _add_performance(kinds)
     _add_seabed(kinds)
 
@@ -66,6 +76,46 @@ def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> N
     parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s")
     parser.add_argument("--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="of one core's time (default 0.25)")
     parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with that budget")
+
+
+def _add_gate(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "gate",
+        "learn which places of a tile can become contacts",
+        "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine in the end\n"
+        "follow from the score, contrast and range of a place. Fit it anew after new odds. The same seeds make the same gate.",
+        ["auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"],
+    )
+    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, default=range(500, 501), help="seeds of the missions (default 500)")
+    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
+    parser.set_defaults(command=_run_gate)
+
+
+def _add_odds(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "odds",
+        "learn the odds of a mine from what confirmation measures",
+        "Flies simulated missions through the named scenes, and fits the weights that turn measurements into p_mine. Prints how\n"
+        "they do on scenes left out, and what more missions would bring. The same seeds make the same weights.",
+        [
+            "auv-mcm calibrate odds --out odds.json",
+            "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",
+        ],
+    )
+    parser.add_argument(
+        "--detector", choices=("cascade", "contrast"), default="cascade", help="whose detections to weigh (default cascade)"
+    )
+    parser.add_argument("--seeds", metavar="N", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument(
+        "--crowded", metavar="N", type=count, help="further missions per scene with 3 times as many mines and rocks (default none)"
+    )
+    parser.add_argument("--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)")
+    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="where the weights go, JSON")
+    parser.set_defaults(command=_run_odds)
 
 
 def _add_performance(kinds: Commands) -> None:
@@ -108,7 +158,7 @@ def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
 
 def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
-        parser.error("choose what to calibrate: budget, performance or seabed; or give --speed for the budget")
+        parser.error("choose what to calibrate: budget, odds, performance or seabed; or give --speed for the budget")
     return _run_budget(arguments)
 
 
@@ -136,17 +186,46 @@ def _run_budget(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _run_gate(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
+
+    _check_new(arguments.out)
+    write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, _show)))
+    return 0
+
+
+def _run_odds(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.fit_odds import fit_from_missions
+
+    fit_from_missions(
+        arguments.out,
+        detector=arguments.detector,
+        n_seeds=arguments.seeds,
+        n_crowded=arguments.crowded or 0,
+        first_seed=arguments.first_seed,
+        n_workers=arguments.workers,
+        show=_show,
+    )
+    return 0
+
+
 def _run_performance(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.cascade.farm import Farm
-    from sim_replay.fitting.detection_performance.calibrate_performance import FIT_SEEDS, FLIGHTS, fly_all, tables, to_json, words_for
-    from sim_replay.fitting.detection_performance.fit_performance import fit
+    from sim_replay.fitting.detection_performance.calibrate_performance import (
+        FIT_SEEDS,
+        FLIGHTS,
+        fly_all,
+        performance_fit_words,
+        performance_json,
+        tables,
+    )
+    from sim_replay.fitting.detection_performance.fit_performance import fit_performance
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
     missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), _show)
-    print(file=sys.stderr)
     looks = [look for mission in missions for look in mission]
-    performance = fit(looks, words_for(seeds, flights, looks))
+    performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
     print("probability that one look finds a mine, its 95 % interval, and looks fitted on\n")
     print(tables(performance))
@@ -154,7 +233,7 @@ def _run_performance(arguments: argparse.Namespace) -> int:
     print(f"of a further look, {performance.same_look_correlation:.2f} is known from one in the same direction")
     print(f"and {performance.other_look_correlation:.2f} from one in another")
     if arguments.out is not None:
-        write_new(arguments.out, to_json(performance).decode())
+        write_new(arguments.out, performance_json(performance).decode())
     return 0
 
 
@@ -162,15 +241,14 @@ def _run_seabed(arguments: argparse.Namespace) -> int:
     import msgspec
 
     from sim_replay.fitting.cascade.farm import Farm, run_tasks
-    from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_model, told_of
+    from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
 
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
     farm = Farm(arguments.workers, arguments.scheduler)
     samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: _show(done, len(seeds)))))
-    print(file=sys.stderr)
-    model = fit_model(samples, told_of(seeds, samples))
+    model = fit_seabed_model(samples, seabed_fit_words(seeds, samples))
     print(model.fitted_on)
     if arguments.out is not None:
         write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")
@@ -188,7 +266,7 @@ def _check_new(out: Path | None) -> None:
 
 
 def _show(done: int, of: int) -> None:
-    print(f"\r{done} of {of} missions flown", end="", file=sys.stderr, flush=True)
+    print(f"\r{done} of {of} missions flown", end="\n" if done == of else "", file=sys.stderr, flush=True)
 
 
 def _seeds(text: str) -> range:

@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not names:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
 
-    from auv_mcm.shell.results import write_json
+    from auv_mcm.shell.whole_files import write_json
     from sim_replay.hil.run import run_scenario  # needs the bench extra, which a list does not
     from sim_replay.hil.verdict import as_table, judge
 

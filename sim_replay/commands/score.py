@@ -32,13 +32,13 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.scoring import plot, score_files, table, to_json
+    from sim_replay.scoring import plot, score_files, score_json, table
 
     score = score_files(arguments.files, gate_m=arguments.gate_m, threshold=arguments.threshold)
     print(table(score))
     if arguments.json is not None:
         try:
-            arguments.json.write_bytes(to_json(score))
+            arguments.json.write_bytes(score_json(score))
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
     if arguments.plot is not None:

@@ -43,8 +43,8 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.fitting.cascade.command import train_model
     from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.fitting.cascade.train_cascade import train_model
     from sim_replay.fitting.cascade.trainer import N_STUMPS
 
     started_s = time.monotonic()

@@ -9,7 +9,6 @@ behind, when standard input ends, on SIGTERM or SIGINT, and with --now when its 
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import json
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from auv_mcm.clean_text import clean_lines
+from auv_mcm.commands import Parser
 from auv_mcm.errors import AuvMcmError, UsageError
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.feed import mission_events, read_ahead, time_line
@@ -31,7 +31,7 @@ _SETTLE_S: Final = 0.3  # for the host to open the port
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m sim_replay.fakes", description="Play a mission as one device on a port.")
+    parser = Parser(prog="python -m sim_replay.fakes", description="Play a mission as one device on a port.")
     parser.add_argument(
         "job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, ...; or devices, folder, scene, ..."
     )

@@ -18,7 +18,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample, Ping
 from drivers.links.can_frame import CanFrame
 from sim_replay.fakes.controller import Report, ReportingController
-from sim_replay.fakes.feed import Fed
+from sim_replay.fakes.feed import TimedEvent
 from sim_replay.fakes.job import (
     ClockStep,
     Damage,
@@ -37,7 +37,7 @@ from sim_replay.fakes.job import (
 )
 from sim_replay.fakes.navigation import NAVIGATION_UNITS, FakeNavigation, Message
 from sim_replay.fakes.sonar import DeviceTime, FakeSonar, JsfSonar, PingProtocolSonar, SportScanSonar
-from sim_replay.fakes.wires import Weather, Wire, make_wire, opened
+from sim_replay.fakes.wires import DeviceWire, Weather, make_wire, opened
 from sim_replay.fakes.worst_bytes import WORST_BYTES
 
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
@@ -63,7 +63,7 @@ class FakeDevice:
     def __init__(
         self,
         job: Job,
-        events: AsyncIterator[Fed],
+        events: AsyncIterator[TimedEvent],
         report: Report,
         controller: ReportingController | None = None,
         standing: NavSample | None = None,
@@ -80,7 +80,7 @@ class FakeDevice:
         self._controller = controller
         self._standing = standing
         hear: Callable[[Message], None] | None = None if self._sonar is None and controller is None else self._hear
-        self.wire: Wire = make_wire(job.device, Path(job.folder) / job.name, self._weather, hear)
+        self.wire: DeviceWire = make_wire(job.device, Path(job.folder) / job.name, self._weather, hear)
         self._power_up_s = self._start_s = time.monotonic()
         self._stepped_s = 0.0
         self._has_power = True
@@ -134,7 +134,7 @@ class FakeDevice:
                 await self.wire.send(message)
             await asyncio.sleep(_TICK_S)
 
-    async def _play(self, fed: Fed) -> None:
+    async def _play(self, fed: TimedEvent) -> None:
         event = fed.event
         is_ping = isinstance(event, Ping)
         if is_ping != (self._sonar is not None):

@@ -23,7 +23,7 @@ from sim_replay.simulator.scene_file import read_scene
 _BATCH: Final = 16  # events read at once off the event loop
 
 
-class Fed(NamedTuple):
+class TimedEvent(NamedTuple):
     """A ping or navigation sample and when it happens, in seconds after the run's start; its own time_s is the same."""
 
     at_s: float
@@ -58,7 +58,7 @@ def _of_amplitudes(event: SourceEvent) -> SourceEvent:
     return structs.replace(event, port=port, starboard=starboard, transfer="amplitude")
 
 
-def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[Fed]:
+def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[TimedEvent]:
     """Events at `speed` times real time, from the first one on, never going back; what has no time is left out.
 
     The vehicle really is that much faster then: it tells `speed` times its speed, so that times, places and speeds agree.
@@ -71,15 +71,15 @@ def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[Fed]:
             start_s = event.time_s
         last_s = max(last_s, (event.time_s - start_s) / speed)
         if isinstance(event, NavSample):
-            yield Fed(last_s, structs.replace(event, time_s=last_s, speed_mps=event.speed_mps * speed))
+            yield TimedEvent(last_s, structs.replace(event, time_s=last_s, speed_mps=event.speed_mps * speed))
         else:
-            yield Fed(last_s, structs.replace(event, time_s=last_s))
+            yield TimedEvent(last_s, structs.replace(event, time_s=last_s))
 
 
-async def read_ahead(events: Iterator[Fed]) -> AsyncIterator[Fed]:
+async def read_ahead(events: Iterator[TimedEvent]) -> AsyncIterator[TimedEvent]:
     """The same, read off the event loop while those before are played."""
 
-    def read_on() -> asyncio.Future[list[Fed]]:
+    def read_on() -> asyncio.Future[list[TimedEvent]]:
         return asyncio.ensure_future(asyncio.to_thread(lambda: list(islice(events, _BATCH))))
 
     reading = read_on()

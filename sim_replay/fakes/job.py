@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitName, SonarName
-from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, VehicleName
 from drivers.links.uri import BAUD_RATES, CAN_BITRATES
 from sim_replay.fakes.faults import FaultRates
@@ -173,4 +173,4 @@ def read_job(path: Path) -> Job | VehicleJob:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{path}: {explained(error, kind)}") from error
+        raise UsageError(f"{path}: {explain_validation_error(error, kind)}") from error

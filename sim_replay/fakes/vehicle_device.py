@@ -20,7 +20,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Ping
 from sim_replay.fakes.controller import ReportingController
 from sim_replay.fakes.device import FakeDevice
-from sim_replay.fakes.feed import Fed
+from sim_replay.fakes.feed import TimedEvent
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 from sim_replay.fakes.vehicles.can import FakeCan
@@ -29,12 +29,12 @@ from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
 from sim_replay.simulator.navigation_error import NavigationModel
-from sim_replay.simulator.objects import Placed
+from sim_replay.simulator.objects import PlacedObject
 from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.steered import SteeredVehicle
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 MakeController = Callable[[], FakeController[Any]]
 ReportOf = Callable[[str, str, dict[str, Any]], None]
@@ -79,7 +79,7 @@ class FakeVehicle:
         self._counters: Counter[str] = Counter()
         make = make_controller or CONTROLLERS[controls.device]
         self._controller = ReportingController(make(), job.seed, lambda what, details: report(self._name, what, details))
-        self._queues: dict[str, asyncio.Queue[Fed]] = {name: asyncio.Queue() for name in job.devices}
+        self._queues: dict[str, asyncio.Queue[TimedEvent]] = {name: asyncio.Queue() for name in job.devices}
         self._is_sonar = {name: device.is_sonar for name, device in job.devices.items()}
         self.devices: Final = {
             name: FakeDevice(
@@ -116,7 +116,7 @@ class FakeVehicle:
 
     async def _fly(self, start_s: float) -> None:
         number, legs_flown, next_pose_s, next_tick_s = 0, 0, 0.0, 0.0
-        before: Pose | None = None
+        before: SonarPose | None = None
         while True:
             ahead_s = start_s + (number - _BLOCK) / self._rate_hz - time.monotonic()
             await asyncio.sleep(max(ahead_s, 0.0))
@@ -143,7 +143,7 @@ class FakeVehicle:
                 legs_flown = self._vehicle.legs_flown
             number += _BLOCK
 
-    def _sound(self, poses: Sequence[Pose], number: int, told: Sequence[NavSample]) -> list[Ping]:
+    def _sound(self, poses: Sequence[SonarPose], number: int, told: Sequence[NavSample]) -> list[Ping]:
         return self._sea.sound(poses, number, [sample.altitude_m for sample in told])
 
     def _give(self, at_s: float, sample: NavSample, ping: Ping | None, *, ticks: bool) -> None:
@@ -151,11 +151,11 @@ class FakeVehicle:
         for name, queue in self._queues.items():
             if self._is_sonar[name]:
                 if ping is not None:
-                    queue.put_nowait(Fed(at_s, structs.replace(ping, time_s=at_s)))
+                    queue.put_nowait(TimedEvent(at_s, structs.replace(ping, time_s=at_s)))
             elif name != self._name or ticks:
-                queue.put_nowait(Fed(at_s, structs.replace(sample, time_s=at_s)))
+                queue.put_nowait(TimedEvent(at_s, structs.replace(sample, time_s=at_s)))
 
-    def _described(self, pose: Pose, at_s: float) -> dict[str, Any]:
+    def _described(self, pose: SonarPose, at_s: float) -> dict[str, Any]:
         latitude_deg, longitude_deg, _ = self._frame.to_geodetic((pose.east_m, pose.north_m, 0.0))
         return {
             "at_s": round(at_s, 3),
@@ -181,7 +181,7 @@ class FakeVehicle:
         return self._sea.scene.world.depth_m - self._sea.world.floor_m(east_m, north_m)
 
 
-def passes(before: Pose, pose: Pose, targets: Sequence[Placed], range_m: float) -> list[Pass]:
+def passes(before: SonarPose, pose: SonarPose, targets: Sequence[PlacedObject], range_m: float) -> list[Pass]:
     """Targets that came abeam between two poses, no farther than range_m, while the vehicle hardly turned."""
     turn_rad = math.remainder(pose.heading_rad - before.heading_rad, 2.0 * math.pi)
     if abs(turn_rad) > _STRAIGHT_RAD_S * (pose.time_s - before.time_s):
@@ -195,11 +195,11 @@ def passes(before: Pose, pose: Pose, targets: Sequence[Placed], range_m: float) 
     return found
 
 
-def _ahead_m(pose: Pose, target: Placed) -> float:
+def _ahead_m(pose: SonarPose, target: PlacedObject) -> float:
     return (target.east_m - pose.east_m) * math.sin(pose.heading_rad) + (target.north_m - pose.north_m) * math.cos(pose.heading_rad)
 
 
-async def _taken_from(queue: asyncio.Queue[Fed]) -> AsyncIterator[Fed]:
+async def _taken_from(queue: asyncio.Queue[TimedEvent]) -> AsyncIterator[TimedEvent]:
     while True:
         yield await queue.get()
 

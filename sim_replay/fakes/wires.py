@@ -38,7 +38,7 @@ class Weather(Faults):
         return [(0.0, message)] if self._clear else super().passed(message)
 
 
-class Wire(Protocol):
+class DeviceWire(Protocol):
     """A device's end of a wire. Used in a running event loop."""
 
     @property
@@ -230,13 +230,13 @@ class UdpWire:
         self._device.close()
 
 
-async def opened(wire: Wire) -> None:
+async def opened(wire: DeviceWire) -> None:
     """Returns as soon as a host has opened the wire."""
     while not wire.is_open:
         await asyncio.sleep(_LOOK_S)
 
 
-def make_wire(device: Device, path: Path, weather: Weather, hear: Heard | None) -> Wire:
+def make_wire(device: Device, path: Path, weather: Weather, hear: Heard | None) -> DeviceWire:
     """The wire of a device; path: where a serial port appears. hear: takes what the host writes."""
     match device.link:
         case "serial":

@@ -25,7 +25,7 @@ import yaml
 from auv_mcm.errors import HardwareError
 from auv_mcm.safe_files import open_for_append
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory, write_file
+from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
@@ -35,7 +35,7 @@ from sim_replay.replay import replay
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.simulator.sea import Sea
-from sim_replay.simulator.truth import Log, truth_of
+from sim_replay.simulator.truth import TruthLog, truth_of
 
 RESULTS: Final = "results"
 SERVICE_LOG: Final = "service.log"
@@ -328,7 +328,7 @@ def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
 def _known_targets(read: Read) -> list[Placed]:
     """The targets of a scene that nobody has flown through."""
     sea = Sea(read_scene(_scene_of(read)))
-    return targets_of(truth_of(sea, Log(sea)))
+    return targets_of(truth_of(sea, TruthLog(sea)))
 
 
 def _scene_of(read: Read) -> str:

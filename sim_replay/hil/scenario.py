@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config, parse_config
-from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.fakes.job import Device
 
 SCENARIOS: Final = Path(__file__).parent / "scenarios"
@@ -291,7 +291,7 @@ def parse_scenario(text: str, place: str) -> Scenario:
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explained(error, Scenario)}; {_EXAMPLE}") from error
+        raise UsageError(f"{place}: {explain_validation_error(error, Scenario)}; {_EXAMPLE}") from error
     for problem in _contradictions(scenario):
         raise UsageError(f"{place}: {problem}")
     service_config(scenario, dict.fromkeys(scenario.devices, _ANY_LINK), place)

@@ -16,7 +16,7 @@ _MAX_STEP_S: Final = 2.0
 _FALLBACK_INTERVAL_S: Final = 0.1
 
 
-class Timed(Protocol):
+class TimedPing(Protocol):
     @property
     def time_s(self) -> float: ...
 
@@ -24,7 +24,7 @@ class Timed(Protocol):
     def interval_s(self) -> float: ...
 
 
-T = TypeVar("T", bound=Timed)
+T = TypeVar("T", bound=TimedPing)
 
 
 def spread_ties(items: Iterable[T], counters: Counter[str]) -> Iterator[tuple[float, T]]:
@@ -75,7 +75,7 @@ def _spread(group: list[T], step: float, counters: Counter[str]) -> Iterator[tup
         yield item.time_s + index * step, item
 
 
-def _step(item: Timed, last_step: float) -> float:
+def _step(item: TimedPing, last_step: float) -> float:
     for candidate in (last_step, item.interval_s):
         if 0.0 < candidate <= _MAX_STEP_S:
             return candidate

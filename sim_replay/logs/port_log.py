@@ -18,7 +18,7 @@ from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from drivers.recording.session_layout import Recorded
 
 
-class Intake(Protocol):
+class PortDecoding(Protocol):
     """Decoders and merging of all ports.
 
     Its events depend on the configuration and on what is fed alone: it reads no clock.
@@ -64,7 +64,7 @@ class PortRecording(Protocol):
 class PortLog:
     """A recording of ports as a log to replay. Iterate for its events; every iteration starts anew."""
 
-    def __init__(self, recording: PortRecording, make_intake: Callable[[], Intake], *, pause_s: float = math.inf) -> None:
+    def __init__(self, recording: PortRecording, make_intake: Callable[[], PortDecoding], *, pause_s: float = math.inf) -> None:
         """make_intake: a new intake, from the same configuration as the recorded one.
 
         pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
@@ -119,7 +119,7 @@ class SonarLog(PortLog):
     """
 
     def __init__(
-        self, recording: PortRecording, make_intake: Callable[[], Intake], place: Path, no_navigation: str, pause_s: float
+        self, recording: PortRecording, make_intake: Callable[[], PortDecoding], place: Path, no_navigation: str, pause_s: float
     ) -> None:
         """no_navigation: for the message, where a log of this format would hold positions, and what to do."""
         super().__init__(recording, make_intake, pause_s=pause_s)

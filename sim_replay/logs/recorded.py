@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import Counter
-from collections.abc import AsyncGenerator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -14,7 +14,7 @@ from auv_mcm.clock import Clock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.source import SourceUri
+from auv_mcm.source import EventSink, SourceUri
 from sim_replay.logs.open_log import CHUNK_BYTES, Log, is_session, open_log
 
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
@@ -116,13 +116,14 @@ class ReplaySource:
         self._mission = mission
         self._pace = pace
 
-    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+    async def run(self, sink: EventSink) -> None:
+        """Put every event of the mission, each when it is due."""
         stream = self._mission.events()
         while batch := await asyncio.to_thread(lambda: list(islice(stream, _BATCH))):
             for event in batch:
                 if (wait_s := self._pace.wait_s(event)) > 0.0:
                     await asyncio.sleep(wait_s)
-                yield event
+                await sink.put(event)
 
     def counters(self) -> Counter[str]:
         return self._mission.counters()

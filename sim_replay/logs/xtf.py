@@ -38,7 +38,7 @@ from sim_replay.logs.xtf_header import (
     kind_name,
     name_channels,
 )
-from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, Damage, FileHeader, Packet, header_bytes, read_packets
+from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, DamagedBytes, FileHeader, Packet, header_bytes, read_packets
 
 KNOT_MPS: Final = 1852.0 / 3600.0
 PROBE_PINGS: Final = 50
@@ -235,7 +235,7 @@ class XtfLog:
     def _raw_pings(self, file: BinaryIO) -> Iterator[_RawPing]:
         for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR,), self._content_bytes):
             self.bytes_read = item.offset
-            if isinstance(item, Damage):
+            if isinstance(item, DamagedBytes):
                 self._tell_damage(item)
             elif isinstance(item, FileHeader):
                 self._tell_joined(item)
@@ -293,7 +293,7 @@ class XtfLog:
         interval = NAN
         for channel, start, n_bytes, header in self._extents(data):
             if n_bytes is None or channel is None:
-                self._tell_damage(Damage(packet.offset, len(data), "a ping's channels do not fit into its packet", at_end=False))
+                self._tell_damage(DamagedBytes(packet.offset, len(data), "a ping's channels do not fit into its packet", at_end=False))
                 return None
             if channel.number not in (self._port_number, self._starboard_number) or channel.dtype is None:
                 self.counters["reader.other_channel"] += 1
@@ -521,7 +521,7 @@ class XtfLog:
             self._said.add(code)
             self._say(code, text, place)
 
-    def _tell_damage(self, damage: Damage) -> None:
+    def _tell_damage(self, damage: DamagedBytes) -> None:
         self.counters["reader.damaged_packet"] += 1
         self.counters["reader.damaged_bytes"] += damage.n_bytes
         told = self.counters["reader.damaged_packet"]

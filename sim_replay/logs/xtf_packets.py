@@ -35,7 +35,7 @@ class FileHeader(NamedTuple):
     data: bytes
 
 
-class Damage(NamedTuple):
+class DamagedBytes(NamedTuple):
     """`n_bytes` from `offset` on that no packet could be made of. `at_end`: nothing readable follows."""
 
     offset: int
@@ -44,7 +44,7 @@ class Damage(NamedTuple):
     at_end: bool
 
 
-Item: TypeAlias = Packet | FileHeader | Damage
+Item: TypeAlias = Packet | FileHeader | DamagedBytes
 
 
 def read_packets(
@@ -87,7 +87,7 @@ def read_packets(
         found = _next_packet(file, search_from, size)
         # The packet before may have claimed more bytes than it had: then the next one starts before `position`.
         damaged_from = min(position, found)
-        yield Damage(damaged_from, found - damaged_from, fault, at_end=found >= size)
+        yield DamagedBytes(damaged_from, found - damaged_from, fault, at_end=found >= size)
         position = found
 
 

@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
 from auv_mcm.contacts.contact import best_view, error_ellipse, is_mine_like, view_reasons
-from auv_mcm.records import Confirmation, Contact, ContactClass, Detection, Waypoint
-from sim_replay.report import words
+from auv_mcm.records import Contact, Detection, Waypoint
+from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
-from sim_replay.report.pictures import Strip
+from sim_replay.report.pictures import PictureStrip
 
 _PICTURE_BYTES: Final = 4_700_000  # of pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
 _MOST_VIEWS: Final = 8
@@ -80,7 +80,7 @@ class Card(NamedTuple):
     leg: int | None
 
 
-def cards(contacts: Sequence[Contact], strips: Sequence[Strip], waypoints: Sequence[Waypoint]) -> list[Card]:
+def cards(contacts: Sequence[Contact], strips: Sequence[PictureStrip], waypoints: Sequence[Waypoint]) -> list[Card]:
     """Cards in the order of `contacts`; pictures go to the first, as many as the page has room for."""
     legs = {point.contact_id: point.leg for point in waypoints if point.kind == "leg_exit"}
     left = _PICTURE_BYTES
@@ -107,7 +107,9 @@ def place_m(view: Detection) -> tuple[float, float]:
     return view.row * view.row_spacing_m, across_m if view.side == "starboard" else -across_m
 
 
-def _card(contact: Contact, shown: Detection | None, picture: ViewPicture | None, strips: Sequence[Strip], legs: Mapping[str, int]) -> Card:
+def _card(
+    contact: Contact, shown: Detection | None, picture: ViewPicture | None, strips: Sequence[PictureStrip], legs: Mapping[str, int]
+) -> Card:
     told = _views_told(contact)
     views = [_view_line(number, view) for number, view in told]
     beliefs = _shares(contact.belief)
@@ -172,10 +174,6 @@ def _verdict(contact: Contact) -> tuple[str, str]:
     return called, "echo and shadow are those of an object, but its shape is open."
 
 
-def _shows(found: Confirmation, classification: ContactClass) -> bool:
-    return found.model is not None and found.model.classification == classification and not found.rejected
-
-
 def _of(number: int, contact: Contact) -> str:
     if len(contact.views) == 1:
         return "the only view"
@@ -192,7 +190,13 @@ def _view_line(number: int, view: Detection) -> ViewLine:
     if found.model is not None:
         model = f"Best model: {words.class_name(found.model.classification)}, {words.model_sizes(found.model.sizes, found.model.sigma)}"
     return ViewLine(
-        number, place, verdict, _shares(singleton_belief(found.mass)), words.evidence(found.log_ratio), model, _reasons(view_reasons(view))
+        number,
+        place,
+        verdict,
+        _shares(singleton_belief(found.mass)),
+        words.evidence_words(found.log_ratio),
+        model,
+        _reasons(view_reasons(view)),
     )
 
 

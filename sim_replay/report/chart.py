@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.contact import error_ellipse_ring_m, is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
-from sim_replay.report.words import degrees_minutes
+from sim_replay.report.report_words import degrees_minutes
 
 Points: TypeAlias = NDArray[np.float64]  # (n, 2) east, north in metres, or right, down in drawing units
 

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.contacts.contact import is_mine_like
-from auv_mcm.contacts.picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
-from auv_mcm.shell.results import write_file
-from sim_replay.report import words
+from auv_mcm.shell.whole_files import write_file
+from sim_replay.report import report_words as words
 from sim_replay.report.cards import band, cards, place_m
 from sim_replay.report.chart import WIDTH, draw_chart
-from sim_replay.report.pictures import PictureCollector, Strip
+from sim_replay.report.pictures import PictureCollector, PictureStrip
 
 _NOTICES_PER_CODE: Final = 5
 _LEAST_BOX_M: Final = 3.0
@@ -105,8 +105,8 @@ def render_report(
         clutter=[card for card in told if not card.mine_like],
         mine_like_p=MINE_LIKE_P,
         legs=[point for point in waypoints if point.kind == "leg_exit"],
-        counters=words.explained(counters, words.is_loss),
-        counted=words.explained(counters, lambda name: not words.is_loss(name)),
+        counters=words.explained_counters(counters, words.is_loss),
+        counted=words.explained_counters(counters, lambda name: not words.is_loss(name)),
         notices=_by_code([notice for notice in notices if not notice.for_the_record]),
         remarks=_by_code([notice for notice in notices if notice.for_the_record]),
         costs=_costs(mission.costs),
@@ -182,7 +182,7 @@ class _Box(NamedTuple):
     flip: bool  # label on the left
 
 
-def _strip_view(strip: Strip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> dict[str, Any]:
+def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> dict[str, Any]:
     """A strip with its overlays in per cent of the picture."""
     length_m, width_m = strip.stop_m - strip.start_m, 2.0 * strip.half_width_m
 

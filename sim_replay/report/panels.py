@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW
-from auv_mcm.contacts.picture import in_picture
+from auv_mcm.contacts.contact_picture import in_picture
 from auv_mcm.records import Confirmation, Detection
 from sim_replay.report.chart import svg_path
 from sim_replay.report.pictures import snippet_jpeg
-from sim_replay.report.words import class_name
+from sim_replay.report.report_words import class_name
 
 _UNITS_PER_M: Final = 100.0
 _BARS_M: Final = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2)

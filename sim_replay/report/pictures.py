@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, display_levels, encoded, snippet_picture
-from auv_mcm.contacts.picture import snippet_png as snippet_png
+from auv_mcm.contacts.contact_picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, display_levels, encoded, snippet_picture
+from auv_mcm.contacts.contact_picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
 MAX_PIXELS: Final = 40_000_000
@@ -26,7 +26,7 @@ _STRIP_ASPECT: Final = 1.25  # a strip's length along track over the swath's wid
 _QUALITIES: Final = (86, 74, 60, 48)
 
 
-class Strip(NamedTuple):
+class PictureStrip(NamedTuple):
     """A stretch of the waterfall, port left, starboard right, later pings above: as seen from above, travelling up.
 
     gaps_m: along-track stretches without data, metres from the mission's first grid row.
@@ -95,7 +95,7 @@ class PictureCollector:
         marks = sorted(self._marks.items())
         return np.array([row * self._row_spacing_m for row, _ in marks]), np.array([time_s for _, time_s in marks])
 
-    def strips(self, max_bytes: int = MAX_JPEG_BYTES) -> tuple[Strip, ...]:
+    def strips(self, max_bytes: int = MAX_JPEG_BYTES) -> tuple[PictureStrip, ...]:
         """The mission in strips of about equal length, their pictures together at most `max_bytes`."""
         while True:
             for quality in _QUALITIES:
@@ -113,7 +113,7 @@ class PictureCollector:
         self._rows_per_pixel *= rows
         self._columns_per_pixel *= columns
 
-    def _drawn(self, quality: int) -> tuple[Strip, ...]:
+    def _drawn(self, quality: int) -> tuple[PictureStrip, ...]:
         if not self._pieces:
             return ()
         first = min(piece.first_row for piece in self._pieces)
@@ -122,14 +122,14 @@ class PictureCollector:
         half_m = half_px * self._columns_per_pixel * self._column_spacing_m
         n_strips = max(1, round((stop - first) * self._row_spacing_m / (2.0 * half_m * _STRIP_ASPECT)))
         edges = np.linspace(first, stop, n_strips + 1).round().astype(int).tolist()
-        strips: list[Strip] = []
+        strips: list[PictureStrip] = []
         for start_row, stop_row in pairwise(edges):
             here = [piece for piece in self._pieces if piece.first_row < stop_row and piece.first_row + piece.n_rows > start_row]
             if here:
                 strips.append(self._strip(len(strips) + 1, here, start_row, stop_row, half_px, quality))
         return tuple(strips)
 
-    def _strip(self, number: int, pieces: Sequence[_Piece], start_row: int, stop_row: int, half_px: int, quality: int) -> Strip:
+    def _strip(self, number: int, pieces: Sequence[_Piece], start_row: int, stop_row: int, half_px: int, quality: int) -> PictureStrip:
         rows = max(1, -(-(stop_row - start_row) // self._rows_per_pixel))
         canvas = np.zeros((rows, 2 * half_px), dtype=np.uint8)
         for piece in pieces:
@@ -142,7 +142,7 @@ class PictureCollector:
                 canvas[at, half_px : half_px + pixels.shape[1]] = pixels
         jpeg = encoded(COLOURS[canvas[::-1]], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
         metres = self._row_spacing_m
-        return Strip(
+        return PictureStrip(
             number=number,
             start_m=start_row * metres,
             stop_m=stop_row * metres,

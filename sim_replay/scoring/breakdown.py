@@ -14,7 +14,7 @@ import numpy as np
 from auv_mcm.records import NAN, ContactClass
 from sim_replay.scoring.inputs import ReportedContact, TruthObject
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
-from sim_replay.scoring.layout import UNKNOWN, Layout, Outcome, State
+from sim_replay.scoring.layout import UNKNOWN, MissionLayout, Outcome, State
 from sim_replay.scoring.matching import UNMATCHED
 
 RANGE_BANDS_M: Final = (0.0, 10.0, 20.0, 30.0, 50.0, 75.0, 150.0)
@@ -54,7 +54,7 @@ class Confusion(msgspec.Struct, frozen=True, kw_only=True):
     nothing_there: tuple[int, ...]
 
 
-class Spread(msgspec.Struct, frozen=True, kw_only=True):
+class PositionSpread(msgspec.Struct, frozen=True, kw_only=True):
     """The median of signed errors and what 95 % of them stay below in size; None without any."""
 
     n: int
@@ -65,21 +65,21 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
 class PositionErrors(msgspec.Struct, frozen=True, kw_only=True):
     """Contact less truth of the detections. `in_sigmas` is the total error by the contact's own 1-sigma error."""
 
-    east_m: Spread
-    north_m: Spread
-    total_m: Spread
-    in_sigmas: Spread
+    east_m: PositionSpread
+    north_m: PositionSpread
+    total_m: PositionSpread
+    in_sigmas: PositionSpread
 
 
 class SizeErrors(msgspec.Struct, frozen=True, kw_only=True):
     """Contact less truth of the detections; the true height is what stands above the sea floor."""
 
-    length_m: Spread
-    width_m: Spread
-    height_m: Spread
+    length_m: PositionSpread
+    width_m: PositionSpread
+    height_m: PositionSpread
 
 
-class Found(NamedTuple):
+class FoundObject(NamedTuple):
     """An object that took part, and the contact on it."""
 
     thing: TruthObject
@@ -95,12 +95,12 @@ class FalseAlarm(NamedTuple):
     on_clutter: bool
 
 
-def objects_of(layout: Layout, state: State) -> Iterator[Found]:
+def objects_of(layout: MissionLayout, state: State) -> Iterator[FoundObject]:
     holder = {thing: contact for contact, thing in enumerate(state.matched.tolist()) if thing != UNMATCHED}
     for index, thing in enumerate(layout.objects):
         contact = holder.get(index)
         east_m, north_m = (NAN, NAN) if contact is None else layout.offset_m[contact, index].tolist()
-        yield Found(
+        yield FoundObject(
             thing=thing,
             seabed=layout.object_seabed[index],
             is_seen=bool(layout.is_seen[index]),
@@ -109,25 +109,25 @@ def objects_of(layout: Layout, state: State) -> Iterator[Found]:
         )
 
 
-def false_alarms_of(layout: Layout, state: State) -> Iterator[FalseAlarm]:
+def false_alarms_of(layout: MissionLayout, state: State) -> Iterator[FalseAlarm]:
     for index, outcome in enumerate(state.outcome.tolist()):
         if outcome in (Outcome.ON_CLUTTER, Outcome.ELSEWHERE):
             yield FalseAlarm(layout.contacts[index], layout.contact_seabed[index], outcome == Outcome.ON_CLUTTER)
 
 
-def by_kind(found: Sequence[Found]) -> tuple[KindRow, ...]:
+def by_kind(found: Sequence[FoundObject]) -> tuple[KindRow, ...]:
     """Seen objects, targets first."""
     total = Counter((not item.thing.is_target, item.thing.kind) for item in found if item.is_seen)
     called = Counter((not item.thing.is_target, item.thing.kind) for item in found if item.is_seen and item.contact)
     return tuple(KindRow(kind=key[1], is_target=not key[0], called=proportion(called[key], total[key])) for key in sorted(total))
 
 
-def rocks_called(found: Sequence[Found]) -> Proportion:
+def rocks_called(found: Sequence[FoundObject]) -> Proportion:
     others = [item for item in found if item.is_seen and not item.thing.is_target]
     return proportion(sum(item.contact is not None for item in others), len(others))
 
 
-def by_range(found: Sequence[Found], false_alarms: Sequence[FalseAlarm], area_km2: float) -> tuple[Group, ...]:
+def by_range(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], area_km2: float) -> tuple[Group, ...]:
     """By the nearest look at a target, or else its contact's range, and by the contact's range for false alarms.
 
     The area of a band is not known, so densities are over all of it and add up to the total. A target that was missed and has
@@ -139,7 +139,7 @@ def by_range(found: Sequence[Found], false_alarms: Sequence[FalseAlarm], area_km
     return tuple(group for group in groups if group.pd.of or group.false_alarms.count)
 
 
-def by_seabed(found: Sequence[Found], false_alarms: Sequence[FalseAlarm], areas_km2: dict[str, float]) -> tuple[Group, ...]:
+def by_seabed(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], areas_km2: dict[str, float]) -> tuple[Group, ...]:
     """Over each type's own swept area; `unknown` is what the missions without a map swept."""
     targets = [(item.seabed, item) for item in found if item.is_seen and item.thing.is_target]
     alarms = Counter(alarm.seabed for alarm in false_alarms)
@@ -148,7 +148,7 @@ def by_seabed(found: Sequence[Found], false_alarms: Sequence[FalseAlarm], areas_
     return tuple(group for group in groups if group.pd.of or group.false_alarms.count or group.false_alarms.area_km2)
 
 
-def confusion(found: Sequence[Found], false_alarms: Sequence[FalseAlarm]) -> Confusion:
+def confusion(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm]) -> Confusion:
     """Truth's kinds against the classes of the contacts on them, duplicates left out."""
     told = Counter((not item.thing.is_target, item.thing.kind, _class_of(item.contact)) for item in found if item.is_seen)
     elsewhere = Counter(alarm.contact.classification for alarm in false_alarms if not alarm.on_clutter)
@@ -164,7 +164,7 @@ def confusion(found: Sequence[Found], false_alarms: Sequence[FalseAlarm]) -> Con
     )
 
 
-def position_errors(found: Sequence[Found]) -> PositionErrors:
+def position_errors(found: Sequence[FoundObject]) -> PositionErrors:
     hits = _detections(found)
     total_m = [math.hypot(*item.offset_m) for item, _ in hits]
     return PositionErrors(
@@ -175,7 +175,7 @@ def position_errors(found: Sequence[Found]) -> PositionErrors:
     )
 
 
-def size_errors(found: Sequence[Found]) -> SizeErrors:
+def size_errors(found: Sequence[FoundObject]) -> SizeErrors:
     hits = [(item.thing, contact) for item, contact in _detections(found)]
     return SizeErrors(
         length_m=_spread([contact.length_m - _known(thing.length_m) for thing, contact in hits]),
@@ -184,11 +184,11 @@ def size_errors(found: Sequence[Found]) -> SizeErrors:
     )
 
 
-def _detections(found: Sequence[Found]) -> list[tuple[Found, ReportedContact]]:
+def _detections(found: Sequence[FoundObject]) -> list[tuple[FoundObject, ReportedContact]]:
     return [(item, item.contact) for item in found if item.is_seen and item.thing.is_target and item.contact is not None]
 
 
-def _group(name: str, targets: Sequence[tuple[str, Found]], n_alarms: int, area_km2: float | None) -> Group:
+def _group(name: str, targets: Sequence[tuple[str, FoundObject]], n_alarms: int, area_km2: float | None) -> Group:
     members = [item for place, item in targets if place == name]
     return Group(
         name=name,
@@ -197,7 +197,7 @@ def _group(name: str, targets: Sequence[tuple[str, Found]], n_alarms: int, area_
     )
 
 
-def _range_m(item: Found) -> float:
+def _range_m(item: FoundObject) -> float:
     if item.thing.looks:
         return min(look.ground_range_m for look in item.thing.looks)
     return NAN if item.contact is None else item.contact.ground_range_m
@@ -217,8 +217,8 @@ def _known(size_m: float | None) -> float:
     return NAN if size_m is None else size_m
 
 
-def _spread(errors: Sequence[float]) -> Spread:
+def _spread(errors: Sequence[float]) -> PositionSpread:
     known = np.array([error for error in errors if math.isfinite(error)], dtype=np.float64)
     if not known.size:
-        return Spread(n=0, median=None, p95_absolute=None)
-    return Spread(n=known.size, median=float(np.median(known)), p95_absolute=float(np.quantile(np.abs(known), 0.95)))
+        return PositionSpread(n=0, median=None, p95_absolute=None)
+    return PositionSpread(n=known.size, median=float(np.median(known)), p95_absolute=float(np.quantile(np.abs(known), 0.95)))

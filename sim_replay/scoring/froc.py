@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_replay.scoring.intervals import CONFIDENCE, Density, Proportion, density, proportion
-from sim_replay.scoring.layout import Layout, Outcome, State, nothing_called, states
+from sim_replay.scoring.layout import MissionLayout, Outcome, State, nothing_called, states
 
 HEADLINE_PER_KM2: Final = (10.0, 30.0, 100.0)
 AREA_FROM_PER_KM2: Final = 1.0
@@ -79,7 +79,7 @@ class Curve(NamedTuple):
         return self.counts[..., Outcome.ON_CLUTTER] + self.counts[..., Outcome.ELSEWHERE]
 
 
-def trace(layouts: Sequence[Layout], area_km2: Sequence[float], threshold: float) -> tuple[Curve, list[State]]:
+def trace(layouts: Sequence[MissionLayout], area_km2: Sequence[float], threshold: float) -> tuple[Curve, list[State]]:
     """The curve over all distinct thresholds, and each mission's state at `threshold`."""
     chosen: list[State] = []
     steps: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []

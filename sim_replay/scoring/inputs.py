@@ -40,7 +40,7 @@ class ReportedContact(NamedTuple):
     ground_range_m: float = NAN
 
 
-class Look(msgspec.Struct, frozen=True, kw_only=True):
+class ObjectPass(msgspec.Struct, frozen=True, kw_only=True):
     """A pass that saw an object, at this horizontal range across-track."""
 
     ground_range_m: Annotated[float, Meta(ge=0.0)]
@@ -58,7 +58,7 @@ class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
     height_m: float | None = None
     burial_m: float = 0.0
     seabed: str | None = None
-    looks: tuple[Look, ...] | None = None
+    looks: tuple[ObjectPass, ...] | None = None
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "kind", clean(self.kind))
@@ -72,7 +72,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     seabed_map: SeabedMap | None = None
 
 
-class Mission(NamedTuple):
+class ScoredMission(NamedTuple):
     contacts: tuple[ReportedContact, ...]
     truth: Truth
     name: str = ""

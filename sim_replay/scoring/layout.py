@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from sim_replay.scoring.inputs import Mission, ReportedContact, Truth, TruthObject
+from sim_replay.scoring.inputs import ReportedContact, ScoredMission, Truth, TruthObject
 from sim_replay.scoring.matching import UNMATCHED, gates_m, match_by_threshold
 from sim_replay.scoring.seabed_map import NOT_SWEPT, decode, types_at
 
@@ -28,7 +28,7 @@ class Outcome(IntEnum):
     ELSEWHERE = 5
 
 
-class Layout(NamedTuple):
+class MissionLayout(NamedTuple):
     """`contacts` and `objects` are those that take part. Arrays are (n_contacts, n_objects) or as long as what they tell about."""
 
     contacts: tuple[ReportedContact, ...]
@@ -54,7 +54,7 @@ class State(NamedTuple):
     outcome: NDArray[np.int64]
 
 
-def lay_out(mission: Mission, gate_m: float) -> Layout:
+def lay_out(mission: ScoredMission, gate_m: float) -> MissionLayout:
     """Left out are contacts without a position, contacts off the swept area that lie on no target, and clutter that no pass saw."""
     truth = mission.truth
     objects = tuple(thing for thing in truth.objects if thing.is_target or is_seen(thing))
@@ -69,7 +69,7 @@ def lay_out(mission: Mission, gate_m: float) -> Layout:
     object_seabed, _ = _seabed_under(truth, objects)
     # A target at the edge of the swath may well be reported from just beyond it.
     kept = np.flatnonzero(swept | near[:, is_target & seen].any(axis=1))
-    return Layout(
+    return MissionLayout(
         contacts=tuple(placed[index] for index in kept),
         objects=objects,
         offset_m=offset_m[kept],
@@ -91,7 +91,7 @@ def is_seen(thing: TruthObject) -> bool:
     return thing.looks is None or len(thing.looks) > 0
 
 
-def states(layout: Layout) -> Iterator[State]:
+def states(layout: MissionLayout) -> Iterator[State]:
     """The mission at each distinct p_mine of its contacts, falling."""
     distance_m = np.hypot(layout.offset_m[..., 0], layout.offset_m[..., 1])
     seen_targets, unseen_targets = layout.is_target & layout.is_seen, layout.is_target & ~layout.is_seen
@@ -108,7 +108,7 @@ def states(layout: Layout) -> Iterator[State]:
         yield State(threshold, matched, outcome)
 
 
-def nothing_called(layout: Layout) -> State:
+def nothing_called(layout: MissionLayout) -> State:
     n_contacts = len(layout.contacts)
     return State(np.inf, np.full(n_contacts, UNMATCHED, dtype=np.int64), np.full(n_contacts, Outcome.NOT_CALLED, dtype=np.int64))
 

@@ -41,7 +41,7 @@ from sim_replay.scoring.froc import (
     point_at,
     trace,
 )
-from sim_replay.scoring.inputs import Mission, read_contacts, read_truth
+from sim_replay.scoring.inputs import ScoredMission, read_contacts, read_truth
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
 from sim_replay.scoring.layout import Outcome, lay_out
 
@@ -109,11 +109,11 @@ def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: flo
         raise UsageError(f"{repeated} is given twice: its contacts would count double. Name each contacts file once")
     _check(gate_m, threshold)
     pairs = zip(paths[::2], paths[1::2], strict=True)
-    missions = [Mission(read_contacts(contacts), read_truth(truth), clean(str(contacts))) for contacts, truth in pairs]
+    missions = [ScoredMission(read_contacts(contacts), read_truth(truth), clean(str(contacts))) for contacts, truth in pairs]
     return score_missions(missions, gate_m=gate_m, threshold=threshold)
 
 
-def score_missions(missions: Sequence[Mission], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:
+def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:
     """Score missions pooled. Raises UsageError for no missions, or an impossible gate or threshold."""
     _check(gate_m, threshold)
     if not missions:
@@ -166,7 +166,7 @@ def score_missions(missions: Sequence[Mission], *, gate_m: float = GATE_M, thres
     )
 
 
-def to_json(score: Score) -> bytes:
+def score_json(score: Score) -> bytes:
     return msgspec.json.format(msgspec.json.encode(score), indent=2) + b"\n"
 
 

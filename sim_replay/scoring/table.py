@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from sim_replay.scoring.breakdown import Group, Spread
+from sim_replay.scoring.breakdown import Group, PositionSpread
 from sim_replay.scoring.froc import Bootstrap, Bounds, OperatingPoint
 from sim_replay.scoring.intervals import Density, Proportion
 from sim_replay.scoring.matching import MAX_SIGMA_GATE_M, SIGMAS
@@ -172,7 +172,7 @@ def _bounds(bounds: Bounds | None, digits: int) -> str:
     return _NOTHING if bounds is None else f"{bounds.low:.{digits}f}-{bounds.high:.{digits}f}"
 
 
-def _spread(spread: Spread, unit: str) -> list[str]:
+def _spread(spread: PositionSpread, unit: str) -> list[str]:
     if spread.median is None or spread.p95_absolute is None:
         return [_NOTHING, _NOTHING, "0"]
     return [*(f"{round(error, 2) + 0.0:.2f} {unit}".rstrip() for error in (spread.median, spread.p95_absolute)), str(spread.n)]

@@ -40,7 +40,7 @@ from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import SyntheticAperture
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.speckle import band_limited_rows, low_pass_taps
-from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, Pose
+from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SonarPose
 
 View: TypeAlias = int | Literal["full"]
 Floats: TypeAlias = NDArray[np.float64]
@@ -125,14 +125,14 @@ class Aperture:
             )
         return strip._replace(depth_m=depth)
 
-    def poses(self, strip: Strip, start_s: float, first_line: int, n_lines: int) -> list[Pose]:
+    def poses(self, strip: Strip, start_s: float, first_line: int, n_lines: int) -> list[SonarPose]:
         """Where the vehicle was abeam of lines, having passed the first of the strip at `start_s`."""
         leg, speed = strip.leg, self.sea.scene.track.speed_mps
         poses = []
         for line in range(first_line, first_line + n_lines):
             east, north = leg.at(line * self.line_m, 0.0)
             poses.append(
-                Pose(
+                SonarPose(
                     time_s=start_s + line * self.line_m / speed,
                     east_m=east,
                     north_m=north,
@@ -147,7 +147,7 @@ class Aperture:
             )
         return poses
 
-    def lines(self, strip: Strip, start_s: float, first_number: int) -> Iterator[tuple[Pose, Ping]]:
+    def lines(self, strip: Strip, start_s: float, first_number: int) -> Iterator[tuple[SonarPose, Ping]]:
         """All lines of the view that the scene asks for as it records them, numbered from `first_number`, with the poses they are given at.
         No ping knows its altitude."""
         for first in range(0, strip.n_lines, _BLOCK_LINES):

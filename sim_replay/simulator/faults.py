@@ -10,7 +10,7 @@ from msgspec import structs
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side
-from sim_replay.simulator.scene import Fault, Recorder
+from sim_replay.simulator.scene import Fault, SampleRecorder
 
 
 class _Beat(NamedTuple):
@@ -21,7 +21,7 @@ class _Beat(NamedTuple):
     ping: Ping | None
 
 
-def with_faults(events: Iterable[NavSample | Ping], faults: Sequence[Fault], recorder: Recorder) -> Iterator[NavSample | Ping]:
+def with_faults(events: Iterable[NavSample | Ping], faults: Sequence[Fault], recorder: SampleRecorder) -> Iterator[NavSample | Ping]:
     """The events as they arrive once `faults` have happened, one after the other as they are given.
 
     A navigation sample belongs to the ping that follows it. A lost ping leaves its navigation behind and its number unused. A stuck channel
@@ -56,7 +56,7 @@ def _beats(events: Iterable[NavSample | Ping]) -> Iterator[_Beat]:
         yield _Beat(number + 1, tuple(navigation), None)
 
 
-def _struck(beats: Iterable[_Beat], fault: Fault, recorder: Recorder) -> Iterator[_Beat]:
+def _struck(beats: Iterable[_Beat], fault: Fault, recorder: SampleRecorder) -> Iterator[_Beat]:
     factor, counts = _gain(fault.gain_db, recorder) if fault.kind == "gain_step" else (1.0, 0.0)
     last: dict[str, EchoTrace] = {}
     for beat in beats:
@@ -100,7 +100,7 @@ def _later(beat: _Beat, step_s: float) -> _Beat:
     return beat._replace(navigation=navigation, ping=ping)
 
 
-def _gain(gain_db: float, recorder: Recorder) -> tuple[float, float]:
+def _gain(gain_db: float, recorder: SampleRecorder) -> tuple[float, float]:
     """Factor on the samples, and counts added then."""
     if not recorder.samples.startswith("log"):
         return 10.0 ** (gain_db / 20.0), 0.0

@@ -15,8 +15,8 @@ from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.plan import Leg, planned_legs
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.sea import Sea
-from sim_replay.simulator.truth import Log, truth_of
-from sim_replay.simulator.vehicle import Pose, Vehicle
+from sim_replay.simulator.truth import TruthLog, truth_of
+from sim_replay.simulator.vehicle import SonarPose, Vehicle
 
 _BLOCK: Final = 32  # pings rendered at a time
 _TURN_S: Final = 60.0  # between the image strips of legs
@@ -38,7 +38,7 @@ class Mission:
         self.vehicle: Final = Vehicle(scene.track, legs, scene.seed, self._depth_of_floor)
         self._legs_ahead = list(legs)  # of a synthetic aperture, which does not fly the vehicle
         self._navigation = NavigationModel(scene.navigation_error, scene.origin, scene.seed)
-        self._log = Log(self.sea)
+        self._log = TruthLog(self.sea)
         self._block = block_pings
 
     def events(self) -> Iterator[NavSample | Ping]:
@@ -80,7 +80,7 @@ class Mission:
             start_s += _TURN_S
             n_legs += 1
 
-    def _told(self, block: Sequence[Pose]) -> list[NavSample]:
+    def _told(self, block: Sequence[SonarPose]) -> list[NavSample]:
         """What navigation says at poses, which go into the log."""
         altitudes = [self.sea.altitude_m(pose) for pose in block]
         self._log.add(block, altitudes)

@@ -12,7 +12,7 @@ from auv_mcm.records import NavSample
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.scene import NavigationError, Origin
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 _STREAM: Final = 0x4E415645  # keeps these random numbers apart from others of the same seed
 _BLOCK: Final = 512
@@ -44,10 +44,10 @@ class NavigationModel:
         self._random = noise
         self._noise: list[list[float]] = []
         self._start_s = math.nan
-        self._last: Pose | None = None
+        self._last: SonarPose | None = None
         self._travelled_m = 0.0
 
-    def told(self, pose: Pose, altitude_m: float) -> NavSample:
+    def told(self, pose: SonarPose, altitude_m: float) -> NavSample:
         """The sample of a pose, asked for in order of time. Heading is true and in [0, 2 pi); no altitude is below 0.
 
         altitude_m: the true height over the floor.
@@ -77,7 +77,7 @@ class NavigationModel:
             speed_mps=pose.speed_mps * self._speed_factor,
         )
 
-    def _on_the_globe(self, pose: Pose, told_east_m: float, told_north_m: float) -> tuple[float, float, float]:
+    def _on_the_globe(self, pose: SonarPose, told_east_m: float, told_north_m: float) -> tuple[float, float, float]:
         """Latitude and longitude told, and the heading against the true north of where the sonar is; meridians converge."""
         sine, cosine = math.sin(pose.heading_rad), math.cos(pose.heading_rad)
         plane = np.array([[told_east_m, told_north_m, 0.0], [pose.east_m, pose.north_m, 0.0], [sine, cosine, 0.0]])

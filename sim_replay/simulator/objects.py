@@ -54,7 +54,7 @@ USUAL: Final[dict[ObjectKind, Usual]] = {
 _SPECULAR_EXPONENT: Final = 40.0
 
 
-class Placed(NamedTuple):
+class PlacedObject(NamedTuple):
     """One object with nothing left open. azimuth_rad clockwise from the plane's north; sizes as in SceneObject."""
 
     kind: ObjectKind
@@ -89,7 +89,7 @@ class Material(NamedTuple):
     specular_exponent: float
 
 
-def place_objects(scene: Scene) -> tuple[Placed, ...]:
+def place_objects(scene: Scene) -> tuple[PlacedObject, ...]:
     """All objects of a scene: those it names, then those it scatters.
 
     Raises UsageError if there is no room for what is to be scattered.
@@ -101,11 +101,11 @@ def place_objects(scene: Scene) -> tuple[Placed, ...]:
     return tuple(placed)
 
 
-def _named(scene: Scene, thing: SceneObject, index: int) -> Placed:
+def _named(scene: Scene, thing: SceneObject, index: int) -> PlacedObject:
     usual = USUAL[thing.kind]
     east, north = place_in_plane(scene, thing)
     width = usual.width_m if thing.width_m is None else thing.width_m
-    return Placed(
+    return PlacedObject(
         kind=thing.kind,
         east_m=east,
         north_m=north,
@@ -137,13 +137,13 @@ def _sizes(kind: ObjectKind, length_m: float | None, width_m: float | None, heig
     return {"length_m": length, "width_m": width, "height_m": height}
 
 
-def _scattered(scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], others: Sequence[Placed]) -> list[Placed]:
+def _scattered(scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], others: Sequence[PlacedObject]) -> list[PlacedObject]:
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([scene.seed, _STREAM, index])))
     low, high = group.ground_range_m or (0.0, swath_m(scene))
     share = np.array([leg.length_m for leg in legs]) / sum(leg.length_m for leg in legs)
     usual = USUAL[group.kind]
     taken = [(other.east_m, other.north_m, other.reach_m) for other in others]
-    placed: list[Placed] = []
+    placed: list[PlacedObject] = []
 
     def drawn(limits: tuple[float, float] | None) -> float | None:
         return None if limits is None else float(random.uniform(*limits))
@@ -177,7 +177,7 @@ def _scattered(scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], ot
             )
         taken.append((east, north, reach))
         placed.append(
-            Placed(
+            PlacedObject(
                 kind=group.kind,
                 east_m=east,
                 north_m=north,
@@ -208,12 +208,12 @@ def _power_law(uniform: float, smallest: float, largest: float) -> float:
     return float(smallest * (1.0 - uniform * share) ** (-1.0 / _SIZE_EXPONENT))
 
 
-def material_of(thing: Placed) -> Material:
+def material_of(thing: PlacedObject) -> Material:
     """What the object's bodies are made of."""
     return Material(thing.strength_db, thing.specular_db, _SPECULAR_EXPONENT)
 
 
-def bodies_of(thing: Placed, floor_m: HeightOfFloor, material: int) -> list[Body]:
+def bodies_of(thing: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:
     """The bodies of an object on a floor of the given height above the datum; none for what only echoes."""
     if thing.kind in ("point", "fish_school"):
         return []
@@ -230,7 +230,7 @@ def bodies_of(thing: Placed, floor_m: HeightOfFloor, material: int) -> list[Body
     return [*bodies, _single(thing, base, material)]
 
 
-def _single(thing: Placed, base_m: float, material: int) -> Body:
+def _single(thing: PlacedObject, base_m: float, material: int) -> Body:
     half_length, half_width, buried = 0.5 * thing.length_m, 0.5 * thing.width_m, thing.burial_m
     if thing.kind == "sphere":
         return _body(thing, ELLIPSOID, base_m, (half_width, half_width, half_width, half_width - buried), material, half_width)
@@ -248,7 +248,7 @@ def _single(thing: Placed, base_m: float, material: int) -> Body:
     return _polyhedron(thing, base_m, material)
 
 
-def _polyhedron(thing: Placed, base_m: float, material: int) -> Body:
+def _polyhedron(thing: PlacedObject, base_m: float, material: int) -> Body:
     """Wedge, box and rock: the hull of their corners, tilted, pushed into the floor."""
     half_length, half_width, height = 0.5 * thing.length_m, 0.5 * thing.width_m, thing.height_m
     if thing.kind == "rock":
@@ -292,7 +292,7 @@ def _rock_corners(half_length: float, half_width: float, height: float, seed: in
     return corners
 
 
-def _group(thing: Placed, floor_m: HeightOfFloor, material: int) -> list[Body]:
+def _group(thing: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:
     """A boulder cluster, or debris: plates, blocks and rods, strewn over the group's extent."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 1, thing.seed])))
     sine, cosine = math.sin(thing.azimuth_rad), math.cos(thing.azimuth_rad)
@@ -324,12 +324,19 @@ def _group(thing: Placed, floor_m: HeightOfFloor, material: int) -> list[Body]:
 
 
 def _body(
-    thing: Placed, kind: int, base_m: float, sizes: tuple[float, ...], material: int, reach_m: float, planes: Planes = (), n_sides: int = 0
+    thing: PlacedObject,
+    kind: int,
+    base_m: float,
+    sizes: tuple[float, ...],
+    material: int,
+    reach_m: float,
+    planes: Planes = (),
+    n_sides: int = 0,
 ) -> Body:
     return Body(kind, thing.east_m, thing.north_m, base_m, thing.azimuth_rad, reach_m, sizes, material, planes, n_sides)
 
 
-def points_of(thing: Placed, floor_m: HeightOfFloor) -> list[tuple[float, float, float, float]]:
+def points_of(thing: PlacedObject, floor_m: HeightOfFloor) -> list[tuple[float, float, float, float]]:
     """East, north, height above the datum (m) and target strength (linear, m2) of what echoes without a body."""
     if thing.kind not in ("point", "fish_school"):
         return []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_replay.simulator.render import Lines
 from sim_replay.simulator.scene import Sonar
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 from sim_replay.simulator.world import PATCH
 
 _STRIDE: Final = 32  # nodes between those whose surroundings are looked up when patches are counted
@@ -42,7 +42,7 @@ def beam_rays(sonar: Sonar) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def fan(
-    poses: Sequence[Pose],
+    poses: Sequence[SonarPose],
     floor_m: NDArray[np.float64],
     sonar: Sonar,
     datum_depth_m: float,
@@ -55,7 +55,7 @@ def fan(
     level floor the strip within the beam widens by 1 / cos(pitch).
     """
     angle, share = beam_rays(sonar)
-    columns = {name: np.array([getattr(pose, name) for pose in poses])[:, None, None] for name in Pose._fields}
+    columns = {name: np.array([getattr(pose, name) for pose in poses])[:, None, None] for name in SonarPose._fields}
     heading, pitch = columns["heading_rad"], columns["pitch_rad"]
     side = np.array([-1.0, 1.0])[None, :, None]
     elevation = datum_depth_m - columns["depth_m"]

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace
 from sim_replay.logs.xtf_writer import SampleType
-from sim_replay.simulator.scene import Recorder
+from sim_replay.simulator.scene import SampleRecorder
 
-_USUAL: Final[dict[str, Recorder]] = {
+_USUAL: Final[dict[str, SampleRecorder]] = {
     recorder.samples: recorder
     for recorder in (
-        Recorder(samples="amplitude_uint8", seabed_counts=35.0, full_scale=255, db_per_count=0.5),
-        Recorder(samples="amplitude_uint16", seabed_counts=3000.0, full_scale=32767, db_per_count=0.5),
-        Recorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535, db_per_count=0.5),
-        Recorder(samples="log_uint8", seabed_counts=140.0, full_scale=255, db_per_count=0.35),
-        Recorder(samples="log_uint16", seabed_counts=20_000.0, full_scale=65535, db_per_count=0.003),
+        SampleRecorder(samples="amplitude_uint8", seabed_counts=35.0, full_scale=255, db_per_count=0.5),
+        SampleRecorder(samples="amplitude_uint16", seabed_counts=3000.0, full_scale=32767, db_per_count=0.5),
+        SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535, db_per_count=0.5),
+        SampleRecorder(samples="log_uint8", seabed_counts=140.0, full_scale=255, db_per_count=0.35),
+        SampleRecorder(samples="log_uint16", seabed_counts=20_000.0, full_scale=65535, db_per_count=0.003),
     )
 }
 _TYPES: Final[dict[str, tuple[SampleType, type[np.generic]]]] = {
@@ -31,19 +31,21 @@ _TYPES: Final[dict[str, tuple[SampleType, type[np.generic]]]] = {
 }
 
 
-def complete(recorder: Recorder) -> Recorder:
+def complete(recorder: SampleRecorder) -> SampleRecorder:
     """The recorder with what is usual for its samples in place of what the scene leaves open."""
     usual = _USUAL[recorder.samples]
     given = {name: value for name in ("seabed_counts", "full_scale", "db_per_count") if (value := getattr(recorder, name)) is not None}
     return msgspec.structs.replace(usual, **given)
 
 
-def sample_type(recorder: Recorder) -> SampleType:
+def sample_type(recorder: SampleRecorder) -> SampleType:
     """What an XTF file stores the samples as."""
     return _TYPES[recorder.samples][0]
 
 
-def record(intensity: NDArray[np.float32], gain: NDArray[np.float64], n_ringing: int, recorder: Recorder, bin_m: float) -> list[EchoTrace]:
+def record(
+    intensity: NDArray[np.float32], gain: NDArray[np.float64], n_ringing: int, recorder: SampleRecorder, bin_m: float
+) -> list[EchoTrace]:
     """Samples of (n_rows, n_bins) intensity times (n_bins,) gain, whose unit is the mean echo of the scene's plain floor.
 
     The first n_ringing bins clip. recorder: complete. bin_m: slant range per bin that the recorder believes in.

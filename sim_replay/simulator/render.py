@@ -64,7 +64,7 @@ class Rendered(NamedTuple):
     owner: NDArray[np.int16] | None
 
 
-def render(
+def render_pings(
     lines: Lines,
     patches: Patches,
     bodies: Bodies,

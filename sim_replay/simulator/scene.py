@@ -13,7 +13,6 @@ from msgspec import Meta
 
 SeabedType: TypeAlias = Literal["mud", "sand", "rippled_sand", "gravel", "rock_outcrop", "boulder_field", "seagrass"]
 TargetKind: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge", "box"]
-ClutterKind: TypeAlias = Literal["rock", "boulder_cluster", "debris", "tyre", "pipe", "anchor_scar", "fish_school", "point"]
 ObjectKind: TypeAlias = Literal[
     "cylinder",
     "sphere",
@@ -160,7 +159,7 @@ class TimeVariedGain(_Section, frozen=True, kw_only=True):
     absorption_db_per_km: Annotated[float, Meta(ge=0.0, le=2000.0)] | None = None
 
 
-class Recorder(_Section, frozen=True, kw_only=True):
+class SampleRecorder(_Section, frozen=True, kw_only=True):
     """How echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root mean square) midway
     between its first return and range_m; for logarithms that is the count of its mean intensity. Above `full_scale` it clips."""
 
@@ -213,7 +212,7 @@ class Sonar(_Section, frozen=True, kw_only=True):
     crosstalk_db: Annotated[float, Meta(ge=-100.0, le=0.0)] | None = None
     second_bottom_db: Decibel | None = None
     gain: TimeVariedGain = TimeVariedGain()
-    recorder: Recorder = Recorder()
+    recorder: SampleRecorder = SampleRecorder()
     synthetic_aperture: SyntheticAperture | None = None
 
 

@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from auv_mcm.errors import UsageError
-from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.simulator.plan import Leg, place_in_plane, planned_legs, swath_m
 from sim_replay.simulator.scene import Scene, SceneObject
 from sim_replay.simulator.vehicle import STRONGEST_CURRENT
@@ -48,7 +48,9 @@ def parse_scene(text: str, place: str) -> Scene:
     try:
         scene = msgspec.convert(data, Scene)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explained(error, Scene)}. See the scenes shipped with the package for examples") from error
+        raise UsageError(
+            f"{place}: {explain_validation_error(error, Scene)}. See the scenes shipped with the package for examples"
+        ) from error
     check_scene(scene, place)
     return scene
 

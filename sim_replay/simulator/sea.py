@@ -27,14 +27,14 @@ from sim_replay.simulator.echo import (
     recorder_gain,
     vertical_pattern,
 )
-from sim_replay.simulator.objects import Material, Placed, bodies_of, material_of, place_objects, points_of
+from sim_replay.simulator.objects import Material, PlacedObject, bodies_of, material_of, place_objects, points_of
 from sim_replay.simulator.recording import complete, record
-from sim_replay.simulator.render import Lines, render
+from sim_replay.simulator.render import Lines, render_pings
 from sim_replay.simulator.scene import Scene, Sonar
 from sim_replay.simulator.scene_file import check_scene
 from sim_replay.simulator.speckle import band_limited_rows, gaussian_taps, row_keys, speckle_rows
-from sim_replay.simulator.vehicle import Pose
-from sim_replay.simulator.world import World
+from sim_replay.simulator.vehicle import SonarPose
+from sim_replay.simulator.world import SimulatedFloor
 
 Floats = NDArray[np.float64]
 
@@ -56,8 +56,8 @@ class Sea:
         sonar = _as_recorded(scene.sonar)
         self.scene: Final = scene
         self.sonar: Final = sonar
-        self.world: Final = World(scene.world, scene.seed)
-        self.objects: Final[tuple[Placed, ...]] = place_objects(scene)
+        self.world: Final = SimulatedFloor(scene.world, scene.seed)
+        self.objects: Final[tuple[PlacedObject, ...]] = place_objects(scene)
         self.recorder: Final = complete(sonar.recorder)
         materials: list[Material] = []
         bodies: list[Body] = []
@@ -85,11 +85,11 @@ class Sea:
         self._taps = gaussian_taps(sonar.range_resolution_m / (sonar.range_m / sonar.n_samples))
         self._threads = threads
 
-    def altitude_m(self, pose: Pose) -> float:
+    def altitude_m(self, pose: SonarPose) -> float:
         """Height of the sonar over the bare floor."""
         return self.scene.world.depth_m - pose.depth_m - self.world.floor_m(pose.east_m, pose.north_m)
 
-    def mean_intensity(self, poses: Sequence[Pose]) -> Floats:
+    def mean_intensity(self, poses: Sequence[SonarPose]) -> Floats:
         """Mean received intensity, (n_poses, 2, n_samples), port first, without noise."""
         sonar, datum_m, cell_m = self.sonar, self.scene.world.depth_m, self.world.cell_m
         floor = np.array([self.world.floor_m(pose.east_m, pose.north_m) for pose in poses])
@@ -111,7 +111,7 @@ class Sea:
         def part(rows: tuple[int, int]) -> Floats:
             mine = (lines.ping >= rows[0]) & (lines.ping < rows[1])
             own = Lines(**{name: values[mine] for name, values in lines._asdict().items()})._replace(ping=lines.ping[mine] - rows[0])
-            return render(
+            return render_pings(
                 own,
                 patches,
                 bodies,
@@ -131,7 +131,7 @@ class Sea:
         with ThreadPoolExecutor(len(spans)) as pool:
             return np.concatenate(list(pool.map(part, spans)))
 
-    def sound(self, poses: Sequence[Pose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
+    def sound(self, poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
         """Pings numbered from `first_number`, one per pose. altitudes_m: what the sonar's own altimeter says, unknown if left out.
 
         Raises UsageError where the floor leaves the sonar no water to be in.
@@ -147,7 +147,7 @@ class Sea:
         return self.record(np.stack(sides, axis=1), poses, first_number, altitudes_m)
 
     def record(
-        self, intensity: NDArray[np.float32], poses: Sequence[Pose], first_number: int, altitudes_m: Sequence[float] | None = None
+        self, intensity: NDArray[np.float32], poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None
     ) -> list[Ping]:
         """Pings of received intensity, (n_poses, 2, n_samples) in units of `reference`; the rest as in `sound`."""
         sonar = self.sonar
@@ -191,7 +191,7 @@ class Sea:
             float(max(fan.north_m.max(), far_north.max())),
         )
 
-    def _add_points(self, intensity: Floats, poses: Sequence[Pose]) -> None:
+    def _add_points(self, intensity: Floats, poses: Sequence[SonarPose]) -> None:
         """Echoes of points, which neither cast nor lie in shadows. Range r is seen from where the vehicle is r / c after transmission."""
         if not len(self.points):
             return
@@ -220,7 +220,7 @@ class Sea:
                     if 0 <= column < sonar.n_samples:
                         intensity[index, side, column] += echo * part
 
-    def add_other_paths(self, intensity: Floats, poses: Sequence[Pose], floor_m: Floats) -> None:
+    def add_other_paths(self, intensity: Floats, poses: Sequence[SonarPose], floor_m: Floats) -> None:
         """Adds to intensity (n_poses, 2, n_samples) what comes by way of the surface and from the other side, as far as the scene has it.
 
         floor_m: (n_poses,) height of the floor below the sonar above the datum.

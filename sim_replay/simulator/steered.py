@@ -23,7 +23,7 @@ from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import Track
-from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SLOWEST, STRONGEST_CURRENT, WANDER_PERIOD_S, Pose
+from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SLOWEST, STRONGEST_CURRENT, WANDER_PERIOD_S, SonarPose
 
 SAFE_ALTITUDE_M: Final = 1.5  # lower it goes for nobody
 FASTEST: Final = 1.5  # of the planned speed
@@ -147,7 +147,7 @@ class SteeredVehicle:
             east_m, north_m, _ = self._frame.to_enu(command.latitude_deg, command.longitude_deg, 0.0)
             self._place = float(east_m), float(north_m)
 
-    def fly(self, n_poses: int, rate_hz: float) -> list[Pose]:
+    def fly(self, n_poses: int, rate_hz: float) -> list[SonarPose]:
         """The next poses, `rate_hz` per second; the first of all is the start."""
         poses = []
         n_ticks = math.ceil(1.0 / rate_hz / _TICK_S)
@@ -228,8 +228,8 @@ class SteeredVehicle:
         """The shortest way to where the leg was left that ends along it (L. E. Dubins, 1957)."""
         self._gone_m = 0.0
         course_rad = math.atan2(*self._velocity(self._heading_rad))
-        entry = dubins.Pose(*leg.at(self._way_m - _RUN_IN_RADII * self.turn_radius_m, 0.0), leg.direction_rad)
-        path = dubins.dubins_path(dubins.Pose(self._east_m, self._north_m, course_rad), entry, _WIDE * self.turn_radius_m)
+        entry = dubins.PlanePose(*leg.at(self._way_m - _RUN_IN_RADII * self.turn_radius_m, 0.0), leg.direction_rad)
+        path = dubins.dubins_path(dubins.PlanePose(self._east_m, self._north_m, course_rad), entry, _WIDE * self.turn_radius_m)
         east, north = np.vstack([dubins.sample_path(path, _ARC_STEP_RAD)[:, :2], leg.at(self._way_m, 0.0)]).T
         return _Way(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))]), east, north)
 
@@ -255,12 +255,12 @@ class SteeredVehicle:
             self._speed_mps * math.cos(heading_rad) + self._current_mps * math.cos(self._current_rad),
         )
 
-    def _pose(self) -> Pose:
+    def _pose(self) -> SonarPose:
         floor_m = self._floor(self._east_m, self._north_m)
         east_mps, north_mps = self._velocity(self._heading_rad)
         depth_m = self._depth_m - self._altitude_error.at(self._time_s)[0]
         own = self._command is None and self._on_leg and not self.done
-        return Pose(
+        return SonarPose(
             time_s=self._track.start_time_s + self._time_s,
             east_m=self._east_m,
             north_m=self._north_m,

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_replay.scoring.seabed_map import encode
-from sim_replay.simulator.objects import Placed
+from sim_replay.simulator.objects import PlacedObject
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.sea import Sea
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 CELL_M: Final = 1.0
 STEEPEST_GRAZING_DEG: Final = 70.0  # nearer to the track nothing counts as swept
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]
 
 
-class Log:
+class TruthLog:
     """Keeps where the sonar was and which floor its swath swept on legs."""
 
     def __init__(self, sea: Sea) -> None:
@@ -33,11 +33,11 @@ class Log:
         self._tracks: list[Floats] = []
         self._last_sample_m = -math.inf
         self._way_m = 0.0
-        self._before: Pose | None = None
+        self._before: SonarPose | None = None
         self._cells: list[Codes] = []
         self._labels: list[NDArray[np.uint8]] = []
 
-    def add(self, poses: Sequence[Pose], altitudes_m: Sequence[float]) -> None:
+    def add(self, poses: Sequence[SonarPose], altitudes_m: Sequence[float]) -> None:
         """Another stretch, as it was flown."""
         self._tracks.append(
             np.array([(p.time_s, p.east_m, p.north_m, p.heading_rad, p.on_leg, a) for p, a in zip(poses, altitudes_m, strict=True)])
@@ -64,7 +64,7 @@ class Log:
         self._cells.append(codes)
         self._labels.append(labels)
 
-    def _swath(self, pose: Pose, altitude_m: float) -> Floats:
+    def _swath(self, pose: SonarPose, altitude_m: float) -> Floats:
         """Places across both sides, (2, n) east and north."""
         nearest, farthest = seen_ranges_m(altitude_m, self._sea.scene.sonar.range_m)
         if farthest <= nearest:
@@ -101,7 +101,7 @@ def seen_ranges_m(altitude_m: float, range_m: float) -> tuple[float, float]:
     return nearest, math.sqrt(max(0.0, (range_m - altitude_m) * (range_m + altitude_m)))
 
 
-def truth_of(sea: Sea, log: Log) -> dict[str, Any]:
+def truth_of(sea: Sea, log: TruthLog) -> dict[str, Any]:
     """Area swept on legs, every object with the passes that saw it, and a map of the swept floor."""
     frame = local_frame(sea.scene.origin)
     rows, columns, labels = log.swept()
@@ -125,11 +125,11 @@ def truth_of(sea: Sea, log: Log) -> dict[str, Any]:
     }
 
 
-def _label(sea: Sea, thing: Placed) -> int:
+def _label(sea: Sea, thing: PlacedObject) -> int:
     return int(sea.world.seabed_at(thing.east_m, thing.north_m))
 
 
-def _object(sea: Sea, thing: Placed, seabed: str, track: Floats) -> dict[str, Any]:
+def _object(sea: Sea, thing: PlacedObject, seabed: str, track: Floats) -> dict[str, Any]:
     latitude, longitude, _ = local_frame(sea.scene.origin).to_geodetic([thing.east_m, thing.north_m, 0.0])
     return {
         "kind": thing.kind,
@@ -148,7 +148,7 @@ def _object(sea: Sea, thing: Placed, seabed: str, track: Floats) -> dict[str, An
     }
 
 
-def _looks(thing: Placed, track: Floats, range_m: float) -> Iterator[dict[str, Any]]:
+def _looks(thing: PlacedObject, track: Floats, range_m: float) -> Iterator[dict[str, Any]]:
     """The moments when the object lay abeam on a leg, within what counts as seen."""
     if len(track) < 2:
         return

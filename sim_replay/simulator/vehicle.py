@@ -38,7 +38,7 @@ _STREAM: Final = 0x56454849  # keeps these random numbers apart from others of t
 _SENSE: Final[dict[dubins.Turn, float]] = {"left": -1.0, "straight": 0.0, "right": 1.0}
 
 
-class Pose(NamedTuple):
+class SonarPose(NamedTuple):
     """Where the sonar truly is, and how it moves.
 
     time_s: UTC seconds since 1970. east_m, north_m: in the scene's plane. depth_m: below the surface, positive down. Directions are
@@ -146,12 +146,12 @@ class Vehicle:
         """Whether the last leg lies behind."""
         return self._piece_now == len(self._pieces) - 1
 
-    def step(self, dt_s: float) -> Pose:
+    def step(self, dt_s: float) -> SonarPose:
         """The pose after another dt_s >= 0 seconds; the first one after step(0)."""
         self._fly_to(self._now_s + dt_s, stop_at_leg=False)
         return self._pose()
 
-    def poses(self, rate_hz: float) -> Iterator[Pose]:
+    def poses(self, rate_hz: float) -> Iterator[SonarPose]:
         """Poses from now until the plan is done, `rate_hz` per second. If the track has no pings in turns, only those on legs, each leg
         after a turn beginning with a pose at its very start."""
         silent = not self._track.pings_in_turns
@@ -187,9 +187,9 @@ class Vehicle:
         if abs(math.sin(off)) < _SAME_DIRECTION_RAD and math.cos(off) > 0.0 and abs(across) < _SAME_PLACE_M and along < _SAME_PLACE_M:
             return [_Piece(-1, -along, east_m, north_m, direction_rad, 0.0)] if along < -_SAME_PLACE_M else []
         run_in = RUN_IN_S * self._track.speed_mps
-        entry = dubins.Pose(*leg.at(-run_in, 0.0), leg.direction_rad)
+        entry = dubins.PlanePose(*leg.at(-run_in, 0.0), leg.direction_rad)
         pieces = []
-        for turn, length in dubins.dubins_path(dubins.Pose(east_m, north_m, direction_rad), entry, self._radius_m).segments:
+        for turn, length in dubins.dubins_path(dubins.PlanePose(east_m, north_m, direction_rad), entry, self._radius_m).segments:
             pieces.append(_Piece(-1, length, east_m, north_m, direction_rad, _SENSE[turn] / self._radius_m))
             east_m, north_m, direction_rad = pieces[-1].at(length)
         return [*pieces, _Piece(-1, run_in, *entry, 0.0)]
@@ -255,7 +255,7 @@ class Vehicle:
         east, north, direction = self._pieces[piece].at(way_m)
         return east + sway_m * math.cos(direction), north - sway_m * math.sin(direction), direction
 
-    def _pose(self) -> Pose:
+    def _pose(self) -> SonarPose:
         time_s, motion = self._now_s, self._track.motion
         piece = self._pieces[self._piece_now]
         sway, sway_mps = self._sway.at(time_s)
@@ -271,7 +271,7 @@ class Vehicle:
         else:
             depth = floor - self._track.altitude_m
         depth -= self._altitude_error.at(time_s)[0]
-        return Pose(
+        return SonarPose(
             time_s=self._track.start_time_s + time_s,
             east_m=east,
             north_m=north,

@@ -49,7 +49,7 @@ class Patches(NamedTuple):
     first_patch_column: int
 
 
-class World:
+class SimulatedFloor:
     """The sea floor of a scene.
 
     Args:

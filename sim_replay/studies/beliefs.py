@@ -30,7 +30,7 @@ from auv_mcm.confirm.snake import Nodes, converge, start_from_detection
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid
 from auv_mcm.records import ContactClass
-from auv_mcm.solids.box_search import Box, look_around, walk
+from auv_mcm.solids.box_search import SearchBox, look_around, walk
 from sim_replay.arguments import count
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.simulator.scene import SceneObject
@@ -80,7 +80,7 @@ _TURNS: Final[tuple[Solid, ...]] = ("cylinder", "wedge")
 Evidence = dict[ContactClass, ClassEvidence]
 
 
-class Thing(NamedTuple):
+class DrawnObject(NamedTuple):
     """An object and its views 90 degrees apart."""
 
     name: ContactClass
@@ -94,7 +94,7 @@ class FreeContour(NamedTuple):
     cost: float
 
 
-class Look(NamedTuple):
+class LikelihoodView(NamedTuple):
     """What one view says by the likelihood. half_turn_symmetric: of the solid that fits best. shadow: of the free contour, (n_rows,
     n_columns)."""
 
@@ -103,7 +103,7 @@ class Look(NamedTuple):
     shadow: Mask
 
 
-Judged = tuple[ContactClass, tuple[Look, Look]]
+Judged = tuple[ContactClass, tuple[LikelihoodView, LikelihoodView]]
 
 
 class BeliefRow(NamedTuple):
@@ -136,16 +136,16 @@ class Calibrated(NamedTuple):
     error: float
 
 
-def draw_things(n_objects: int, seed: int) -> list[Thing]:
+def draw_things(n_objects: int, seed: int) -> list[DrawnObject]:
     """Objects of all classes in turn."""
     return [draw_thing(FRAME[index % N_CLASSES], seed + index) for index in range(n_objects)]
 
 
-def draw_thing(name: ContactClass, seed: int) -> Thing:
+def draw_thing(name: ContactClass, seed: int) -> DrawnObject:
     """A mine as the bench of shapes draws it, or a rock at 10 to 45 m, rendered from two sides with altitudes told up to 10 % wrong."""
     for solid in SOLIDS:
         if solid == name:
-            return Thing(name, draw_object(solid, seed).views)
+            return DrawnObject(name, draw_object(solid, seed).views)
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_ROCK_STREAM, seed])))
     range_m, azimuth_deg, tilt_deg = (
         float(random.uniform(*limits)) for limits in ((10.0, 45.0), (0.0, 360.0), (-_ROCK_TILT_DEG, _ROCK_TILT_DEG))
@@ -168,7 +168,7 @@ def draw_thing(name: ContactClass, seed: int) -> Thing:
         )
         return rendered_region(rock, 2 * seed + number, altitude_error=altitude_error)
 
-    return Thing(name, (view(0.0, 0, error), view(90.0, 1, -error)))
+    return DrawnObject(name, (view(0.0, 0, error), view(90.0, 1, -error)))
 
 
 def free_contour(region: Region) -> FreeContour:
@@ -191,7 +191,7 @@ def code_length(nodes: Nodes, n_pixels: int) -> float:
     return math.log(n_pixels / CORRELATION_AREA) + 2.0 * math.log(n) + n * each
 
 
-def look(region: Region) -> Look:
+def look(region: Region) -> LikelihoodView:
     """Evidence by the likelihood. Highlights enter as far as they are in the likelihood: their extent, measured row by row, is too rough a
     number to count again."""
     free = free_contour(region)
@@ -199,10 +199,10 @@ def look(region: Region) -> Look:
     evidence: Evidence = {solid: ClassEvidence(nll=math.inf) for solid in SOLIDS}
     evidence |= {fit.solid: ClassEvidence(nll=fit.best.cost, plausibility=fit.plausibility) for fit in found.fits}
     evidence["clutter"] = ClassEvidence(nll=free.cost)
-    return Look(evidence, not (found.fits and found.fits[0].solid == "wedge"), free.labels == SHADOW)
+    return LikelihoodView(evidence, not (found.fits and found.fits[0].solid == "wedge"), free.labels == SHADOW)
 
 
-def looks_at(thing: Thing) -> tuple[Look, Look]:
+def looks_at(thing: DrawnObject) -> tuple[LikelihoodView, LikelihoodView]:
     """Both views of an object."""
     first, second = thing.views
     return look(first), look(second)
@@ -231,7 +231,7 @@ def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, 
     aside_m, before_m, behind_m = _PLACE_M
     place = ((along_m - aside_m, along_m + aside_m, _PLACE_GRAIN_M), (near_m - before_m, near_m + behind_m, _PLACE_GRAIN_M))
     low, high, grain = np.array(place + _SIZES[solid]).T
-    box = Box(low, high, (np.arange(low.size) == low.size - 1) & (solid in _TURNS), grain)
+    box = SearchBox(low, high, (np.arange(low.size) == low.size - 1) & (solid in _TURNS), grain)
 
     def distances(points: Array) -> Array:
         found = np.empty(len(points))
@@ -265,12 +265,12 @@ def mass_as_paper(region: Region, shadow: Mask) -> Array:
     return appriou_mass(shadow_evidence(region, shadow), _QUALITY, temperature=1.0)
 
 
-def mass_of_one(seen: Look, temperature: float = TEMPERATURE) -> Array:
+def mass_of_one(seen: LikelihoodView, temperature: float = TEMPERATURE) -> Array:
     """(32,) mass of one view."""
     return view_mass(seen.evidence, _QUALITY, temperature)
 
 
-def mass_of_two(looks: Sequence[Look], temperature: float = TEMPERATURE) -> Array:
+def mass_of_two(looks: Sequence[LikelihoodView], temperature: float = TEMPERATURE) -> Array:
     """(32,) mass of two views at right angles."""
     views = [
         ViewMass(
@@ -324,12 +324,12 @@ def reliability(masses: Array, names: Sequence[ContactClass]) -> list[Bin]:
     ]
 
 
-def contour_wins(seen: Look) -> bool:
+def contour_wins(seen: LikelihoodView) -> bool:
     """Whether the free contour explains a view better than every solid."""
     return seen.evidence["clutter"].nll < min(seen.evidence[solid].nll for solid in SOLIDS)
 
 
-def clutter_without_sizes(seen: Look) -> bool:
+def clutter_without_sizes(seen: LikelihoodView) -> bool:
     """Whether a view is called clutter if every size is as plausible as any other."""
     unsized = {name: ClassEvidence(nll=item.nll) for name, item in seen.evidence.items()}
     return bool(decided(pignistic(view_mass(unsized, _QUALITY))[np.newaxis])[0] == FRAME.index("clutter"))

@@ -5,7 +5,6 @@ python -m sim_replay.studies.contact_sheet --out FILE
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from itertools import islice
@@ -16,9 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.commands import Parser
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Ping
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.missions import SCENES
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
@@ -76,9 +76,7 @@ def contact_sheet(names: Sequence[str]) -> Picture:
 
 def main(arguments: Sequence[str]) -> int:
     """Draw the sheet; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m sim_replay.studies.contact_sheet", description="Draw waterfalls of the scenes that rates are taken on."
-    )
+    parser = Parser(prog="python -m sim_replay.studies.contact_sheet", description="Draw waterfalls of the scenes that rates are taken on.")
     parser.add_argument("--out", type=Path, required=True, help="where the JPEG goes")
     chosen = parser.parse_args(arguments)
     _, coded = cv2.imencode(".jpg", contact_sheet(SCENES), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])

@@ -23,11 +23,11 @@ import numpy as np
 
 from auv_mcm.settings.config import Config
 from sim_replay.arguments import count
-from sim_replay.fitting.cascade.classical.candidates import find_candidates
 from sim_replay.fitting.cascade.classical.chips import reference_shadow_m
+from sim_replay.fitting.cascade.classical.classical_candidates import find_candidates
+from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, score_windows
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family
-from sim_replay.fitting.cascade.classical.model import ClassicalModel, score_windows
-from sim_replay.fitting.cascade.classical.train import Samples, collect, fit_model, merged, of_kinds
+from sim_replay.fitting.cascade.classical.train_classical import ChipSamples, collect, fit_classical_model, merged, of_kinds
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import Kind, SeedRange, Seeds, SimulatedLine, Spec, Targets, lines_of
 from sim_replay.fitting.cascade.tiles import LabelledTile
@@ -126,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
     for experiment in EXPERIMENTS:
         chosen = [part for line, part in zip(lines, parts, strict=True) if line.background.startswith("flat/") or not experiment.flat_only]
         samples = of_kinds(merged(chosen), [TYPES[name] for name in experiment.learned])
-        models = {name: fit_model(samples, families) for name, families in FEATURES.items()}
+        models = {name: fit_classical_model(samples, families) for name, families in FEATURES.items()}
         images = list(run_tasks(judge, image_tasks(experiment, models, arguments.images), farm, _progress("images", arguments.images)))
         print(f"\n{experiment.name}; {len(images)} images, {sum(image.area_km2 for image in images):.3f} km² in all")
         print(f"learned from {next(iter(models.values())).trained_on}")
@@ -145,7 +145,7 @@ def training_lines(n_missions: int) -> tuple[SimulatedLine, ...]:
     return tuple(line for line in lines_of(spec, Path()) if isinstance(line, SimulatedLine))
 
 
-def samples_of(line: SimulatedLine) -> Samples:
+def samples_of(line: SimulatedLine) -> ChipSamples:
     """What there is to learn from in one mission."""
     return collect(simulated_tiles(line), line.config)
 

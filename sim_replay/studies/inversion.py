@@ -25,7 +25,7 @@ from auv_mcm.records import SIDES
 from auv_mcm.settings.config import Config
 from sim_replay.arguments import count
 from sim_replay.augment.direct import invert, mean_spacing_m, multi_look
-from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render
+from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render_image
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.simulator.bedforms import RippleTrain
 from sim_replay.simulator.fields import Noise, Spectrum, gaussian, power_law
@@ -112,7 +112,7 @@ def made_up_scene(floor: FloorKind, seed: int) -> SeafloorScene:
 
 def speckled(scene: SeafloorScene, looks: int, seed: int) -> Array:
     """The image of a scene with speckle and with noise 20 dB below the typical echo."""
-    rendering = render(scene)
+    rendering = render_image(scene)
     noise = _NOISE * float(np.median(rendering.intensity[~rendering.shadow]))
     speckle = np.random.Generator(np.random.PCG64([seed, looks])).gamma(looks, 1.0 / looks, rendering.intensity.shape)
     return np.asarray((rendering.intensity + noise) * speckle)
@@ -125,7 +125,7 @@ def figures(truth: SeafloorScene, image: Array, method: Inversion) -> Figures:
     cpu_s = time.process_time() - start
     relief, gain = _relief_agreement(found.elevation_m, truth.elevation_m, truth)
     seen = _inside(truth)
-    error, error_db = _image_agreement(render(found).intensity[seen], render(truth).intensity[seen])
+    error, error_db = _image_agreement(render_image(found).intensity[seen], render_image(truth).intensity[seen])
     reflectivity = _correlation(np.log(found.reflectivity[seen]), np.log(truth.reflectivity[seen]))
     return Figures(relief, gain, reflectivity, error, error_db, cpu_s)
 
@@ -160,7 +160,7 @@ def line_figures(picture: LinePicture, heights: Array | None, method: Inversion)
     relief, gain = (math.nan, math.nan) if heights is None else _relief_agreement(found.elevation_m, heights, found)
     seen = _inside(found)
     smooth = multi_look(picture.intensity, picture.valid).intensity
-    error, error_db = _image_agreement(render(found).intensity[seen], smooth[seen])
+    error, error_db = _image_agreement(render_image(found).intensity[seen], smooth[seen])
     return Figures(relief, gain, math.nan, error, error_db, cpu_s)
 
 

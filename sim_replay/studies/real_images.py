@@ -19,10 +19,10 @@ import numpy as np
 
 from auv_mcm.classify.odds import MineOdds, shipped_odds
 from auv_mcm.records import Detection
-from auv_mcm.shell.results import make_directory
+from auv_mcm.shell.whole_files import make_directory
 from sim_replay.studies.picture_speckle import picture_speckle
 from sim_replay.studies.real_calls import CALLED, Called, call, is_call, n_kept
-from sim_replay.studies.real_outlines import Judged, Overlaps, judge
+from sim_replay.studies.real_outlines import JudgedOutline, Overlaps, judge
 from sim_replay.studies.real_pictures import EFFIGY_M, Picture, clutter, effigies, length_px, snippets
 from sim_replay.studies.real_sheets import write_sheets
 from sim_replay.studies.real_tiles import SAS, SIDE_SCAN
@@ -77,7 +77,7 @@ def _print_pictures(pictures: Sequence[Picture]) -> None:
         print(f"speckle's {name} (quartiles): " + ", ".join(f"{value:.2f}" for value in quartiles(part)))
 
 
-def _print_overlaps(judged: Sequence[Judged]) -> None:
+def _print_overlaps(judged: Sequence[JudgedOutline]) -> None:
     names = [name.replace("_", " ") for name in Overlaps._fields]
     heading = "".join(f"{name:>18}" for name in names)
     print(f"\n{'tile':<42}{'cut':>4}{'dB':>6}{'+1 px':>7}{'nodes':>7}{'thresh.':>9}{heading}{'found':>7}{'IoU':>6}")
@@ -96,7 +96,7 @@ def _print_overlaps(judged: Sequence[Judged]) -> None:
         print(f"{f'{low:g} to {high:g}':<18}{len(part):>6}{statistics.median(j.best_threshold for j in part):>9.2f}{values}")
 
 
-def _print_quartiles(title: str, part: Sequence[Judged]) -> None:
+def _print_quartiles(title: str, part: Sequence[JudgedOutline]) -> None:
     print(f"\n{title}: {len(part)} tiles, {sum(j.detected for j in part)} detected, {sum(j.first for j in part)} as the most mine-like")
     looked_at = [j.looked_at for j in part if j.looked_at is not None]
     for threshold in CALLED:
@@ -125,7 +125,7 @@ def _print_scales(whole: Sequence[Picture], odds: MineOdds) -> None:
         print(f"  {100.0 * pixel_m:.1f} cm: {told}; {sum(j.detected for j in part)} of {len(part)} detected")
 
 
-def _print_kept(judged: Sequence[Judged], called: Sequence[Called]) -> None:
+def _print_kept(judged: Sequence[JudgedOutline], called: Sequence[Called]) -> None:
     looked_at = [j.looked_at for j in judged if j.looked_at is not None]
     scores: dict[str, tuple[list[float], list[float]]] = {
         "detector alone": ([one.p_mine for one, _ in looked_at], [d.p_mine for c in called for d in c.detections]),

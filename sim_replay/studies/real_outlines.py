@@ -40,7 +40,7 @@ class Overlaps(NamedTuple):
     best_start: float
 
 
-class Placed(NamedTuple):
+class PlacedRegion(NamedTuple):
     """A region and its first row and column in the tile."""
 
     region: Region
@@ -50,13 +50,13 @@ class Placed(NamedTuple):
 class Outlined(NamedTuple):
     """Highlight of a region. labels: same shape bool, the object's own. contour: (n, 2) float64 nodes of the best snake."""
 
-    placed: Placed
+    placed: PlacedRegion
     labels: Mask
     contour: Nodes
     iou: Overlaps
 
 
-class Judged(NamedTuple):
+class JudgedOutline(NamedTuple):
     """One picture of the object.
 
     detected: some detection is near the mask. first: that is the one of highest p_mine. given, found: with the mask's centre and with
@@ -78,7 +78,7 @@ class Judged(NamedTuple):
     contrast_db: float
 
 
-def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judged:
+def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> JudgedOutline:
     """Find and outline the object in a picture that has a mask."""
     assert picture.mask is not None
     tile, config = tile_of(picture, geometry), config_of(geometry)
@@ -91,13 +91,13 @@ def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judged:
     found, looked_at = None, None
     if near and (surroundings := near[0].surroundings) is not None:
         corner = round(near[0].row - surroundings.row), round(near[0].column - surroundings.column)
-        found = outline(Placed(region_of(near[0], surroundings, beam_width_rad), corner), mask)
+        found = outline(PlacedRegion(region_of(near[0], surroundings, beam_width_rad), corner), mask)
         looked_at = near[0], confirm_detection(near[0], beam_width_rad, odds, config.confirm)
     valid = (tile.mask & VALID) != 0
     intensity = tile.intensity.astype(np.float64)
     grown, around = (cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0 for side in (3, _AROUND_PX))
     inside, outside = (float(intensity[part & valid].mean()) for part in (mask, around & ~grown))
-    return Judged(
+    return JudgedOutline(
         picture=picture,
         geometry=geometry,
         detected=found is not None,
@@ -112,7 +112,7 @@ def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judged:
     )
 
 
-def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> Placed:
+def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> PlacedRegion:
     """What a detection at a place of the tile would be looked at in."""
     n_rows, n_columns = tile.mask.shape
     (before, after), reach = (round(away_m / tile.column_spacing_m) for away_m in _ACROSS_M), round(ROWS_M / tile.row_spacing_m)
@@ -129,10 +129,10 @@ def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> 
         column=column - near,
         beam_width_rad=beam_width_rad,
     )
-    return Placed(region, (top, near))
+    return PlacedRegion(region, (top, near))
 
 
-def outline(placed: Placed, mask: Mask) -> Outlined:
+def outline(placed: PlacedRegion, mask: Mask) -> Outlined:
     """Labels and contours of a region's object, as confirmation makes them, beside a mask (n_rows, n_columns) of the whole tile."""
     region = placed.region
     area = grain_area(region.intensity, region.valid)

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.studies.real_calls import CALLED, Called, is_call
-from sim_replay.studies.real_outlines import Judged
+from sim_replay.studies.real_outlines import JudgedOutline
 from sim_replay.studies.real_pictures import Mask
 
 Canvas = NDArray[np.uint8]
@@ -30,7 +30,7 @@ _SHIFT: Final = 4  # binary digits below a pixel that lines are drawn to
 _QUALITY: Final = 62
 
 
-def write_sheets(folder: Path, judged: Sequence[Judged], called: Sequence[Called]) -> tuple[Path, Path]:
+def write_sheets(folder: Path, judged: Sequence[JudgedOutline], called: Sequence[Called]) -> tuple[Path, Path]:
     """Write real-outlines.jpg and real-calls.jpg into the folder."""
     paths = folder / "real-outlines.jpg", folder / "real-calls.jpg"
     for path, sheet in zip(paths, (outlines_sheet(judged), calls_sheet(called)), strict=True):
@@ -38,7 +38,7 @@ def write_sheets(folder: Path, judged: Sequence[Judged], called: Sequence[Called
     return paths
 
 
-def outlines_sheet(judged: Sequence[Judged]) -> Canvas:
+def outlines_sheet(judged: Sequence[JudgedOutline]) -> Canvas:
     """All whole objects from the best outline to the worst by the snake's overlap, then some cut off by the tile's edge, evenly spread
     from best to worst: mask green, highlight labels orange, contour blue."""
     ordered = sorted(judged, key=lambda j: -j.given.iou.best_start)
@@ -52,7 +52,7 @@ def calls_sheet(called: Sequence[Called]) -> Canvas:
     return _grid([_called(one) for one in called], _SNIPPET_COLUMNS)
 
 
-def _outlined(one: Judged) -> Canvas:
+def _outlined(one: JudgedOutline) -> Canvas:
     mask, placed = one.picture.mask, one.given.placed
     assert mask is not None
     rows, columns = np.nonzero(mask)

@@ -25,7 +25,7 @@ from sim_replay.simulator.echo import absorption_db_per_km, bin_ranges_m, flat_f
 from sim_replay.simulator.scene import STEADY, Lawnmower, Scene, SceneObject, Sonar, Track, World
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.speckle import gaussian_taps, row_keys, speckle_rows
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 CORRELATION_AREA: Final = 1.8  # pixels, of regions rendered here
 EFFORTS: Final = {
@@ -181,7 +181,8 @@ def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.
     ahead = 0.618 * seed % 1.0 - 0.5  # pings do not fall on the object's middle
     depth_m = world.depth_m - sea.world.floor_m(thing.east_m, 0.0) - _ALTITUDE_M
     poses = [
-        Pose(i / _PING_RATE_HZ, 0.0, (i - _N_ROWS // 2 + ahead) * row_m, depth_m, 0.0, 0.0, 0.0, 0.0, _SPEED_MPS, 0) for i in range(_N_ROWS)
+        SonarPose(i / _PING_RATE_HZ, 0.0, (i - _N_ROWS // 2 + ahead) * row_m, depth_m, 0.0, 0.0, 0.0, 0.0, _SPEED_MPS, 0)
+        for i in range(_N_ROWS)
     ]
     absorption = absorption_db_per_km(_SONAR, world.depth_m)
     table = floor_tables(sea.scene, sea.world.covers)[0]

@@ -38,11 +38,9 @@ from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
-Outline: TypeAlias = Literal["parallelogram", "ellipse"]
 Mask: TypeAlias = NDArray[np.bool_]
 Label: TypeAlias = Literal["target", "clutter"]
 
-N_STARTS: Final = 20
 ODDS_SCENES: Final = ("ripple", "seagrass", "flat", "mixed")
 HELD_OUT_SEEDS: Final = tuple(range(31, 37))  # the rules were set on seeds from 11 to 23
 SCHEDULES: Final[dict[str, tuple[Schedule, Schedule]]] = {

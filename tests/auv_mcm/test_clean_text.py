@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from auv_mcm.clean_text import CleanFormatter, clean, clean_json, clean_lines, is_clean
 from auv_mcm.cli import main
-from auv_mcm.contacts.export import contacts_kml
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
-from auv_mcm.shell.results import write_json
+from auv_mcm.shell.whole_files import write_json
+from tests.auv_mcm.contacts.whole_exports import contacts_kml
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = "a\x1b[2J\r\nb\x07\x7f\x9b31m\u202egnp.exe\u2066\u2028\ufeff\U000e0041\udc80\ufffe\x00"

@@ -83,12 +83,32 @@ def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
     assert message in text
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "--ou", "x"], "the following arguments are required: --out"),
+        (["train", "--out", "x", "--work", "3"], "did you mean --workers?"),
+        (["replay", "a.xtf", "--out", "o", "--thread", "2"], "did you mean --threads?"),
+        (["calibrate", "odds", "--out", "x", "--crowd", "3"], "did you mean --crowded?"),
+        (["bench", "waterfall", "a.xtf", "--max", "3"], "unrecognized arguments: --max"),
+    ],
+)
+def test_the_beginning_of_an_option_is_not_taken_for_the_whole(
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.train_model", lambda *_, **__: pytest.fail("the training began"))
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("separator", [[], ["--"]])
 def test_train_takes_an_option_as_its_first_argument(
     separator: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[object] = []
-    monkeypatch.setattr("sim_replay.fitting.cascade.command.train_model", lambda spec, out, **_: asked.append((spec, out)))
+    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.train_model", lambda spec, out, **_: asked.append((spec, out)))
     assert main(["train", *separator, "--out", str(tmp_path / "model.json")]) == 0
     assert asked == [(None, tmp_path / "model.json")]
     assert "model.json" in capsys.readouterr().out

@@ -12,7 +12,7 @@ from auv_mcm.classify.odds import MineOdds, Weights
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Notice, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config, ConfirmConfig, ContactsConfig
-from sim_replay.simulator.scene import Recorder, SceneObject, Sonar
+from sim_replay.simulator.scene import SampleRecorder, SceneObject, Sonar
 from tests.auv_mcm.short_missions import flown, one_leg
 
 OBJECTS = (
@@ -23,7 +23,7 @@ SONAR = Sonar(
     range_m=22.0,
     n_samples=512,
     ping_rate_hz=12.0,
-    recorder=Recorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
+    recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
 )
 
 

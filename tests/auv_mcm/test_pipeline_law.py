@@ -13,7 +13,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Lawnmower, Recorder, Scene, Sonar, Track
+from sim_replay.simulator.scene import Lawnmower, SampleRecorder, Scene, Sonar, Track
 
 N_AMPLITUDE = 280
 
@@ -21,7 +21,7 @@ N_AMPLITUDE = 280
 @cache
 def events() -> tuple[SourceEvent, ...]:
     """A leg of 120 m whose recorder stores amplitudes first, then averaged logarithms in 8 bits, as another one would."""
-    recorder = Recorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
+    recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
     sonar = Sonar(looks=3, n_samples=600, range_m=40.0, recorder=recorder)
     scene = Scene(seed=5, sonar=sonar, track=Track(plan=Lawnmower(n_legs=1, leg_m=120.0)))
     given = list(Mission(scene).events())

@@ -12,7 +12,7 @@ from auv_mcm.detect.cascade.choose import NONE
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config, ContactsConfig, DetectConfig, SonarConfig
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import STEADY, Recorder, Scene, SceneObject, Sonar
+from sim_replay.simulator.scene import STEADY, SampleRecorder, Scene, SceneObject, Sonar
 from tests.auv_mcm.short_missions import one_leg
 
 WGS84_A_M, WGS84_F = 6378137.0, 1.0 / 298.257223563
@@ -76,7 +76,7 @@ def test_point_target_is_reported_within_a_third_of_a_metre(
         ping_rate_hz=min(9.0, 700.0 / range_m),
         beam_width_deg=0.7,  # so that some ping sees the point at every range
         beam_lines=1,
-        recorder=Recorder(samples="amplitude_float32"),
+        recorder=SampleRecorder(samples="amplitude_float32"),
     )
     scene = one_leg(
         [SceneObject(kind="point", leg=0, along_m=12.0, across_m=across_m, strength_db=POINT_DB)],

@@ -17,7 +17,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config, WaterfallConfig
-from sim_replay.simulator.scene import Recorder, Scene, SceneObject, Sonar
+from sim_replay.simulator.scene import SampleRecorder, Scene, SceneObject, Sonar
 from tests.auv_mcm.short_missions import flown, one_leg
 
 LENGTH_M = 44.0
@@ -34,7 +34,7 @@ SONAR = Sonar(
     ping_rate_hz=12.0,
     range_resolution_m=0.0,
     beam_lines=3,
-    recorder=Recorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
+    recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=3000.0, full_scale=32767),
 )
 
 

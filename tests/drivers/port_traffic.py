@@ -10,6 +10,7 @@ import numpy as np
 
 from auv_mcm.clock import Stamp
 from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, parse_config
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Gga, Hdt, Vtg, body_of
@@ -30,6 +31,19 @@ ports:
 
 def config_of(text: str = PORTS) -> Config:
     return parse_config(text, "vehicle.yaml")
+
+
+class Collected:
+    """A sink without bounds, and what it was given."""
+
+    def __init__(self) -> None:
+        self.events: list[SourceEvent] = []
+
+    async def put(self, event: SourceEvent) -> None:
+        self.events.append(event)
+
+    def push(self, event: SourceEvent) -> None:
+        self.events.append(event)
 
 
 class Chunk(NamedTuple):

@@ -8,8 +8,8 @@ import itertools
 from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.records import Notice
 from drivers.backlog import MAX_WAITING_BYTES, TURN_S, Backlog, Chunk
-from drivers.source import PortSource
-from tests.drivers.port_traffic import config_of
+from drivers.port_source import PortSource
+from tests.drivers.port_traffic import Collected, config_of
 
 GENEROUS_S = 60.0
 IMC = "ports: [{name: auv, link: 'tcp://127.0.0.1:9', device: imc}]"
@@ -104,14 +104,10 @@ def test_a_flood_leaves_every_turn_of_the_event_loop_to_others() -> None:
 def test_a_flood_that_finds_no_room_is_recorded_counted_and_told_once() -> None:
     flood = Flood()
     n_chunks = 2 * MAX_WAITING_BYTES // len(JUNK)
-    events = []
+    sink = Collected()
 
     async def main() -> None:
-        async def read() -> None:
-            async for event in flood.source.events():
-                events.append(event)
-
-        reading = asyncio.ensure_future(read())
+        reading = asyncio.ensure_future(flood.source.run(sink))
         await asyncio.sleep(0)
         flood.send(n_chunks)
         flood.source.stop()
@@ -119,7 +115,7 @@ def test_a_flood_that_finds_no_room_is_recorded_counted_and_told_once() -> None:
             await reading
 
     asyncio.run(main())
-    told = [event for event in events if isinstance(event, Notice) and event.code == "port_flooded"]
+    told = [event for event in sink.events if isinstance(event, Notice) and event.code == "port_flooded"]
     assert len(told) == 1
     assert "port 'auv'" in told[0].text
     assert told[0].place == "auv"

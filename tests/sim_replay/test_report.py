@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.picture import COLOURS, display_levels, snippet_picture, snippet_png
+from auv_mcm.contacts.contact_picture import COLOURS, display_levels, snippet_picture, snippet_png
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Notice, Side
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, render_report, write_report
 from sim_replay.report.chart import WIDTH, draw_chart
-from sim_replay.report.words import area, degrees_minutes, distance, duration, explained, is_loss, nice_step
+from sim_replay.report.report_words import area, degrees_minutes, distance, duration, explained_counters, is_loss, nice_step
 from tests.sim_replay.report_samples import ROW_M, START_S, Page, collected, contact, detection, mission, tile, waypoints
 
 
@@ -346,7 +346,7 @@ def test_counters_are_told_by_stage_in_words() -> None:
         "ping.gap": 0,
         "reader.pings": 9,
     }
-    told = dict(explained(counters, is_loss))
+    told = dict(explained_counters(counters, is_loss))
     assert list(told) == ["Brand", "Other", "Quality of echoes", "Reading the log"]
     assert told["Quality of echoes"][0].number == "1\u202f234\u202f567"
     assert told["Quality of echoes"][0].meaning.endswith("(port side)")

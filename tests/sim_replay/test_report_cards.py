@@ -23,7 +23,7 @@ from auv_mcm.records import NAN, Confirmation, Contact, ContactClass, Detection,
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, render_report
 from sim_replay.report.panels import view_picture
-from sim_replay.report.words import agreement, evidence, listed, model_sizes, plus_minus
+from sim_replay.report.report_words import agreement, evidence_words, listed, model_sizes, plus_minus
 from tests.auv_mcm.classify import drawn_looks
 from tests.sim_replay.report_samples import Page, contact, detection, mission
 
@@ -260,7 +260,7 @@ def test_the_page_stays_bounded_with_every_contact_looked_at_closely() -> None:
 
 
 def test_words_for_numbers() -> None:
-    assert [evidence(value) for value in (12.0, 3.0, 1.5, 0.0, -3.0, NAN)] == [
+    assert [evidence_words(value) for value in (12.0, 3.0, 1.5, 0.0, -3.0, NAN)] == [
         "strongly for a mine (+12.0\u00a0nats)",
         "for a mine (+3.0\u00a0nats)",
         "slightly for a mine (+1.5\u00a0nats)",

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping, Side, Transfer
 from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.augment.background_log import Survey, read_survey, to_samples
 from sim_replay.augment.direct import invert
 from sim_replay.augment.embed import Embedded, embed
-from sim_replay.augment.forward import BeamPattern, SeafloorScene, cos_incidence, render
-from sim_replay.augment.line import Change, Line, measure_line, mixed
-from sim_replay.augment.log import Survey, read_survey, to_samples
+from sim_replay.augment.forward import BeamPattern, SeafloorScene, cos_incidence, render_image
+from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed
 from sim_replay.augment.poisson import Stiffness, integrate_slope
 from sim_replay.augment.shadows import shadow_runs
-from sim_replay.augment.targets import Target, TargetSpec, place_targets
+from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
@@ -77,7 +77,7 @@ def inverted(inversion: str, image: Plane, valid: Mask = ALL, altitude_m: float 
     n_pings = len(image)
     with np.errstate(all="raise", under="ignore"):
         scene = INVERSIONS[inversion](image, valid, np.full(n_pings, altitude_m), ROW_M * np.arange(n_pings, dtype=np.float64), COLUMN_M)
-        rendered = render(scene)
+        rendered = render_image(scene)
     for plane in (scene.elevation_m, scene.reflectivity, scene.beam.gain, scene.beam.depression_rad, rendered.intensity):
         assert np.isfinite(plane).all()
     assert (scene.reflectivity >= 0.0).all()
@@ -194,7 +194,7 @@ def test_no_facet_faces_the_sonar_more_than_straight(altitude_m: float) -> None:
         elevation[1] = altitude_m
         with np.errstate(all="raise", under="ignore"):
             cosine = cos_incidence(elevation, np.full(8, altitude_m), ROW_M * np.arange(8.0), COLUMN_M)
-            rendered = render(
+            rendered = render_image(
                 SeafloorScene(
                     elevation_m=elevation,
                     reflectivity=np.ones_like(elevation),
@@ -246,10 +246,10 @@ def test_shadows_know_no_gain_and_no_direction_along_the_track(power: int) -> No
 # --- how echoes mix ---
 
 
-def line(width: float = 0.0, looks: int = 1) -> Line:
+def line(width: float = 0.0, looks: int = 1) -> SampleScatter:
     law = -np.log1p(-np.minimum(np.linspace(0.0, 1.0, 513), 0.9995))
     taps = gaussian_taps(width) if width else WHITE
-    return Line(taps, taps, looks, np.ones(SHAPE[1]), law, np.ones(SHAPE[1]))
+    return SampleScatter(taps, taps, looks, np.ones(SHAPE[1]), law, np.ones(SHAPE[1]))
 
 
 def a_change() -> Change:
@@ -302,7 +302,7 @@ N_PINGS, N_SAMPLES, SPACING_M, STEP_M, ALTITUDE_M = 64, 300, 0.06, 0.1, 4.0
 MIDDLE = N_PINGS // 2
 HEADING_RAD = math.radians(30.0)
 PING, SAMPLE = np.indices((N_PINGS, N_SAMPLES))
-BOX = Target(kind="box", ping=MIDDLE, side="starboard", ground_range_m=10.0, azimuth_deg=30.0)
+BOX = EmbeddedTarget(kind="box", ping=MIDDLE, side="starboard", ground_range_m=10.0, azimuth_deg=30.0)
 
 
 class Recording(NamedTuple):
@@ -363,7 +363,7 @@ def surveyed(folder: Path, recording: Recording) -> tuple[Path, Survey, Config]:
     return path, read_survey(path, config), config
 
 
-def with_target(folder: Path, recording: Recording, target: Target = BOX) -> tuple[Embedded, dict[Side, Samples]]:
+def with_target(folder: Path, recording: Recording, target: EmbeddedTarget = BOX) -> tuple[Embedded, dict[Side, Samples]]:
     """The target in the log, and the log's samples by side; every floating-point flag but underflow is an error."""
     with np.errstate(all="raise", under="ignore"):
         path, survey, config = surveyed(folder, recording)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from auv_mcm.geometry.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, wrap_angle_rad, wrap_longitude_deg
+from auv_mcm.geometry.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, wrap_longitude_deg
 
 
 def test_a_dense_sweep_of_the_globe_round_trips() -> None:
@@ -52,4 +52,3 @@ def test_nan_stays_nan_and_spoils_no_neighbour() -> None:
     assert np.isnan(back[0]).tolist() == [False, True, False]
     np.testing.assert_allclose(back[0][[0, 2]], 10.0)
     assert np.isnan(wrap_longitude_deg(np.nan))
-    assert np.isnan(wrap_angle_rad(np.nan))

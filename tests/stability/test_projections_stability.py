@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge, flat_ground_range_m, view_shape
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 
 Array = NDArray[np.float64]
 RIGHT = 0.5 * math.pi
@@ -32,7 +32,7 @@ def _no_floating_point_flag() -> Iterator[None]:
         yield
 
 
-def whole(view: View) -> bool:
+def whole(view: SolidView) -> bool:
     """Every ping sees all three numbers or none, in order."""
     seen = np.isfinite(view.front_slant_range_m)
     assert all((np.isnan(values) == ~seen).all() for values in view)

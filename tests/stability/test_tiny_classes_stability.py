@@ -14,7 +14,7 @@ from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import BACKGROUND, Region
 from auv_mcm.confirm.snake import converge
-from auv_mcm.solids.box_search import Box, curvature_covariance
+from auv_mcm.solids.box_search import SearchBox, curvature_covariance
 from sim_replay.studies.paper_mrf import segment_as_paper
 from tests.stability.region_doors import DOORS, START, cone_region, plain, through
 
@@ -125,7 +125,7 @@ def test_a_field_of_one_label_leaves_the_smoothness_to_the_prior(estimate: bool)
 @pytest.mark.parametrize("rank", [0, 1, 2])
 @pytest.mark.parametrize("steepness", [1e-12, 1.0, 1e12, 1e100])
 def test_uncertainty_of_what_the_cost_does_not_tell_is_wide_and_finite(rank: int, steepness: float) -> None:
-    space = Box(np.full(3, -1.0), np.full(3, 1.0), np.zeros(3, dtype=np.bool_), np.full(3, 0.1))
+    space = SearchBox(np.full(3, -1.0), np.full(3, 1.0), np.zeros(3, dtype=np.bool_), np.full(3, 0.1))
     ways = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8]])[:rank]
     covariance = curvature_covariance(lambda points: steepness * np.square(points @ ways.T).sum(axis=1), space, np.zeros(3))
     assert np.isfinite(covariance).all()

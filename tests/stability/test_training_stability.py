@@ -20,8 +20,8 @@ from auv_mcm.kernels.cascade import encode
 from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
 from sim_replay.fitting.cascade.pool import Pool, bin_edges, box_means, feature_pool, model_stump, quantise
 from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
-from sim_replay.fitting.cascade.stages import Samples, threshold, train_stage
-from sim_replay.fitting.cascade.validation import Sighting, calibrate, expected_pd
+from sim_replay.fitting.cascade.stages import StageSamples, threshold, train_stage
+from sim_replay.fitting.cascade.validation import ValidationSighting, calibrate, expected_pd
 from tests.stability.tile_pictures import PICTURES
 
 Labels = NDArray[np.bool_]
@@ -211,7 +211,7 @@ def test_scores_at_both_ends_of_the_numbers_keep_their_order() -> None:
 
 
 def test_a_stage_that_nothing_tells_apart_lets_all_pass_and_says_so() -> None:
-    alike = Samples(np.full((3, 50), 9, dtype=np.uint8), np.arange(50) < 20)
+    alike = StageSamples(np.full((3, 50), 9, dtype=np.uint8), np.arange(50) < 20)
     with np.errstate(all="raise"):
         stage = train_stage(alike, alike, generator(12))
     assert stage == ((), 0, 1.0, 1.0)
@@ -246,7 +246,8 @@ def test_targets_at_no_range_count_in_no_cell() -> None:
     model = model_of([BoostedStump(0, 0, 1, -1)], np.ones((1, 1), dtype=np.float32))
     passing = np.zeros(1, dtype=np.int32)
     seen = [
-        Sighting("mud", ground_range_m, passing) for ground_range_m in (math.nan, -1e-9, 200.0, math.inf, 0.0, math.nextafter(200.0, 0.0))
+        ValidationSighting("mud", ground_range_m, passing)
+        for ground_range_m in (math.nan, -1e-9, 200.0, math.inf, 0.0, math.nextafter(200.0, 0.0))
     ]
     with np.errstate(all="raise"):
         told = expected_pd(model, seen)

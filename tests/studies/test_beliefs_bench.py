@@ -17,7 +17,7 @@ from auv_mcm.records import ContactClass
 from auv_mcm.solids.shapes import Sphere
 from sim_replay.studies.beliefs import (
     HELD_OUT_SEED,
-    Look,
+    LikelihoodView,
     belief_rows,
     calibration_of,
     calibrations,
@@ -122,10 +122,10 @@ def test_promises_are_set_beside_outcomes_where_there_are_any() -> None:
 
 
 def test_a_rock_of_implausible_size_is_told_by_its_size_alone() -> None:
-    def rock(plausible: float, contour: float) -> Look:
+    def rock(plausible: float, contour: float) -> LikelihoodView:
         evidence = {name: ClassEvidence(nll=-100.0 if name == "wedge" else 0.0, plausibility=plausible) for name in FRAME}
         evidence["clutter"] = ClassEvidence(nll=contour)
-        return Look(evidence, False, np.zeros((1, 1), dtype=np.bool_))
+        return LikelihoodView(evidence, False, np.zeros((1, 1), dtype=np.bool_))
 
     assert belief_rows(mass_of_one(rock(0.0, -60.0))[np.newaxis], ["clutter"])[0].correct == 1.0
     assert not contour_wins(rock(0.0, -60.0))
@@ -135,7 +135,9 @@ def test_a_rock_of_implausible_size_is_told_by_its_size_alone() -> None:
 
 
 def test_two_views_that_agree_say_more_and_calibrations_tell_both() -> None:
-    seen = Look({name: ClassEvidence(nll=0.0 if name == "wedge" else 20.0) for name in FRAME}, False, np.zeros((1, 1), dtype=np.bool_))
+    seen = LikelihoodView(
+        {name: ClassEvidence(nll=0.0 if name == "wedge" else 20.0) for name in FRAME}, False, np.zeros((1, 1), dtype=np.bool_)
+    )
     one, two = mass_of_one(seen), mass_of_two((seen, seen))
     assert one.shape == two.shape == (N_SUBSETS,)
     assert two[subset("wedge")] > one[subset("wedge")] > 0.5

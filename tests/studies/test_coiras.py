@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render
+from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render_image
 from sim_replay.studies.coiras import Expected, invert_multiresolution, misfit
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def test_ripples_come_back(looks: int, least: float) -> None:
         valid=np.ones(elevation.shape, dtype=np.bool_),
     )
     speckle = np.random.Generator(np.random.PCG64(3)).gamma(looks, 1.0 / looks, elevation.shape)
-    image = (render(scene).intensity + 1e-3) * speckle
+    image = (render_image(scene).intensity + 1e-3) * speckle
     found = invert_multiresolution(image, scene.valid, scene.altitude_m, along_m, COLUMN_M)
     short, truth = (plane - gaussian_filter(plane, (5.0, 10.0)) for plane in (found.elevation_m, elevation))
     assert float(np.corrcoef(short[5:-5, 20:-10].ravel(), truth[5:-5, 20:-10].ravel())[0, 1]) > least
@@ -76,4 +76,4 @@ def test_ripples_come_back(looks: int, least: float) -> None:
 def test_small_pictures_are_inverted_too(shape: tuple[int, int]) -> None:
     image = np.random.Generator(np.random.PCG64(1)).gamma(1.0, 1.0, shape)
     valid, along_m = np.ones(shape, dtype=np.bool_), 0.2 * np.arange(shape[0], dtype=np.float64)
-    assert np.isfinite(render(invert_multiresolution(image, valid, np.full(shape[0], 5.0), along_m, 0.1)).intensity).all()
+    assert np.isfinite(render_image(invert_multiresolution(image, valid, np.full(shape[0], 5.0), along_m, 0.1)).intensity).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_replay.augment.direct import invert
-from sim_replay.augment.forward import SeafloorScene, render
+from sim_replay.augment.forward import SeafloorScene, render_image
 from sim_replay.studies.inversion import FLOORS, figures, line_figures, made_up_scene, simulated_line, speckled
 
 
@@ -26,7 +26,7 @@ def test_truth_itself_would_be_told_as_perfect() -> None:
     def told(*_: object) -> SeafloorScene:
         return scene
 
-    found = figures(scene, render(scene).intensity, told)
+    found = figures(scene, render_image(scene).intensity, told)
     np.testing.assert_allclose(found[:5], (1.0, 1.0, 1.0, 0.0, 0.0), atol=1e-9)
 
 

@@ -93,7 +93,7 @@ class AsciiTalker(ABC):
         if self._open:
             self._let_go(wanted, now_s)
 
-    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+    def report_health(self, health: PayloadHealth, now_s: float) -> None:
         self._health = health
 
     def take_outgoing(self, now_s: float) -> list[bytes]:

@@ -179,7 +179,7 @@ class CanTalker:
         crc = int.from_bytes(frames[-1].data[-4:], "little") & _CRC_PART
         self._link.reports[ticket] = _Report(crc, frames, 0, now_s)
 
-    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+    def report_health(self, health: PayloadHealth, now_s: float) -> None:
         if health.state != self._health.state:
             self._link.n_at_once = max(self._link.n_at_once, 1)
         if health.text != self._health.text:

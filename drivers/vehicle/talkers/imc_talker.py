@@ -209,7 +209,7 @@ class ImcTalker:
         contact = contact_of(report)
         self._pending[contact.session, contact.number, contact.revision] = _Pending(ticket, contact, now_s, _REPORT_AGAIN_S)
 
-    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+    def report_health(self, health: PayloadHealth, now_s: float) -> None:
         self._health, self._health_due_s = health, now_s
 
     def release(self, reason: str, now_s: float) -> None:

@@ -26,7 +26,7 @@ _OVAL: Final = frozenset({"rock"})
 _WIDESPREAD: Final = frozenset({"boulder_cluster", "debris", "anchor_scar", "fish_school", "point"})
 
 
-class Thing(NamedTuple):
+class PlacedTarget(NamedTuple):
     """An object on the sea floor.
 
     floor_depth_m: of the sea floor it stands on, NaN where nothing better is known than the flat floor of the tile. azimuth_rad: of its
@@ -46,7 +46,7 @@ class Thing(NamedTuple):
     burial_m: float
 
 
-def objects_in(tile: Tile, things: Sequence[Thing], sonar: SonarConfig) -> tuple[TileObject, ...]:
+def objects_in(tile: Tile, things: Sequence[PlacedTarget], sonar: SonarConfig) -> tuple[TileObject, ...]:
     """All passes over `things` whose expected highlight lies in the tile, its overlap included, in the order of `things`.
 
     The inverse of `georeference.locate`: the row is where the beam's plane, lever arm, mounting and the way made during the ping included,
@@ -126,7 +126,7 @@ class _Beam:
         return np.asarray(self._frame.to_enu(latitude, longitude, np.zeros(latitude.shape))[:, :2])
 
 
-def _column(tile: Tile, sonar: SonarConfig, thing: Thing, position: float, ground_range_m: float, look_rad: float) -> float:
+def _column(tile: Tile, sonar: SonarConfig, thing: PlacedTarget, position: float, ground_range_m: float, look_rad: float) -> float:
     """Of the middle of the highlight; NaN if that is nearer than the first bottom return."""
     pitch_rad = _at(tile.pose.pitch_rad, position) + math.radians(sonar.pitch_offset_deg)
     first_return_m = _at(tile.first_return_m, position)
@@ -140,7 +140,7 @@ def _column(tile: Tile, sonar: SonarConfig, thing: Thing, position: float, groun
     return math.sqrt(square) / tile.column_spacing_m if square >= 0.0 else math.nan
 
 
-def near_side_m(thing: Thing, look_rad: float) -> float:
+def near_side_m(thing: PlacedTarget, look_rad: float) -> float:
     """How far the side turned to the sonar stands before the object's middle; 0 for groups and where sizes are not known."""
     half_length, half_width = 0.5 * thing.length_m, 0.5 * thing.width_m
     if thing.kind in _WIDESPREAD or not (half_length > 0.0 and half_width > 0.0):

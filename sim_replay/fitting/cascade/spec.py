@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from auv_mcm.settings.strict_yaml import explained, load_mapping, read_text
+from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping, read_text
 from sim_replay.fitting.cascade.tiles import Split
 from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.simulator.objects import USUAL
@@ -139,17 +139,17 @@ class AugmentedLine(NamedTuple):
     split: Split
 
 
-def read_spec(path: Path | None = None) -> tuple[Spec, Path]:
+def read_training_spec(path: Path | None = None) -> tuple[Spec, Path]:
     """A spec from a file, the one that ships with the package if None, and the folder that its paths start from.
 
     Raises UsageError if it cannot be read, or as parse_spec does.
     """
     if path is None:
-        return parse_spec(_DEFAULT.read_text("utf-8"), "the default spec"), Path()
-    return parse_spec(read_text(path, "training set"), str(path)), path.parent
+        return parse_training_spec(_DEFAULT.read_text("utf-8"), "the default spec"), Path()
+    return parse_training_spec(read_text(path, "training set"), str(path)), path.parent
 
 
-def parse_spec(text: str, place: str) -> Spec:
+def parse_training_spec(text: str, place: str) -> Spec:
     """Spec from YAML text; `place` names it in messages.
 
     Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and contradictions.
@@ -158,7 +158,9 @@ def parse_spec(text: str, place: str) -> Spec:
     try:
         spec = msgspec.convert(data, Spec)
     except msgspec.ValidationError as error:
-        raise UsageError(f"{place}: {explained(error, Spec)}. See sim_replay/fitting/cascade/default.yaml for an example") from error
+        raise UsageError(
+            f"{place}: {explain_validation_error(error, Spec)}. See sim_replay/fitting/cascade/default.yaml for an example"
+        ) from error
     for reason in _contradictions(spec):
         raise UsageError(f"{place}: {reason}")
     return spec

@@ -27,14 +27,14 @@ class Stage(NamedTuple):
     false_alarms: float
 
 
-class Samples(NamedTuple):
+class StageSamples(NamedTuple):
     """bins: (n_features, n_samples) uint8. is_target: (n_samples,) bool."""
 
     bins: Bins
     is_target: NDArray[np.bool_]
 
 
-def train_stage(learned: Samples, judged: Samples, rng: np.random.Generator) -> Stage:
+def train_stage(learned: StageSamples, judged: StageSamples, rng: np.random.Generator) -> Stage:
     """The shortest stage that meets both goals on samples it has not learned from, or the longest allowed if none does.
 
     Raises ValueError if either set lacks targets or others.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Side
-from auv_mcm.shell.results import write_file
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin, Split, TileObject
 
 FORMAT_VERSION: Final = 1

@@ -24,10 +24,19 @@ from sim_replay.fitting.cascade.bootstrap import Errand, glean
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model_stump, quantise
 from sim_replay.fitting.cascade.soft import group_sizes, reject_thresholds
-from sim_replay.fitting.cascade.stages import FALSE_ALARMS, Samples, train_stage
+from sim_replay.fitting.cascade.stages import FALSE_ALARMS, StageSamples, train_stage
 from sim_replay.fitting.cascade.store import Manifest, Shard, read_manifest
 from sim_replay.fitting.cascade.tiles import Split
-from sim_replay.fitting.cascade.validation import Inspection, Passed, Sighting, calibrate, expected_pd, passed, passes, sightings
+from sim_replay.fitting.cascade.validation import (
+    Inspection,
+    PassRates,
+    ValidationSighting,
+    calibrate,
+    expected_pd,
+    passed,
+    passes,
+    sightings,
+)
 
 Kind: TypeAlias = Literal["soft", "stages"]
 Say: TypeAlias = Callable[[str], None]
@@ -147,7 +156,7 @@ def _stages(tiles: _Tiles, pool: Pool, say: Say) -> CascadeModel:
         bins = quantise(pool, edges, np.concatenate((lesson.targets, lesson.others), axis=1))
         is_target = np.arange(bins.shape[1]) < lesson.targets.shape[1]
         judges = _are_judges(tiles)[np.concatenate((lesson.target_shard, lesson.places[:, 0]))]
-        learned, judged = (Samples(bins[:, some], is_target[some]) for some in (~judges, judges))
+        learned, judged = (StageSamples(bins[:, some], is_target[some]) for some in (~judges, judges))
         fewest = min(int(np.count_nonzero(samples.is_target == kind)) for samples in (learned, judged) for kind in (True, False))
         if lesson.others.shape[1] < _FEWEST * lesson.n_asked or not fewest:
             say(f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from")
@@ -253,7 +262,7 @@ def _validated(tiles: _Tiles, model: CascadeModel, say: Say) -> CascadeModel:
     return model
 
 
-def _report(model: CascadeModel, seen: Sequence[Sighting], parts: Sequence[Passed]) -> list[str]:
+def _report(model: CascadeModel, seen: Sequence[ValidationSighting], parts: Sequence[PassRates]) -> list[str]:
     """What the validation tiles say, line by line."""
     scores = np.stack([sighting.trace for sighting in seen])
     final = np.sort(scores[passes(model, scores), -1])[::-1]

@@ -6,7 +6,6 @@ the truth of the mission. Every mission is a task of its own, on the cores of th
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import sys
@@ -21,17 +20,18 @@ import numpy as np
 from msgspec import Meta
 
 from auv_mcm.clean_text import clean_lines
+from auv_mcm.commands import Parser
 from auv_mcm.detect.cascade.codes import codes_of
 from auv_mcm.detect.detect_tile import TileDetections, worth_looking
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, SourceEvent, Tile
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory
+from auv_mcm.shell.whole_files import make_directory
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.fitting.cascade.place import Thing, cropped, objects_in
-from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_spec
+from sim_replay.fitting.cascade.place import PlacedTarget, cropped, objects_in
+from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, read_training_spec
 from sim_replay.fitting.cascade.store import Manifest, Packed, pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin
 from sim_replay.logs.recorded import RecordedMission
@@ -77,11 +77,11 @@ def simulated_tiles(line: SimulatedLine) -> Iterator[LabelledTile]:
     return _labelled(mission.events(), things_of(mission), line.config, line.background, "simulated")
 
 
-def things_of(mission: Mission) -> tuple[Thing, ...]:
+def things_of(mission: Mission) -> tuple[PlacedTarget, ...]:
     """The objects of a simulated mission."""
     sea = mission.sea
     return tuple(
-        Thing(
+        PlacedTarget(
             latitude_deg=told["lat"],
             longitude_deg=told["lon"],
             floor_depth_m=sea.scene.world.depth_m - sea.world.floor_m(placed.east_m, placed.north_m),
@@ -98,7 +98,7 @@ def things_of(mission: Mission) -> tuple[Thing, ...]:
     )
 
 
-def labelled(tile: Tile, things: Sequence[Thing], config: Config, background: str, origin: Origin) -> LabelledTile:
+def labelled(tile: Tile, things: Sequence[PlacedTarget], config: Config, background: str, origin: Origin) -> LabelledTile:
     """The core of a tile with OVERLAP_M on both sides, and which of `things` lie in it."""
     reach = math.ceil(OVERLAP_M / tile.row_spacing_m)
     start, stop = max(tile.core_start - reach, 0), min(tile.core_stop + reach, tile.mask.shape[0])
@@ -129,7 +129,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice; BadInputError for augmented
     logs that are not there; and as run_tasks does.
     """
-    spec, base = read_spec(spec_path)
+    spec, base = read_training_spec(spec_path)
     lines = lines_of(spec, base)
     for line in lines:
         if isinstance(line, SimulatedLine):
@@ -149,17 +149,17 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
+    parser = Parser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
     parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the shards and their manifest")
     parser.add_argument("--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)")
     parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="render on the cluster of this dask scheduler instead")
     chosen = parser.parse_args(arguments)
-    print(told_of(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
+    print(tile_set_words(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
     return 0
 
 
-def told_of(manifest: Manifest) -> str:
+def tile_set_words(manifest: Manifest) -> str:
     """What a training set holds, a line per split."""
     lines = []
     for split in dict.fromkeys(shard.split for shard in manifest.shards):
@@ -185,7 +185,7 @@ def _check_room(line: SimulatedLine) -> None:
 
 
 def _labelled(
-    events: Iterable[SourceEvent], things: Sequence[Thing], config: Config, background: str, origin: Origin
+    events: Iterable[SourceEvent], things: Sequence[PlacedTarget], config: Config, background: str, origin: Origin
 ) -> Iterator[LabelledTile]:
     for tile in _tiles(events, config):
         if worth_looking(tile):
@@ -205,7 +205,7 @@ def _nothing(tile: Tile) -> TileDetections:
     return TileDetections((), 0, 0)
 
 
-def _augmented_truth(path: Path) -> tuple[str, tuple[Thing, ...]]:
+def _augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
     try:
         truth = msgspec.json.decode(path.read_bytes(), type=_AugmentedTruth)
     except OSError as error:
@@ -213,7 +213,7 @@ def _augmented_truth(path: Path) -> tuple[str, tuple[Thing, ...]]:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}. Name a folder that `auv-mcm augment` wrote") from error
     return truth.background, tuple(
-        Thing(
+        PlacedTarget(
             latitude_deg=thing.lat,
             longitude_deg=thing.lon,
             floor_depth_m=NAN,

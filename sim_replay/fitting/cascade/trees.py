@@ -29,7 +29,7 @@ _SEED: Final = 1958
 _NEVER: Final = 1e30  # above every value: a question that parts nothing
 
 
-class Tree(NamedTuple):
+class GrownTree(NamedTuple):
     """Question i asks whether feature[i] is above threshold[i]; no leads to question 2 i + 1, yes to 2 i + 2, the last to leaves.
 
     feature: (7,) int columns. threshold: (7,). nats: (8,), what each leaf adds to the log-odds.
@@ -40,7 +40,7 @@ class Tree(NamedTuple):
     nats: Array
 
 
-def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Array, n_trees: int) -> list[Tree]:
+def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Array, n_trees: int) -> list[GrownTree]:
     """Trees on features `values` (n, k) that add up to what the log-odds `start` (n,) lack. weight: (n,), how many each example stands for.
 
     The same examples in the same order give the same trees.
@@ -63,7 +63,7 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
     return trees
 
 
-def leaves(tree: Tree, values: Array) -> NDArray[np.int64]:
+def leaves(tree: GrownTree, values: Array) -> NDArray[np.int64]:
     """(n,) int64 leaf, 0 to 7, of each row of `values` (n, k)."""
     place = np.zeros(len(values), dtype=np.int64)
     rows = np.arange(len(values))
@@ -79,7 +79,7 @@ def _edges(column: Array) -> Array:
     return np.asarray(middle[middle < column.max()])
 
 
-def _grow(bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[Array], chosen: NDArray[np.int64]) -> Tree:
+def _grow(bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[Array], chosen: NDArray[np.int64]) -> GrownTree:
     feature = np.zeros(N_QUESTIONS, dtype=np.int64)
     threshold = np.full(N_QUESTIONS, _NEVER)
     place = np.zeros(len(bins), dtype=np.int64)
@@ -111,7 +111,7 @@ def _grow(bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[
     leaf = place - N_QUESTIONS
     sums_g, sums_h = (np.bincount(leaf, weights=part, minlength=N_LEAVES) for part in (gradient, hessian))
     nats = _RATE * sums_g / (sums_h + _RIDGE)
-    return Tree(feature, threshold, nats)
+    return GrownTree(feature, threshold, nats)
 
 
 def _worth(gradient: Array, hessian: Array) -> Array:

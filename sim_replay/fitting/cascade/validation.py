@@ -30,7 +30,7 @@ class Inspection(NamedTuple):
     model: CascadeModel
 
 
-class Sighting(NamedTuple):
+class ValidationSighting(NamedTuple):
     """A target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best window."""
 
     seabed: str
@@ -38,7 +38,7 @@ class Sighting(NamedTuple):
     trace: NDArray[np.int32]
 
 
-class Passed(NamedTuple):
+class PassRates(NamedTuple):
     """What a cascade lets through.
 
     windows: (n,) int32 final scores of all windows clear of targets that pass, of n_windows in all. detections: (n_detections,) int32
@@ -52,19 +52,19 @@ class Passed(NamedTuple):
     is_target: NDArray[np.bool_]
 
 
-def sightings(inspection: Inspection) -> list[Sighting]:
+def sightings(inspection: Inspection) -> list[ValidationSighting]:
     """The best window of every target in a shard, whatever the model rejects."""
-    seen: list[Sighting] = []
+    seen: list[ValidationSighting] = []
     for tile, plane in planes_of(inspection.folder, inspection.shard):
         bags = target_bags(tile, plane)
         scores = trace_plane(plane, inspection.model, bags.rows, bags.columns)
         best = best_windows(merit_of(inspection.model, scores), bags.bag)
         for target, window in zip(bags.targets, best, strict=True):
-            seen.append(Sighting(target.seabed, target.ground_range_m, scores[window]))
+            seen.append(ValidationSighting(target.seabed, target.ground_range_m, scores[window]))
     return seen
 
 
-def passed(inspection: Inspection) -> Passed:
+def passed(inspection: Inspection) -> PassRates:
     """What passes the model in a shard."""
     n_windows, area_m2 = 0, 0.0
     windows, detections, is_target = [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.bool_)]
@@ -80,7 +80,7 @@ def passed(inspection: Inspection) -> Passed:
         counts = on_target | is_clear[best]
         detections.append(found.scores[best][counts])
         is_target.append(on_target[counts])
-    return Passed(n_windows, area_m2, np.concatenate(windows), np.concatenate(detections), np.concatenate(is_target))
+    return PassRates(n_windows, area_m2, np.concatenate(windows), np.concatenate(detections), np.concatenate(is_target))
 
 
 def passes(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -88,7 +88,7 @@ def passes(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.bool_]:
     return np.asarray(np.all(scores >= np.array(model.reject, dtype=np.int32), axis=1))
 
 
-def expected_pd(model: CascadeModel, seen: Sequence[Sighting]) -> tuple[ExpectedPd, ...]:
+def expected_pd(model: CascadeModel, seen: Sequence[ValidationSighting]) -> tuple[ExpectedPd, ...]:
     """Share of the targets of each sea floor and band of ground range that pass; bands without targets are left out."""
     cells: dict[tuple[str, int], list[bool]] = defaultdict(list)
     if not seen:

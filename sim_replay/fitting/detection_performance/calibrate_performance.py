@@ -12,7 +12,7 @@ import numpy as np
 from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance
 from auv_mcm.clearance.residual import sweep_width_m
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.fitting.detection_performance.looks import Look, looks_of
+from sim_replay.fitting.detection_performance.looks import CellPass, looks_of
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
 from sim_replay.text_tables import columns
 
@@ -26,24 +26,24 @@ class Flight(NamedTuple):
     number: int
 
 
-def fly(flight: Flight) -> list[Look]:
+def fly(flight: Flight) -> list[CellPass]:
     """Every look of one mission."""
     return looks_of(target_scene(flight.seed, flight.number))
 
 
-def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]) -> list[list[Look]]:
+def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]) -> list[list[CellPass]]:
     """Looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there are."""
     tasks = [Flight(seed, number) for seed in seeds for number in range(flights)]
     return list(run_tasks(fly, tasks, farm, lambda done: progress(done, len(tasks))))
 
 
-def words_for(seeds: range, flights: int, looks: Sequence[Look]) -> str:
+def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass]) -> str:
     """What tables were fitted on."""
     n_missions, n_targets = len({look.mission for look in looks}), len({(look.mission, look.target) for look in looks})
     return f"{len(looks)} looks at {n_targets} targets in {n_missions} simulated missions: seeds {seeds[0]} to {seeds[-1]}, {flights} each"
 
 
-def to_json(performance: Performance) -> bytes:
+def performance_json(performance: Performance) -> bytes:
     return msgspec.json.format(msgspec.json.encode(performance, order="deterministic"), indent=1) + b"\n"
 
 

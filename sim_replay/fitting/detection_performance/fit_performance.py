@@ -19,7 +19,7 @@ from auv_mcm.clearance.detection_performance import ASPECTS_RAD, FLOORS, RIPPLES
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
 from sim_replay.fitting.detection_performance.closed_form import p_found
-from sim_replay.fitting.detection_performance.looks import Look
+from sim_replay.fitting.detection_performance.looks import CellPass
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -58,7 +58,7 @@ class Smoothed(NamedTuple):
     high: Array
 
 
-def outcomes(looks: Sequence[Look]) -> Outcomes:
+def outcomes(looks: Sequence[CellPass]) -> Outcomes:
     """Looks with a floor that is learnt, as columns."""
     look_rad = np.array([look.look_rad for look in looks], dtype=np.float64)
     ripple_rad = np.array([np.nan if look.ripple_rad is None else look.ripple_rad for look in looks], dtype=np.float64)
@@ -85,7 +85,7 @@ def floors_of(seabed: Ints, look_rad: Array, ripple_rad: Array) -> Ints:
     return np.where(seabed == SEABED_TYPES.index("ripple"), RIPPLES.start + nearest, table[seabed])
 
 
-def fit(looks: Sequence[Look], fitted_on: str) -> Performance:
+def fit_performance(looks: Sequence[CellPass], fitted_on: str) -> Performance:
     """The tables, with the altitude's exponent that predicts missions left out best.
 
     Raises BadInputError if a floor was never looked at, or there are fewer than two missions.

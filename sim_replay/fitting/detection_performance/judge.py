@@ -22,7 +22,7 @@ _N_BINS: Final = 8
 _MEAN_DEVIATION: Final = math.sqrt(2.0 / math.pi)  # of a normal distribution, in standard deviations
 
 
-class Share(NamedTuple):
+class PerformanceShare(NamedTuple):
     """Looks that were to find a target with mean probability `predicted`, and did with share `realised`.
 
     by_chance: how far off a share of so few looks is in the mean even if the prediction is right for each of them on its own;
@@ -40,16 +40,16 @@ class Share(NamedTuple):
         return abs(self.realised - self.predicted)
 
 
-class Place(NamedTuple):
+class PerformancePlace(NamedTuple):
     """Looks at one kind of sea floor within a band of ground range."""
 
     seabed: SeabedType
     near_m: float
     far_m: float
-    share: Share
+    share: PerformanceShare
 
 
-class Judged(NamedTuple):
+class JudgedPredictions(NamedTuple):
     """brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all. calibration_error: as
     in `scoring.calibration`. places: those with looks. bins: by rising prediction. same, other: pairs of looks at one target, from the same
     direction and from others, found by either; None without any.
@@ -60,23 +60,23 @@ class Judged(NamedTuple):
     brier: float
     brier_constant: float
     calibration_error: float
-    places: tuple[Place, ...]
-    bins: tuple[Share, ...]
-    same: Share | None
-    other: Share | None
+    places: tuple[PerformancePlace, ...]
+    bins: tuple[PerformanceShare, ...]
+    same: PerformanceShare | None
+    other: PerformanceShare | None
 
     @property
-    def told(self) -> tuple[Place, ...]:
+    def told(self) -> tuple[PerformancePlace, ...]:
         """Places with looks enough to tell."""
         return tuple(place for place in self.places if place.share.n >= LEAST_LOOKS)
 
 
-def judge(performance: Performance, seen: Outcomes) -> Judged:
+def judge(performance: Performance, seen: Outcomes) -> JudgedPredictions:
     """The tables against looks, whose floor is the true one. Raises ValueError if there are none."""
     p = predicted(performance, seen)
     base = float(seen.found.mean()) if len(p) else 0.0
     order = np.argsort(p, kind="stable")
-    return Judged(
+    return JudgedPredictions(
         n_looks=len(p),
         n_missions=len(np.unique(seen.mission)),
         calibration_error=calibration_error(p, seen.found),
@@ -89,7 +89,7 @@ def judge(performance: Performance, seen: Outcomes) -> Judged:
     )
 
 
-def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> Share:
+def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> PerformanceShare:
     """Looks (n,), at least one, taken together. The deviation over missions is that of a ratio of sums over clusters (W. Cochran, "Sampling
     Techniques", 1977, Sec. 6.3), and no less than by chance alone."""
     n, realised = len(p), float(found.mean())
@@ -98,17 +98,17 @@ def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> Sha
     surplus = np.bincount(cluster, found - p) - np.bincount(cluster) * (realised - float(p.mean()))
     n_missions = len(surplus)
     by_mission = math.sqrt(float((surplus**2).sum()) * n_missions / (n_missions - 1)) / n if n_missions > 1 else by_chance
-    return Share(n, float(p.mean()), realised, _MEAN_DEVIATION * by_chance, _MEAN_DEVIATION * max(by_mission, by_chance))
+    return PerformanceShare(n, float(p.mean()), realised, _MEAN_DEVIATION * by_chance, _MEAN_DEVIATION * max(by_mission, by_chance))
 
 
-def mean_error(places: tuple[Place, ...]) -> tuple[float, float, float]:
+def mean_error(places: tuple[PerformancePlace, ...]) -> tuple[float, float, float]:
     """Mean absolute error over places, at least one, each counting the same; and what it would be by chance, and by missions, alone."""
     errors = [(place.share.error, place.share.by_chance, place.share.by_mission) for place in places]
     error, by_chance, by_mission = np.mean(errors, axis=0).tolist()
     return error, by_chance, by_mission
 
 
-def _places(performance: Performance, seen: Outcomes, p: Array) -> list[Place]:
+def _places(performance: Performance, seen: Outcomes, p: Array) -> list[PerformancePlace]:
     edges = performance.edges_m
     band = np.clip(np.searchsorted(edges, seen.ground_range_m, side="right") - 1, 0, len(edges) - 2)
     found = []
@@ -116,11 +116,11 @@ def _places(performance: Performance, seen: Outcomes, p: Array) -> list[Place]:
         for number, (near_m, far_m) in enumerate(pairwise(edges)):
             here = (seen.seabed == index) & (band == number)
             if here.any():
-                found.append(Place(name, near_m, far_m, share(p[here], seen.found[here], seen.mission[here])))
+                found.append(PerformancePlace(name, near_m, far_m, share(p[here], seen.found[here], seen.mission[here])))
     return found
 
 
-def _either(seen: Outcomes, p: Array, first: NDArray[np.int64], second: NDArray[np.int64], correlation: float) -> Share | None:
+def _either(seen: Outcomes, p: Array, first: NDArray[np.int64], second: NDArray[np.int64], correlation: float) -> PerformanceShare | None:
     if not len(first):
         return None
     bounded = np.minimum(p, HIGHEST_P)

@@ -27,7 +27,7 @@ _SAME_PASS_RAD: Final = math.radians(15.0)
 _MARGIN_S: Final = 5.0  # a centroid may lie in the tile beside that of the target's cell
 
 
-class Look(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+class CellPass(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """One pass that saw the whole cell in which a target lies.
 
     mission, target: which; the scene's seed stands for the mission. floor: the simulator's type. seabed: index into SEABED_TYPES of what
@@ -60,7 +60,7 @@ class Part(NamedTuple):
     look_rad: float
 
 
-def looks_of(scene: Scene) -> list[Look]:
+def looks_of(scene: Scene) -> list[CellPass]:
     """Every look at every target of a mission."""
     mission = Mission(scene)
     pipeline = Pipeline(config_for(scene))
@@ -80,12 +80,12 @@ def looks_of(scene: Scene) -> list[Look]:
         cover = mission.sea.world.covers[int(covers[index])]
         ripple_rad = None if cover.ripples is None else math.radians(cover.ripples.direction_deg) % math.pi
         for side in SIDES:
-            for group in passes([part for part in parts if part.side == side]):
+            for group in cell_passes([part for part in parts if part.side == side]):
                 if sum(part.fraction for part in group) < _WHOLE:
                     continue
                 most = max(group, key=lambda part: part.fraction)
                 looks.append(
-                    Look(
+                    CellPass(
                         mission=scene.seed,
                         target=index,
                         floor=cover.type,
@@ -122,7 +122,7 @@ def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], fram
     return found
 
 
-def passes(parts: Sequence[Part]) -> list[list[Part]]:
+def cell_passes(parts: Sequence[Part]) -> list[list[Part]]:
     """Parts of one side, in order of time, by pass: what follows within a minute and looks the same way."""
     groups: list[list[Part]] = []
     for part in parts:

@@ -10,7 +10,7 @@ import numpy as np
 from auv_mcm.errors import BadInputError
 from auv_mcm.seabed.seabed_model import INPUTS, Layer, SeabedModel, as_stored, bounded, fitted_gaussian, standardised
 from sim_replay.fitting.seabed.network import Units, fitted_network
-from sim_replay.fitting.seabed.samples import KINDS, Samples
+from sim_replay.fitting.seabed.samples import KINDS, SeabedSamples
 from sim_replay.fitting.seabed.seabed_missions import FIRST_LIKE_SCENE
 
 FIT_SEEDS: Final = (*range(3000, 3050), *range(FIRST_LIKE_SCENE, FIRST_LIKE_SCENE + 80))
@@ -26,7 +26,7 @@ _KEPT: Final = 0.99  # of the textures learnt are not novel; recorded floors, wh
 _MIN_SHARE: Final = 0.01  # of all cells that each kind must be
 
 
-def fit_model(samples: Samples, fitted_on: str) -> SeabedModel:
+def fit_seabed_model(samples: SeabedSamples, fitted_on: str) -> SeabedModel:
     """Fit the model to samples, in which all kinds weigh the same. Raises BadInputError if there are too few, or none of a kind."""
     of_kind = samples.shares.mean(axis=0, dtype=np.float64)
     if missing := [kind for kind, share in zip(KINDS, of_kind.tolist(), strict=True) if not share >= _MIN_SHARE]:
@@ -65,7 +65,7 @@ def _stored(units: Units) -> Layer:
     return Layer(weights=tuple(map(as_stored, weights)), constants=as_stored(constants))
 
 
-def told_of(seeds: Sequence[int], samples: Samples) -> str:
+def seabed_fit_words(seeds: Sequence[int], samples: SeabedSamples) -> str:
     """Say what a model was fitted on."""
     counts = ", ".join(f"{share:.0%} {kind}" for kind, share in zip(KINDS, samples.shares.mean(axis=0).tolist(), strict=True))
     return f"{len(seeds)} simulated missions of seeds {seeds[0]} to {seeds[-1]}, {len(samples.shares)} cells: {counts}"

@@ -24,7 +24,7 @@ _EVERY: Final = 3  # cells of a mission that are kept: neighbours say nearly the
 _MIN_KNOWN: Final = 0.5  # of a cell's places that can be placed
 
 
-class Samples(NamedTuple):
+class SeabedSamples(NamedTuple):
     """features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle; shares (n, len(KINDS)) float32, of each
     kind in the cell, 1 in all."""
 
@@ -33,7 +33,7 @@ class Samples(NamedTuple):
     shares: NDArray[np.float32]
 
 
-def samples_of(seed: int) -> Samples:
+def samples_of(seed: int) -> SeabedSamples:
     """Fly the mission of a seed and take every third of its cells, those at borders between kinds as well."""
     scene = mission_scene(seed)
     mission = Mission(scene)
@@ -46,7 +46,7 @@ def samples_of(seed: int) -> Samples:
     return pooled([tile_samples(tile, mission, config.sonar) for tile in tiles])
 
 
-def tile_samples(tile: Tile, mission: Mission, sonar: SonarConfig) -> Samples:
+def tile_samples(tile: Tile, mission: Mission, sonar: SonarConfig) -> SeabedSamples:
     """Measure the cells of a tile and look up their kinds."""
     texture = measure_texture(tile)
     shares = true_shares(tile, texture, mission, sonar)
@@ -55,12 +55,12 @@ def tile_samples(tile: Tile, mission: Mission, sonar: SonarConfig) -> Samples:
     cot_grazing = np.broadcast_to(texture.cot_grazing, total.shape).ravel()[kept]
     features = texture.features.reshape(-1, texture.features.shape[-1])[kept]
     share = (shares / np.maximum(total, _MIN_KNOWN)[..., np.newaxis]).reshape(-1, len(KINDS))[kept]
-    return Samples(features.astype(np.float32), cot_grazing.astype(np.float32), share.astype(np.float32))
+    return SeabedSamples(features.astype(np.float32), cot_grazing.astype(np.float32), share.astype(np.float32))
 
 
-def pooled(samples: list[Samples]) -> Samples:
+def pooled(samples: list[SeabedSamples]) -> SeabedSamples:
     """Put samples together."""
-    return Samples(*(np.concatenate(part) for part in zip(*samples, strict=True)))
+    return SeabedSamples(*(np.concatenate(part) for part in zip(*samples, strict=True)))
 
 
 def true_shares(tile: Tile, texture: Texture, mission: Mission, sonar: SonarConfig) -> NDArray[np.float64]:

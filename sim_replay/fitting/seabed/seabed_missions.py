@@ -20,8 +20,8 @@ from sim_replay.simulator.scene import (
     Lawnmower,
     Motion,
     NavigationError,
-    Recorder,
     Ripples,
+    SampleRecorder,
     Scatter,
     Scene,
     Seabed,
@@ -271,20 +271,22 @@ def _gain(rng: Rng, frequency_khz: float) -> TimeVariedGain:
     return TimeVariedGain(spreading_db=float(rng.uniform(20.0, 45.0)), absorption_db_per_km=usual_db_per_km * float(rng.uniform(0.3, 1.4)))
 
 
-def _recorder(rng: Rng) -> Recorder:
+def _recorder(rng: Rng) -> SampleRecorder:
     """Amplitudes or logarithms, in 8 or 16 bits, from gains at which bright floors clip down to low ones."""
     samples = int(rng.choice(5, p=(0.35, 0.25, 0.1, 0.2, 0.1)))
     down = 0.05 ** max(float(rng.uniform(-0.6, 1.0)), 0.0)  # 1 for a third of the missions
     if samples == 0:
-        return Recorder(samples="amplitude_uint16", seabed_counts=3000.0 * down)
+        return SampleRecorder(samples="amplitude_uint16", seabed_counts=3000.0 * down)
     if samples == 1:
-        return Recorder(samples="amplitude_uint8", seabed_counts=float(rng.uniform(12.0, 60.0)))
+        return SampleRecorder(samples="amplitude_uint8", seabed_counts=float(rng.uniform(12.0, 60.0)))
     if samples == 2:
-        return Recorder(samples="amplitude_float32")
+        return SampleRecorder(samples="amplitude_float32")
     if samples == 3:
         db_per_count = float(rng.uniform(0.22, 0.5))
-        return Recorder(samples="log_uint8", db_per_count=db_per_count, seabed_counts=255.0 - float(rng.uniform(20.0, 40.0)) / db_per_count)
-    return Recorder(samples="log_uint16")
+        return SampleRecorder(
+            samples="log_uint8", db_per_count=db_per_count, seabed_counts=255.0 - float(rng.uniform(20.0, 40.0)) / db_per_count
+        )
+    return SampleRecorder(samples="log_uint16")
 
 
 def _log_uniform(rng: Rng, low: float, high: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from auv_mcm.solids.shapes import Box, ConvexPolyhedron, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge
+from auv_mcm.solids.shapes import Box, ConvexPolyhedron, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def _whole_extent(shape: Shape, along: Array, across: Array) -> tuple[Array, Arr
 
 def sampled_view(
     shape: Shape, offset: Array, ground_range: float, altitude: float, *, slope_rad: float = 0.0, squint_rad: float = 0.0
-) -> View:
+) -> SolidView:
     """View from the points of each slice with the greatest elevation and the least distance, sampled ever more densely around them.
 
     offset: (n_pings,). A slope and a squint are not meant to be given together. NaN where no sample meets the solid.
@@ -126,7 +126,7 @@ def sampled_view(
     fall = altitude - z + y * np.tan(slope_rad)
     shadow_end = np.where(fall > 0.0, altitude * y / np.where(fall > 0.0, fall, 1.0), np.inf)
     front = -nearness(_zoom(nearness, centre, reach_m(shape) / np.cos(slope_rad))[:, np.newaxis])[:, 0]
-    return View(np.where(hit, front, np.nan), np.where(hit, np.hypot(y, z - altitude), np.nan), np.where(hit, shadow_end, np.nan))
+    return SolidView(np.where(hit, front, np.nan), np.where(hit, np.hypot(y, z - altitude), np.nan), np.where(hit, shadow_end, np.nan))
 
 
 def sampled_parallel_end_m(shape: Shape, offset: Array, cotangent: float) -> Array:

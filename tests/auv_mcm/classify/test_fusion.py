@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, MINE_LIKE_P, vacuous
-from auv_mcm.classify.fusion import CONTRADICTION, NEWS, Verdict, fuse, fused_ratio
+from auv_mcm.classify.fusion import CONTRADICTION, NEWS, FusedViews, fuse, fused_ratio
 from auv_mcm.records import NAN, Detection
 from tests.auv_mcm.classify.drawn_looks import confirmation, detection, like
 
@@ -33,11 +33,11 @@ def looked_at(
     return detection(p_mine=1.0 / (1.0 + math.exp(-(log_ratio + prior))), aspect_deg=aspect_deg, time_s=time_s, confirmation=found)
 
 
-def odds(verdict: Verdict) -> float:
+def odds(verdict: FusedViews) -> float:
     return math.log(verdict.p_mine / (1.0 - verdict.p_mine))
 
 
-def told(verdict: Verdict) -> tuple[Any, ...]:
+def told(verdict: FusedViews) -> tuple[Any, ...]:
     """All of it, where NaN is NaN."""
     return tuple(str(field) for field in verdict)
 

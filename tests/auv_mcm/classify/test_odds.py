@@ -210,7 +210,7 @@ BAD = {
 
 @pytest.mark.parametrize("data", BAD.values(), ids=BAD.keys())
 def test_files_that_are_no_weights_are_refused_by_name(data: bytes) -> None:
-    with pytest.raises(BadInputError, match=r"^/data/mine_odds\.json: .*sim_replay\.fitting\.odds"):
+    with pytest.raises(BadInputError, match=r"^/data/mine_odds\.json: .*auv-mcm calibrate odds"):
         parse_odds(data, "/data/mine_odds.json")
 
 

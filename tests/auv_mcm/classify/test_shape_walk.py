@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from auv_mcm.classify.fit import SOLIDS, hypotheses_of
 from auv_mcm.classify.likelihood import beam_of, row_sums
 from auv_mcm.kernels.shape import FORBIDDEN, PENCIL, Solid, intervals, intervals_numpy
-from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes, walk_shapes_numpy
-from auv_mcm.solids.box_search import Box, look_around
+from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, WalkSpace, costs_at, hypotheses_at, walk_shapes, walk_shapes_numpy
+from auv_mcm.solids.box_search import SearchBox, look_around
 from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
@@ -27,16 +27,16 @@ SHAPES: dict[Solid, Shape] = {
     "wedge": Wedge(length_m=1.02, width_m=0.8, height_m=0.385, azimuth_rad=1.2),
 }
 PLACE = ((1.0, 1, ONE), (1.0, 2, ONE))
-SPHERE = Chart(
+SPHERE = WalkSpace(
     "sphere",
-    Box(np.array([2.6, 19.5, 0.2, -0.3]), np.array([4.8, 20.8, 0.7, 0.6]), np.array([True, False, False, False]), np.full(4, 0.05)),
+    SearchBox(np.array([2.6, 19.5, 0.2, -0.3]), np.array([4.8, 20.8, 0.7, 0.6]), np.array([True, False, False, False]), np.full(4, 0.05)),
     np.array([*PLACE, (1.0, RATIO, ONE), (1.0, 3, ONE), (1.0, SUNK, 3), *[(0.0, ONE, ONE)] * 3]),
     (0.06, 0.15),
     7.0,
 )
-CYLINDER = Chart(
+CYLINDER = WalkSpace(
     "cylinder",
-    Box(
+    SearchBox(
         np.array([2.6, 19.5, 0.2, 1.2, -0.5 * math.pi]),
         np.array([4.8, 20.8, 0.4, 2.6, 0.5 * math.pi]),
         np.array([False, False, False, False, True]),
@@ -76,7 +76,7 @@ def test_points_stand_for_the_hypotheses_worked_out_by_hand(solid: Solid, data: 
 
 @pytest.mark.parametrize("chart", [SPHERE, CYLINDER], ids=lambda chart: chart.solid)
 @pytest.mark.parametrize("beam_width_rad", [0.0, 0.01])
-def test_c_takes_the_steps_that_a_walk_over_any_cost_takes(chart: Chart, beam_width_rad: float) -> None:
+def test_c_takes_the_steps_that_a_walk_over_any_cost_takes(chart: WalkSpace, beam_width_rad: float) -> None:
     for seed in range(3):
         random = np.random.Generator(np.random.PCG64(seed))
         region = closed_form_region(SHAPES[chart.solid], 20.0, random=random, beam_width_rad=beam_width_rad)

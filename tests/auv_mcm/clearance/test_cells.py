@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 from numpy.typing import NDArray
 
-from auv_mcm.clearance.coverage import Grid, cover_tile
+from auv_mcm.clearance.coverage import CoverageGrid, cover_tile
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import EchoGeometry, locate
 from auv_mcm.geometry.navigation import interpolate_track
@@ -22,7 +22,7 @@ from auv_mcm.settings.config import SonarConfig
 from tests.auv_mcm.clearance.covered_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, plain, tile_of, track
 
 CELL_M = 4.0
-GRID = Grid(LocalFrame(latitude_deg=43.7, longitude_deg=10.3), CELL_M)
+GRID = CoverageGrid(LocalFrame(latitude_deg=43.7, longitude_deg=10.3), CELL_M)
 
 
 def cells_of(tile: Tile, *, fraction: float = 1.0, seabed: SeabedCells | None = None) -> SurveyedCells:

@@ -16,9 +16,11 @@ from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
 from auv_mcm.confirm.snake_rules import Findings, Spot, contour_mask
 from sim_replay.scoring.overlap import overlap
-from sim_replay.studies.snakes import N_STARTS, drawn_pair, plain_region, random_start
+from sim_replay.studies.snakes import drawn_pair, plain_region, random_start
 
 SHAPE = (128, 128)
+
+N_STARTS = 20
 
 
 def ripple_field(seed: int) -> Contours:

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import FRAME, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.contact import error_ellipse, error_ellipse_ring_m
-from auv_mcm.contacts.export import CSV_COLUMNS, contacts_csv, contacts_geojson, contacts_kml, coverage_geojson, iso_time, waypoints_geojson
+from auv_mcm.contacts.export import CSV_COLUMNS, contacts_geojson, iso_time, waypoints_geojson
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks
+from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml, coverage_geojson
 
 KML = "{http://www.opengis.net/kml/2.2}"
 

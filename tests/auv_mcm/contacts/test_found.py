@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.contacts.export import contacts_csv, contacts_geojson, contacts_kml, coverage_geojson
+from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.contacts.found import Found
 from auv_mcm.records import Contact, CoveragePatch, Side, contact_id
 from auv_mcm.shell.results import write_results
 from tests.auv_mcm.classify import drawn_looks
+from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml, coverage_geojson
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.geometry.fix_agreement import Decision, FixAgreement
+from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
 
 SPAN_S = 4.5
 
@@ -23,13 +23,13 @@ def agreement(span_s: float = SPAN_S) -> FixAgreement[Fix]:
     return FixAgreement(lambda a, b: abs(b.place_m - a.place_m), lambda a, b: 1.0 + 10.0 * abs(b.time_s - a.time_s), span_s)
 
 
-def decided(places_m: list[float], span_s: float = SPAN_S) -> list[Decision[Fix]]:
+def decided(places_m: list[float], span_s: float = SPAN_S) -> list[FixDecision[Fix]]:
     """What each of the fixes, one a second, decides."""
     one = agreement(span_s)
     return [one.add(Fix(float(t), place_m)) for t, place_m in enumerate(places_m)]
 
 
-def accepted(decisions: list[Decision[Fix]]) -> list[float]:
+def accepted(decisions: list[FixDecision[Fix]]) -> list[float]:
     return [fix.place_m for decision in decisions for fix in decision.accepted]
 
 
@@ -56,7 +56,7 @@ def test_somebody_who_cannot_wait_gets_the_best_so_far() -> None:
     assert not one.is_decided
     assert [fix.place_m for fix in one.decide().accepted] == [0.0, 0.0]
     assert one.is_decided
-    assert one.decide() == Decision()
+    assert one.decide() == FixDecision()
 
 
 def test_a_step_is_followed_from_its_first_fix_on() -> None:

@@ -12,7 +12,6 @@ from auv_mcm.geometry.geodesy import (
     ecef_to_geodetic,
     geodetic_to_ecef,
     local_to_ecef_rotation,
-    wrap_angle_rad,
     wrap_longitude_deg,
 )
 
@@ -106,10 +105,3 @@ def test_wrapped_longitudes_stay_inside_and_on_the_same_meridian(longitude: floa
     wrapped = float(wrap_longitude_deg(longitude))
     assert -180.0 <= wrapped < 180.0
     assert math.remainder(wrapped - longitude, 360.0) == pytest.approx(0.0, abs=1e-9)
-
-
-@given(st.floats(-1e4, 1e4))
-def test_wrapped_angles_stay_inside_and_point_the_same_way(angle: float) -> None:
-    wrapped = float(wrap_angle_rad(angle))
-    assert -math.pi <= wrapped <= math.pi
-    assert math.remainder(wrapped - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import clearance_over, unsearched
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import World
+from auv_mcm.plan.survey import SurveyState
 from auv_mcm.records import SEABED_TYPES, Contact, SeabedType
 from tests.auv_mcm.classify import drawn_looks
 
@@ -52,12 +52,12 @@ def world(
     contacts: tuple[Contact, ...] = (),
     first: tuple[int, int] = (0, 0),
     origin_deg: tuple[float, float] = ORIGIN,
-) -> World:
+) -> SurveyState:
     """An unsearched box, its south-western cell `first` (east, north), all of which must be cleared."""
     clearance = clearance_over(unsearched(*origin_deg, CELL_M), *first, (n_north, n_east))
     clearance.seabed[:] = SEABED_TYPES.index(seabed)
     clearance.ripple_rad[:] = math.radians(ripple_deg)
-    return World(clearance, np.ones((n_north, n_east), dtype=np.bool_), required, sonar or Sonar(), contacts)
+    return SurveyState(clearance, np.ones((n_north, n_east), dtype=np.bool_), required, sonar or Sonar(), contacts)
 
 
 def contact(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.plan.dubins import Array, DubinsPath, Pose, Turn, dubins_lengths, dubins_path, sample_path
+from auv_mcm.plan.dubins import Array, DubinsPath, PlanePose, Turn, dubins_lengths, dubins_path, sample_path
 
 SIGN = {"left": -1.0, "straight": 0.0, "right": 1.0}
 ANGLE = st.floats(-10.0, 10.0)
@@ -19,25 +19,25 @@ COARSE_ANGLE = st.integers(-3142, 3142).map(lambda thousandth: thousandth / 1000
 RIGHT_ANGLES = st.integers(-4, 4).map(lambda quarter: quarter * math.pi / 2.0)
 
 
-def drive(pose: Pose, turn: Turn, length_m: float, radius_m: float) -> Pose:
+def drive(pose: PlanePose, turn: Turn, length_m: float, radius_m: float) -> PlanePose:
     """Exact motion along one segment, through the turn's centre."""
     east, north, heading = pose
     sign = SIGN[turn]
     if sign == 0.0:
-        return Pose(east + length_m * math.sin(heading), north + length_m * math.cos(heading), heading)
+        return PlanePose(east + length_m * math.sin(heading), north + length_m * math.cos(heading), heading)
     centre = (east + sign * radius_m * math.cos(heading), north - sign * radius_m * math.sin(heading))
     turned = heading + sign * length_m / radius_m
-    return Pose(centre[0] - sign * radius_m * math.cos(turned), centre[1] + sign * radius_m * math.sin(turned), turned)
+    return PlanePose(centre[0] - sign * radius_m * math.cos(turned), centre[1] + sign * radius_m * math.sin(turned), turned)
 
 
-def arrive(path: DubinsPath) -> Pose:
+def arrive(path: DubinsPath) -> PlanePose:
     pose = path.start
     for turn, length in path.segments:
         pose = drive(pose, turn, length, path.turn_radius_m)
     return pose
 
 
-def assert_meets(path: DubinsPath, end: Pose) -> None:
+def assert_meets(path: DubinsPath, end: PlanePose) -> None:
     reached = arrive(path)
     assert math.hypot(reached.east_m - end.east_m, reached.north_m - end.north_m) < 1e-9
     assert abs(math.remainder(reached.heading_rad - end.heading_rad, 2.0 * math.pi)) < 1e-9
@@ -49,7 +49,7 @@ def assert_meets(path: DubinsPath, end: Pose) -> None:
 def test_the_end_pose_is_met(
     east0: float, north0: float, heading0: float, east1: float, north1: float, heading1: float, radius: float
 ) -> None:
-    start, end = Pose(east0, north0, heading0), Pose(east1, north1, heading1)
+    start, end = PlanePose(east0, north0, heading0), PlanePose(east1, north1, heading1)
     path = dubins_path(start, end, radius)
     assert_meets(path, end)
     assert path.length_m >= math.hypot(east1 - east0, north1 - north0) - 1e-9
@@ -60,7 +60,7 @@ def test_the_end_pose_is_met(
 @given(st.integers(-6, 6), st.integers(-6, 6), RIGHT_ANGLES, RIGHT_ANGLES)
 def test_touching_circles_and_tangent_straights_are_met_too(east: int, north: int, heading0: float, heading1: float) -> None:
     """Whole multiples of the radius and right angles are where circles touch and angles are a hair from zero."""
-    start, end = Pose(0.0, 0.0, heading0), Pose(10.0 * east, 10.0 * north, heading1)
+    start, end = PlanePose(0.0, 0.0, heading0), PlanePose(10.0 * east, 10.0 * north, heading1)
     path = dubins_path(start, end, 10.0)
     assert_meets(path, end)
     assert path.length_m <= brute_force(start, end, 10.0) + 1e-6
@@ -68,14 +68,14 @@ def test_touching_circles_and_tangent_straights_are_met_too(east: int, north: in
 
 @given(NEAR, NEAR, COARSE_ANGLE, COARSE_ANGLE)
 def test_nothing_found_by_search_is_shorter(east: float, north: float, heading0: float, heading1: float) -> None:
-    start, end = Pose(0.0, 0.0, heading0), Pose(east, north, heading1)
+    start, end = PlanePose(0.0, 0.0, heading0), PlanePose(east, north, heading1)
     length = dubins_path(start, end, 1.0).length_m
     found = brute_force(start, end, 1.0)
     assert length <= found + 1e-6
     assert found <= length + 1e-6, "the search must be as good, or it proves nothing"
 
 
-def brute_force(start: Pose, end: Pose, radius: float) -> float:
+def brute_force(start: PlanePose, end: PlanePose, radius: float) -> float:
     """Shortest of all two-arc-and-straight and three-arc paths by scanning the first arc and finding sign changes.
 
     For each first arc of either turn the second and third part are over-determined by one equation, whose roots along the first arc are
@@ -90,7 +90,7 @@ def brute_force(start: Pose, end: Pose, radius: float) -> float:
     return best
 
 
-def scan(start: Pose, end: Pose, radius: float, first: float, middle: float, last: float, centre: tuple[float, float]) -> float:
+def scan(start: PlanePose, end: PlanePose, radius: float, first: float, middle: float, last: float, centre: tuple[float, float]) -> float:
     def leave(angle: Array) -> tuple[Array, Array, Array]:
         heading = start.heading_rad + first * angle
         east = start.east_m + first * radius * (math.cos(start.heading_rad) - np.cos(heading))
@@ -143,7 +143,7 @@ def least_turn(angle: float) -> float:
 
 @given(st.lists(st.tuples(st.sampled_from(["left", "straight", "right"]), st.floats(0.0, 5.0)), min_size=1, max_size=5), ANGLE)
 def test_no_drivable_path_is_shorter(moves: list[tuple[Turn, float]], heading: float) -> None:
-    start = pose = Pose(3.0, -2.0, heading)
+    start = pose = PlanePose(3.0, -2.0, heading)
     for turn, length in moves:
         pose = drive(pose, turn, length, 1.0)
     path = dubins_path(start, pose, 1.0)
@@ -155,48 +155,50 @@ def test_no_drivable_path_is_shorter(moves: list[tuple[Turn, float]], heading: f
 def test_a_path_of_one_part_gets_no_extra_circle(east: float, north: float, heading: float, length: float, turn: Turn) -> None:
     radius = 50.0
     length = min(length, 3.0 * radius)  # beyond, the other way round is shorter
-    start = Pose(east, north, heading)
+    start = PlanePose(east, north, heading)
     assert dubins_path(start, drive(start, turn, length, radius), radius).length_m == pytest.approx(length, abs=1e-6)
 
 
 @given(PLACE, PLACE, ANGLE)
 def test_staying_costs_nothing(east: float, north: float, heading: float) -> None:
-    assert dubins_path(Pose(east, north, heading), Pose(east, north, heading), 10.0).length_m == pytest.approx(0.0, abs=1e-9)
+    assert dubins_path(PlanePose(east, north, heading), PlanePose(east, north, heading), 10.0).length_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_known_lengths() -> None:
-    ahead = dubins_path(Pose(0.0, 0.0, 0.0), Pose(0.0, 40.0, 0.0), 10.0)
+    ahead = dubins_path(PlanePose(0.0, 0.0, 0.0), PlanePose(0.0, 40.0, 0.0), 10.0)
     assert ahead.length_m == pytest.approx(40.0)
-    u_turn = dubins_path(Pose(0.0, 0.0, 0.0), Pose(20.0, 0.0, math.pi), 10.0)
+    u_turn = dubins_path(PlanePose(0.0, 0.0, 0.0), PlanePose(20.0, 0.0, math.pi), 10.0)
     assert [segment.turn for segment in u_turn.segments if segment.length_m > 1e-9] == ["right"]
     assert u_turn.length_m == pytest.approx(10.0 * math.pi)
-    on_the_spot = dubins_path(Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, math.pi), 10.0)
+    on_the_spot = dubins_path(PlanePose(0.0, 0.0, 0.0), PlanePose(0.0, 0.0, math.pi), 10.0)
     assert on_the_spot.length_m == pytest.approx(10.0 * 7.0 * math.pi / 3.0)  # three arcs: 60, 300, 60 degrees
 
 
 @given(PLACE, PLACE, ANGLE, PLACE, PLACE, ANGLE)
 def test_the_way_back_is_as_long(east0: float, north0: float, heading0: float, east1: float, north1: float, heading1: float) -> None:
-    there = dubins_path(Pose(east0, north0, heading0), Pose(east1, north1, heading1), 20.0)
-    back = dubins_path(Pose(east1, north1, heading1 + math.pi), Pose(east0, north0, heading0 + math.pi), 20.0)
+    there = dubins_path(PlanePose(east0, north0, heading0), PlanePose(east1, north1, heading1), 20.0)
+    back = dubins_path(PlanePose(east1, north1, heading1 + math.pi), PlanePose(east0, north0, heading0 + math.pi), 20.0)
     assert there.length_m == pytest.approx(back.length_m, abs=1e-6)
 
 
 def test_lengths_of_many_pairs_are_those_of_single_paths() -> None:
     poses = np.random.default_rng(4).uniform(-60.0, 60.0, (12, 3))
     table = dubins_lengths(poses[:, np.newaxis], poses[np.newaxis], 10.0)
-    single = [[dubins_path(Pose(*start), Pose(*end), 10.0).length_m for end in poses] for start in poses]
+    single = [[dubins_path(PlanePose(*start), PlanePose(*end), 10.0).length_m for end in poses] for start in poses]
     np.testing.assert_allclose(table, single, atol=1e-9)
 
 
 def test_samples_stay_on_the_path() -> None:
-    path = dubins_path(Pose(0.0, 0.0, 0.3), Pose(-35.0, 12.0, 2.0), 10.0)
+    path = dubins_path(PlanePose(0.0, 0.0, 0.3), PlanePose(-35.0, 12.0, 2.0), 10.0)
     poses = sample_path(path, math.radians(15.0))
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     assert steps.sum() == pytest.approx(path.length_m, rel=0.004)  # chords of 15 degrees
     assert (np.abs(np.diff(poses[:, 2])) <= math.radians(15.0) + 1e-12).all()
 
 
-@pytest.mark.parametrize(("end", "radius"), [(Pose(math.nan, 0.0, 0.0), 1.0), (Pose(1.0, 0.0, math.inf), 1.0), (Pose(1.0, 0.0, 0.0), 0.0)])
-def test_poses_that_are_no_poses_are_refused(end: Pose, radius: float) -> None:
+@pytest.mark.parametrize(
+    ("end", "radius"), [(PlanePose(math.nan, 0.0, 0.0), 1.0), (PlanePose(1.0, 0.0, math.inf), 1.0), (PlanePose(1.0, 0.0, 0.0), 0.0)]
+)
+def test_poses_that_are_no_poses_are_refused(end: PlanePose, radius: float) -> None:
     with pytest.raises(ValueError, match="no path from"):
-        dubins_path(Pose(0.0, 0.0, 0.0), end, radius)
+        dubins_path(PlanePose(0.0, 0.0, 0.0), end, radius)

@@ -12,23 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.plan.contact_legs import contact_legs, information_nats
-from auv_mcm.plan.dubins import Pose, dubins_lengths
+from auv_mcm.plan.dubins import PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
 from auv_mcm.plan.orienteering import Array, Problem, Turns, ends_of, gain_bound_m2, gains_m2, greedy_legs, route_length_m
 from auv_mcm.plan.search import improved
-from auv_mcm.plan.survey import World, replan
+from auv_mcm.plan.survey import SurveyState, replan
 from auv_mcm.plan.tour import WAYS, richest_tour, tour_length
 from auv_mcm.plan.tracks import Cells, survey_tracks
 from tests.auv_mcm.plan.survey_worlds import LIMITS, Sonar, contact, world
 
-POSE = Pose(-20.0, 10.0, 0.5)
+POSE = PlanePose(-20.0, 10.0, 0.5)
 
 
 def always() -> bool:
     return True
 
 
-def problem_of(state: World, limits: Limits, kept: list[int] | None = None) -> Problem:
+def problem_of(state: SurveyState, limits: Limits, kept: list[int] | None = None) -> Problem:
     """Survey legs of an unsearched world, of all or some."""
     row, column = np.nonzero(state.area)
     n = len(row)
@@ -123,7 +123,7 @@ def test_the_richest_tour_is_the_best_of_all_subsets_orders_and_ways(n: int, see
     assert not tour or tour_length(tour, cost) + runs[tour].sum() <= budget
 
 
-def exact_contacts_m2(state: World, limits: Limits) -> float:
+def exact_contacts_m2(state: SurveyState, limits: Limits) -> float:
     """The most that looks at contacts can gain within the budget, by the exact tours."""
     looks = contact_legs(state.contacts, state.clearance, state.performance, limits)
     ends: list[tuple[Array, Array]] = []

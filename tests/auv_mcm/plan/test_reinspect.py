@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.dubins import Pose, dubins_lengths, dubins_path
+from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_path
 from auv_mcm.plan.reinspect import needs_second_look, plan_reinspection
 from auv_mcm.plan.tour import exact_tour, nearly_shortest_tour, short_tour, tour_length
 from auv_mcm.records import NAN, Contact, Waypoint
@@ -267,12 +267,12 @@ def test_the_planned_tour_is_shorter_than_visiting_by_rank() -> None:
         return sum(math.dist(local(frame, here), local(frame, there)) for here, there in pairwise(plan))
 
     single = [plan_reinspection([found], 55.0, 12.0, START_HEADING, CONFIG) for found in by_rank]
-    naive, pose = 0.0, Pose(0.0, 0.0, START_HEADING)
+    naive, pose = 0.0, PlanePose(0.0, 0.0, START_HEADING)
     for plan in single:
         ((entry, leave),) = legs_of(plan)
         start, stop = local(frame, entry), local(frame, leave)
-        naive += dubins_path(pose, Pose(start[0], start[1], entry.heading_rad), CONFIG.turn_radius_m).length_m + math.dist(start, stop)
-        pose = Pose(stop[0], stop[1], leave.heading_rad)
+        naive += dubins_path(pose, PlanePose(start[0], start[1], entry.heading_rad), CONFIG.turn_radius_m).length_m + math.dist(start, stop)
+        pose = PlanePose(stop[0], stop[1], leave.heading_rad)
     assert path_m(together) < 0.7 * naive
 
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, clearance_over, look_bit, unsearched
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.survey import HIGHEST_REQUIRED, Plan, PlannedLeg, World, replan
+from auv_mcm.plan.survey import HIGHEST_REQUIRED, Plan, PlannedLeg, SurveyState, replan
 from tests.auv_mcm.plan.survey_worlds import CELL_M, LIMITS, ORIGIN, Sonar, contact, world
 
-POSE = Pose(-20.0, -20.0, 0.3)
+POSE = PlanePose(-20.0, -20.0, 0.3)
 SQUARE = np.array([[-60.0, -60.0], [-60.0, 140.0], [140.0, 140.0], [140.0, -60.0]])
 BAY = np.array([[-60.0, -60.0], [-60.0, 140.0], [40.0, 60.0], [140.0, 140.0], [140.0, -60.0]])
 
@@ -53,7 +53,7 @@ def edge_distance(points: NDArray[np.float64], fence: NDArray[np.float64]) -> ND
     return nearest
 
 
-def assert_within_limits(plan: Plan, limits: Limits, pose: Pose) -> None:
+def assert_within_limits(plan: Plan, limits: Limits, pose: PlanePose) -> None:
     """By the way-points alone: the polygon that the vehicle is given."""
     places = plane(plan)
     if not len(places):
@@ -159,7 +159,7 @@ CONTACTS = st.lists(st.tuples(st.floats(-30.0, 110.0), st.floats(-30.0, 110.0), 
     budget_m=st.floats(0.0, 3000.0),
     margin_m=st.floats(0.0, 10.0),
     settling_m=st.floats(0.0, 20.0),
-    pose=st.builds(Pose, st.floats(-50.0, 130.0), st.floats(-50.0, 130.0), st.floats(-7.0, 7.0)),
+    pose=st.builds(PlanePose, st.floats(-50.0, 130.0), st.floats(-50.0, 130.0), st.floats(-7.0, 7.0)),
     asking=CONTACTS,
     searched=st.floats(0.0, 1.0),
     patience=st.integers(0, 25),
@@ -170,7 +170,7 @@ def test_no_leg_and_no_turn_ever_breaks_a_limit(
     budget_m: float,
     margin_m: float,
     settling_m: float,
-    pose: Pose,
+    pose: PlanePose,
     asking: list[tuple[float, float, float, float]],
     searched: float,
     patience: int,
@@ -214,8 +214,8 @@ def test_where_nothing_can_be_planned_it_says_why(changes: dict[str, Any], reaso
         assert reason in plan.verdict
 
 
-@pytest.mark.parametrize("pose", [Pose(math.nan, 0.0, 0.0), Pose(0.0, math.inf, 0.0), Pose(0.0, 0.0, math.nan)])
-def test_without_a_pose_there_is_no_plan(pose: Pose) -> None:
+@pytest.mark.parametrize("pose", [PlanePose(math.nan, 0.0, 0.0), PlanePose(0.0, math.inf, 0.0), PlanePose(0.0, 0.0, math.nan)])
+def test_without_a_pose_there_is_no_plan(pose: PlanePose) -> None:
     assert "pose is not known" in replan(world(), pose, LIMITS, None, steps(50)).verdict
 
 
@@ -252,7 +252,7 @@ def test_a_cleared_area_is_done_and_an_empty_one_too() -> None:
     assert replan(state, POSE, LIMITS, None, steps(5)) == Plan(verdict="done: required clearance of 0.90 reached in all of 6\u2009400 m²")
     nothing = state._replace(area=np.zeros((20, 20), dtype=np.bool_))
     assert "no area to clear" in replan(nothing, POSE, LIMITS, None, steps(5)).verdict
-    empty = World(unsearched(*ORIGIN, CELL_M), np.zeros((0, 0), dtype=np.bool_), 0.9, Sonar(), ())
+    empty = SurveyState(unsearched(*ORIGIN, CELL_M), np.zeros((0, 0), dtype=np.bool_), 0.9, Sonar(), ())
     assert replan(empty, POSE, LIMITS, None, steps(5)).verdict.startswith("done: ")
 
 
@@ -310,7 +310,7 @@ def test_a_plan_that_is_being_sailed_is_kept_while_no_other_is_a_tenth_better() 
     # On its way along the first leg.
     first = plan.legs[0]
     part = 0.3
-    on_leg = Pose(
+    on_leg = PlanePose(
         first.entry.east_m + part * (first.exit.east_m - first.entry.east_m),
         first.entry.north_m + part * (first.exit.north_m - first.entry.north_m),
         first.entry.heading_rad,

@@ -19,8 +19,8 @@ from auv_mcm.seabed.seabed_model import (
     SeabedModel,
     as_stored,
     fitted_gaussian,
-    odds_of,
     parse_seabed_model,
+    seabed_odds,
     standardised,
 )
 from auv_mcm.seabed.texture import NAMES, measure_texture
@@ -157,7 +157,7 @@ def test_layers_are_weighed_one_after_the_other() -> None:
     )
     features = rng.normal(0.0, 1.0, (4, n - 1))
     features[0, 0] = 50.0  # weighed as if it lay at three standard deviations, and far from all that was learnt
-    odds = odds_of(features, np.ones(4), model)
+    odds = seabed_odds(features, np.ones(4), model)
     x = np.clip(np.column_stack([features, np.zeros(4)]), -3.0, 3.0)
     sums = np.tanh(x @ first.T + 0.1) @ second.T + (0.0, 0.5)
     assert odds.log_p == pytest.approx(sums - np.logaddexp.reduce(sums, axis=1, keepdims=True))

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,14 @@ import pytest
 
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
-from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
-from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.perception import MakePipeline, PerceptionError
 from auv_mcm.shell.recovery import BALLAST_BYTES, RECORDING, Ballast
-from auv_mcm.shell.results import Journal
 from auv_mcm.shell.service import Service
 from auv_mcm.shell.sources import parse_source_uri
-from auv_mcm.source import Record, VehiclePilot
+from auv_mcm.source import EventSink, Record, VehiclePilot
 from drivers.recording.session_recorder import SessionRecorder
 from sim_replay.logs.session_reader import Session
 from tests.auv_mcm.shell import fake_pipelines as fake
@@ -46,13 +45,19 @@ class Events:
         self._events = events
         self._endless = endless
 
-    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+    async def run(self, sink: EventSink) -> None:
         for event in self._events:
             if isinstance(event, Exception):
                 raise event
-            yield event
+            await self._give(event, sink)
         if self._endless:
             await asyncio.Event().wait()
+
+    async def _give(self, event: SourceEvent, sink: EventSink) -> None:
+        if self.lossless:
+            await sink.put(event)
+        else:
+            sink.push(event)
 
     def counters(self) -> Counter[str]:
         return Counter({"source.events": len(self._events)})
@@ -83,13 +88,15 @@ class Ports(Events):
     async def serve_vehicle(self) -> None:
         raise AssertionError("there is no vehicle")
 
-    async def events(self) -> AsyncGenerator[SourceEvent, None]:
-        async for event in super().events():
-            self._record("one", "in", Stamp(1, 2), b"x")
-            yield event
+    async def run(self, sink: EventSink) -> None:
+        await super().run(sink)
         await self._stopped.wait()
         for event in self._rest:
-            yield event
+            sink.push(event)
+
+    async def _give(self, event: SourceEvent, sink: EventSink) -> None:
+        self._record("one", "in", Stamp(1, 2), b"x")
+        await super()._give(event, sink)
 
 
 def mission(n_pings: int) -> list[SourceEvent | Exception]:
@@ -178,7 +185,7 @@ def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeyp
         raise OSError(28, "No space left on device")
 
     lines: list[str] = []
-    monkeypatch.setattr("auv_mcm.shell.results.Journal.append", full)
+    monkeypatch.setattr("auv_mcm.shell.journal.Journal.append", full)
     results = serve(tmp_path, Events(mission(4)), console=lines.append)
     assert [line.split()[1] for line in lines] == ids(results)
     assert summary(results)["counters"]["service.journal_failed"] == 3
@@ -434,28 +441,6 @@ def test_an_output_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(UsageError, match="a file is in its place"):
         serve(tmp_path / "file", Events(mission(1)))
-
-
-def test_the_queue_drops_the_oldest_ping_and_bounds_everything_else_too() -> None:
-    async def run() -> tuple[list[SourceEvent], Counter[str]]:
-        counters: Counter[str] = Counter()
-        queue = EventQueue(3, False, counters)
-        for number in range(5):
-            await queue.put(fake.navigation(number))
-            await queue.put(fake.ping(number))
-        for number in range(100):
-            await queue.put(fake.navigation(100 + number))
-        await queue.close()
-        events = []
-        while (event := await queue.get()) is not None:
-            events.append(event)
-        return events, counters
-
-    events, counters = asyncio.run(run())
-    assert [event.number for event in events if isinstance(event, Ping)] == [2, 3, 4]
-    navigation = [event.time_s - fake.START_S for event in events if isinstance(event, NavSample)]
-    assert navigation == [*range(152, 200)]
-    assert counters == {"service.ping_dropped": 2, "service.event_dropped": 105 - len(navigation)}
 
 
 @pytest.mark.parametrize(

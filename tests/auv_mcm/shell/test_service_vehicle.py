@@ -6,19 +6,19 @@ import asyncio
 import json
 import time
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from auv_mcm.errors import AuvMcmError
-from auv_mcm.records import Contact, Notice, SourceEvent, Waypoint
+from auv_mcm.records import Contact, Notice, Waypoint
 from auv_mcm.settings.config import Config, PlanConfig, ServiceConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.shell.perception import MakePipeline
 from auv_mcm.shell.service import Service
-from auv_mcm.source import Record
+from auv_mcm.source import EventSink, Record
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (43.01, 5.01), (43.01, 4.99)))
@@ -39,14 +39,14 @@ class Vehicle:
     def take_notices(self) -> list[Notice]:
         return []
 
-    def tell(self, contact: Contact) -> None:
+    def report(self, contact: Contact) -> None:
         self.said.append(("contact", contact.id))
         self.on_contact(contact)
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
         self.said.append(("plan", plan))
 
-    def tell_health(self, state: str, text: str) -> None:
+    def report_health(self, state: str, text: str) -> None:
         self.said.append((state, text))
 
     def release(self, reason: str) -> None:
@@ -88,11 +88,11 @@ class Ports:
         finally:
             self.is_served = False
 
-    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+    async def run(self, sink: EventSink) -> None:
         number = 0
         while not self._stopped:
-            yield fake.navigation(number % 10)
-            yield fake.ping(number)
+            sink.push(fake.navigation(number % 10))
+            sink.push(fake.ping(number))
             number += 1
             await asyncio.sleep(0.01)
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.solids.box_search import Box, Optima, apart, curvature_covariance, look_around, spread, walk
+from auv_mcm.solids.box_search import Optima, SearchBox, apart, curvature_covariance, look_around, spread, walk
 
 Array = NDArray[np.float64]
 
 
-def box(n: int, *, wraps: bool = False) -> Box:
-    return Box(np.full(n, -2.0), np.full(n, 2.0), np.full(n, wraps), np.full(n, 0.1))
+def box(n: int, *, wraps: bool = False) -> SearchBox:
+    return SearchBox(np.full(n, -2.0), np.full(n, 2.0), np.full(n, wraps), np.full(n, 0.1))
 
 
 @pytest.mark.parametrize("n_dimensions", [1, 2, 5])

@@ -18,9 +18,9 @@ from auv_mcm.solids.shapes import (
     ConvexPolyhedron,
     Cylinder,
     Shape,
+    SolidView,
     Sphere,
     TruncatedCone,
-    View,
     Wedge,
     flat_ground_range_m,
     view_shape,
@@ -94,13 +94,13 @@ EVERY_SOLID = pytest.mark.parametrize("kind", sorted(SOLIDS))
 ANY_SOLID = st.one_of(*SOLIDS.values())
 
 
-def clear_of_edges(see: Callable[[Array], View], offset: Array, reach: float) -> Array:
+def clear_of_edges(see: Callable[[Array], SolidView], offset: Array, reach: float) -> Array:
     """Pings whose neighbours at 1/500 of the reach hit or miss as they do; samples may slip through slices narrower than that."""
     hits = [np.isfinite(see(offset + step * reach).tangent_slant_range_m) for step in (-0.002, 0.0, 0.002)]
     return np.asarray(offset[(hits[0] == hits[1]) & (hits[1] == hits[2])])
 
 
-def assert_same(view: View, sampled: View, shadow_tolerance_m: float = 1e-6) -> None:
+def assert_same(view: SolidView, sampled: SolidView, shadow_tolerance_m: float = 1e-6) -> None:
     np.testing.assert_allclose(view.shadow_end_m, sampled.shadow_end_m, rtol=1e-9, atol=shadow_tolerance_m)
     np.testing.assert_allclose(view.front_slant_range_m, sampled.front_slant_range_m, rtol=0.0, atol=1e-7)
 
@@ -172,7 +172,7 @@ def test_squinted_and_sloping_slices_are_those_of_the_sampled_solid(kind: str) -
         ground_range = 2.0 * reach + (0.5 + pose[1]) * altitude
         squint, slope = (turn, 0.0) if squinted else (0.0, turn)
 
-        def see(offset: Array) -> View:
+        def see(offset: Array) -> SolidView:
             return view_shape(shape, offset, ground_range, altitude, squint_rad=squint, slope_rad=slope)
 
         offset = clear_of_edges(see, pings * reach - ground_range * math.tan(squint), reach)

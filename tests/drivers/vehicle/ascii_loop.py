@@ -26,7 +26,7 @@ PAIRS: dict[str, tuple[Callable[[], Conversation], Callable[[], TextController]]
     "recon": (lambda: Conversation(ReconSettings()), FakeRecon),
 }
 COMMANDS = (b"$BPRMB", b"$OMS,", b"#C,")
-CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "tell_health")
+CALLS = ("connected", "disconnected", "request", "request", "command", "command", "release", "report", "report_health")
 STEER = Steer(math.radians(123.0), Vertical("depth", 7.5), 1.5)
 POSE = NavSample(
     time_s=UTC_S,
@@ -147,7 +147,7 @@ def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
             steps.append(("wait", draw(st.sampled_from([0.1, 1.0, 4.0, 6.0, 30.0]))))
         else:
             steps.append(
-                (draw(st.sampled_from(["connected", "disconnected", "request", "command", "release", "report", "tell_health"])), None)
+                (draw(st.sampled_from(["connected", "disconnected", "request", "command", "release", "report", "report_health"])), None)
             )
     return steps
 
@@ -174,8 +174,8 @@ def play(dialect: Conversation, steps: list[tuple[str, Any]]) -> tuple[list[tupl
                 dialect.release("a test", now_s)
             case "report":
                 dialect.report(REPORT, 1 + len(sent) % 7, now_s)
-            case "tell_health":
-                dialect.tell_health(PayloadHealth("fault", "a lens, *dirty*\x00"), now_s)
+            case "report_health":
+                dialect.report_health(PayloadHealth("fault", "a lens, *dirty*\x00"), now_s)
         for event in heard:
             granted = isinstance(event, Granted) if isinstance(event, Granted | Withheld) else granted
         granted &= kind not in ("connected", "disconnected", "release")

@@ -182,7 +182,7 @@ def test_a_contact_is_told_within_a_second_also_in_control(name: str) -> None:
 @every_dialect
 def test_health_is_told(name: str) -> None:
     loop = Loop(name).run(2.0)
-    loop.dialect.tell_health(PayloadHealth("failure", "no sonar, *no* pings"), loop.now_s)
+    loop.dialect.report_health(PayloadHealth("failure", "no sonar, *no* pings"), loop.now_s)
     loop.run(3.0)
     assert "failure no sonar   no  pings" in loop.vehicle.take_health()[-1]
 

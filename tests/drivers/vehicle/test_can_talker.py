@@ -325,7 +325,7 @@ def test_a_report_that_cannot_be_said_is_rejected() -> None:
 def test_health_is_told_when_it_changes_and_every_now_and_then() -> None:
     bench = Bench()
     bench.take(0.0)
-    bench.dialect.tell_health(PayloadHealth("fault", "sonar silent"), 0.1)
+    bench.dialect.report_health(PayloadHealth("fault", "sonar silent"), 0.1)
     sent = bench.take(0.1)
     assert [record.health for record in sent if isinstance(record, PayloadStatus)] == [2]
     assert [text_of(record) for record in sent if isinstance(record, HealthText)] == ["sonar silent"]

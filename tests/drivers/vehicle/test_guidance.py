@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.plan.dubins import Pose, dubins_path, sample_path
+from auv_mcm.plan.dubins import PlanePose, dubins_path, sample_path
 from drivers.navigation.corrections import moved
-from drivers.vehicle.guidance import MAX_LEAD_RAD, LineOfSight, Track
+from drivers.vehicle.guidance import MAX_LEAD_RAD, LineOfSight, WaypointTrack
 
 SPEED_MPS = 1.5
 TURN_RADIUS_M = 10.0
@@ -46,7 +46,7 @@ def sail(
 ) -> tuple[list[Moment], bool]:
     """What happened, and whether all was flown. places_m: east, north."""
     places_deg = tuple(moved(*origin_deg, *place) for place in places_m)
-    track = Track(places_deg, radius_m=3.0, cut_radius_m=TURN_RADIUS_M)
+    track = WaypointTrack(places_deg, radius_m=3.0, cut_radius_m=TURN_RADIUS_M)
     line_of_sight = LineOfSight(turn_radius_m=TURN_RADIUS_M, speed_mps=SPEED_MPS)
     position_deg = told_deg = moved(*origin_deg, *start_m)
     track.join(position_deg, 1)
@@ -84,11 +84,11 @@ def reinspection() -> tuple[Places, list[int]]:
     """Three legs as the planner lays them, with its turns, 30 m and a settling radius at both ends; and the indices of their exits."""
     places: Places = [(0.0, 0.0)]
     exits = []
-    pose = Pose(0.0, 0.0, 0.0)
+    pose = PlanePose(0.0, 0.0, 0.0)
     for entry, way_out in (
-        (Pose(60.0, 40.0, math.pi / 2), Pose(110.0, 40.0, math.pi / 2)),
-        (Pose(100.0, 80.0, -math.pi / 2), Pose(50.0, 80.0, -math.pi / 2)),
-        (Pose(20.0, 20.0, math.pi), Pose(20.0, -30.0, math.pi)),
+        (PlanePose(60.0, 40.0, math.pi / 2), PlanePose(110.0, 40.0, math.pi / 2)),
+        (PlanePose(100.0, 80.0, -math.pi / 2), PlanePose(50.0, 80.0, -math.pi / 2)),
+        (PlanePose(20.0, 20.0, math.pi), PlanePose(20.0, -30.0, math.pi)),
     ):
         path = sample_path(dubins_path(pose, entry, TURN_RADIUS_M / math.cos(math.radians(7.5))), math.radians(15.0))
         places += [(float(east_m), float(north_m)) for east_m, north_m, *_ in path[1:-1]]
@@ -138,7 +138,7 @@ def test_commands_turn_no_faster_than_on_the_circle_and_never_far_ahead_of_the_v
 
 
 def test_a_vehicle_that_does_not_turn_is_not_led_round_to_its_other_side() -> None:
-    track = Track((moved(54.0, 8.0, 0.0, 0.0), moved(54.0, 8.0, 0.0, -500.0)), radius_m=3.0)
+    track = WaypointTrack((moved(54.0, 8.0, 0.0, 0.0), moved(54.0, 8.0, 0.0, -500.0)), radius_m=3.0)
     line_of_sight = LineOfSight(turn_radius_m=TURN_RADIUS_M, speed_mps=SPEED_MPS)
     leads = []
     for step in range(600):
@@ -170,7 +170,7 @@ def test_legs_across_the_antimeridian_and_near_the_poles_are_held(origin_deg: tu
 
 
 def test_a_place_passed_abeam_is_behind_the_vehicle_however_far_off() -> None:
-    track = Track(tuple(moved(54.0, 8.0, 0.0, north_m) for north_m in (0.0, 100.0, 200.0)), radius_m=3.0)
+    track = WaypointTrack(tuple(moved(54.0, 8.0, 0.0, north_m) for north_m in (0.0, 100.0, 200.0)), radius_m=3.0)
     track.advance(moved(54.0, 8.0, 40.0, 99.0))
     assert track.index == 1
     track.advance(moved(54.0, 8.0, 40.0, 101.0))
@@ -178,14 +178,14 @@ def test_a_place_passed_abeam_is_behind_the_vehicle_however_far_off() -> None:
 
 
 def test_places_on_top_of_each_other_are_all_reached_at_once() -> None:
-    track = Track(((54.0, 8.0),) * 4, radius_m=3.0, cut_radius_m=10.0)
+    track = WaypointTrack(((54.0, 8.0),) * 4, radius_m=3.0, cut_radius_m=10.0)
     track.advance((54.0, 8.0))
     assert track.finished
 
 
 def test_the_nearest_leg_is_joined() -> None:
     places_deg = tuple(moved(54.0, 8.0, *place) for place in ((0.0, 0.0), (0.0, 50.0), (50.0, 50.0), (50.0, 0.0)))
-    track = Track(places_deg, radius_m=3.0)
+    track = WaypointTrack(places_deg, radius_m=3.0)
     assert track.nearest(moved(54.0, 8.0, 5.0, 20.0), 1, 3) == 1
     assert track.nearest(moved(54.0, 8.0, 20.0, 45.0), 1, 3) == 2
     assert track.nearest(moved(54.0, 8.0, 45.0, 10.0), 1, 2) == 2
@@ -195,6 +195,6 @@ def test_the_nearest_leg_is_joined() -> None:
 
 
 def test_without_a_position_nothing_is_passed() -> None:
-    track = Track(((54.0, 8.0), (54.1, 8.0)), radius_m=3.0)
+    track = WaypointTrack(((54.0, 8.0), (54.1, 8.0)), radius_m=3.0)
     track.advance((math.nan, math.nan))
     assert not track.finished

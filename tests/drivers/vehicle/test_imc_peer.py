@@ -135,7 +135,7 @@ def talk_to(wire: socket.socket) -> list[VehicleEvent]:
     dialect.connected(time.monotonic())
     dialect.request(time.monotonic())
     dialect.report(a_report(), 1, time.monotonic())
-    dialect.tell_health(PayloadHealth("normal", "all is well"), time.monotonic())
+    dialect.report_health(PayloadHealth("normal", "all is well"), time.monotonic())
     events: list[VehicleEvent] = []
     until_s = time.monotonic() + DEADLINE_S
     while time.monotonic() < until_s:

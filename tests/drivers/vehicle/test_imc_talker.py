@@ -418,7 +418,7 @@ def test_the_first_vehicle_is_the_vehicle(first: ImcMessage) -> None:
 def test_heartbeat_every_second_and_health_when_it_changes() -> None:
     talk = Talk()
     assert 9 <= len(talk.said_of(imc.Heartbeat, 10.0)) <= 11  # steps of 0.1 s are not exact
-    talk.dialect.tell_health(PayloadHealth("fault", "port bow: silent"), talk.now_s)
+    talk.dialect.report_health(PayloadHealth("fault", "port bow: silent"), talk.now_s)
     told = imc.EntityState(EntityStatus.FAULT, 0, "port bow: silent")
     assert talk.said_of(imc.EntityState) == [told]
     assert talk.said_of(imc.EntityState, 21.0) == 4 * [told]

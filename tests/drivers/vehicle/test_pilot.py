@@ -388,8 +388,8 @@ def test_a_vehicle_that_arrives_everywhere_and_takes_control_back_leaves_nothing
 def test_contacts_are_told_at_once_and_again_after_the_link_was_lost() -> None:
     sea = Sea()
     sea.tick()
-    sea.pilot.tell(contact(1))
-    sea.pilot.tell(contact(2))
+    sea.pilot.report(contact(1))
+    sea.pilot.report(contact(2))
     sea.pilot.take_outgoing(sea.now_s)
     (_, _, ticket), _ = sea.dialect.reports
     sea.hear(Acknowledged(ticket))
@@ -404,7 +404,7 @@ def test_contacts_are_told_at_once_and_again_after_the_link_was_lost() -> None:
 def test_contacts_wait_for_the_vehicle() -> None:
     sea = Sea()
     sea.talks = False
-    sea.pilot.tell(contact(1))
+    sea.pilot.report(contact(1))
     sea.tick(1.0)
     assert sea.dialect.reports == []
     sea.talks = True
@@ -416,7 +416,7 @@ def test_a_refused_report_is_told_to_people_once_per_contact() -> None:
     sea = Sea()
     sea.tick()
     for p_mine in (0.5, 0.6):
-        sea.pilot.tell(contact(1, p_mine))
+        sea.pilot.report(contact(1, p_mine))
         sea.tick()
         sea.hear(Rejected(sea.dialect.reports[-1][2], "too small"))
     sea.tick(60.0)
@@ -426,8 +426,8 @@ def test_a_refused_report_is_told_to_people_once_per_contact() -> None:
 
 def test_health_is_told_when_it_changes_and_when_the_wire_opens() -> None:
     sea = Sea()
-    sea.pilot.tell_health(PayloadHealth("normal", ""), sea.now_s)
-    sea.pilot.tell_health(PayloadHealth("normal", ""), sea.now_s)
+    sea.pilot.report_health(PayloadHealth("normal", ""), sea.now_s)
+    sea.pilot.report_health(PayloadHealth("normal", ""), sea.now_s)
     sea.pilot.disconnected(sea.now_s)
     sea.pilot.connected(sea.now_s)
     assert [line for line in sea.dialect.said if line.startswith("health")] == ["health normal", "health normal"]

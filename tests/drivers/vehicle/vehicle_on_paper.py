@@ -56,7 +56,7 @@ class PaperTalker:
         self.reports.append((now_s, report, ticket))
         self._say(f"report {report.number}.{report.revision}")
 
-    def tell_health(self, health: PayloadHealth, now_s: float) -> None:
+    def report_health(self, health: PayloadHealth, now_s: float) -> None:
         self._say(f"health {health.state}")
 
     def release(self, reason: str, now_s: float) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.settings.config import Config
 from sim_replay.adaptive.decide import by_replanning
-from sim_replay.adaptive.flight import Flight, fly_adaptive
+from sim_replay.adaptive.flight import AdaptiveFlight, fly_adaptive
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.scene import Scene, Seabed, World
@@ -60,7 +60,7 @@ def coarse_config() -> Config:
     )
 
 
-def fly_small(worth: Worth, order: Order, seed: int = 1) -> Flight:
+def fly_small(worth: Worth, order: Order, seed: int = 1) -> AdaptiveFlight:
     scene = small_scene(seed)
     limits = limits_of(scene, order)
     replanning = by_replanning(order, worth, limits, local_frame(scene.origin))

@@ -7,12 +7,12 @@ import pytest
 
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.dubins import Pose
+from auv_mcm.plan.dubins import PlanePose
 from sim_replay.adaptive.decide import by_replanning
-from sim_replay.adaptive.flight import Decision, Flight, Situation, fly_adaptive, fly_fixed
-from sim_replay.adaptive.ground import over_area, would_come_to
+from sim_replay.adaptive.flight import AdaptiveFlight, LegDecision, Situation, fly_adaptive, fly_fixed
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower
 from sim_replay.adaptive.order import limits_of
+from sim_replay.adaptive.ordered_ground import clearance_over_order, would_come_to
 from sim_replay.simulator.plan import local_frame, planned_legs
 from tests.sim_replay.adaptive.small_worlds import SIDE_M, Worth, coarse_config, fly_small, small_order, small_scene
 
@@ -20,11 +20,11 @@ GOOD = Worth(0.6)
 
 
 @pytest.fixture(scope="module")
-def cleared() -> Flight:
+def cleared() -> AdaptiveFlight:
     return fly_small(GOOD, small_order())
 
 
-def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: Flight) -> None:
+def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: AdaptiveFlight) -> None:
     assert cleared.verdict.startswith("done")
     assert cleared.ground.p_detected.mean() >= 0.6
     assert cleared.reached_m == pytest.approx(cleared.way_m, abs=1.0)
@@ -32,18 +32,18 @@ def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: Flight) ->
     assert all(told.p_detected < 0.6 for told in cleared.told if told.way_m < cleared.reached_m)
 
 
-def test_what_is_told_only_grows_and_covers_the_ordered_area(cleared: Flight) -> None:
+def test_what_is_told_only_grows_and_covers_the_ordered_area(cleared: AdaptiveFlight) -> None:
     assert all(np.diff([told.p_detected for told in cleared.told]) >= 0.0)
     cell_m = cleared.ground.cell_m
     assert cleared.ground.exponent.shape == pytest.approx((SIDE_M / cell_m, SIDE_M / cell_m), abs=1)
 
 
-def test_every_decision_is_explained(cleared: Flight) -> None:
+def test_every_decision_is_explained(cleared: AdaptiveFlight) -> None:
     assert len(cleared.reasons) >= 2
     assert all(cleared.reasons)
 
 
-def test_the_same_seed_gives_the_same_flight(cleared: Flight) -> None:
+def test_the_same_seed_gives_the_same_flight(cleared: AdaptiveFlight) -> None:
     again = fly_small(GOOD, small_order())
     assert again.track.tobytes() == cleared.track.tobytes()
     assert again.ground.exponent.tobytes() == cleared.ground.exponent.tobytes()
@@ -57,7 +57,7 @@ def test_a_sea_floor_on_which_nothing_is_found_ends_the_flight_at_once_with_word
     assert flight.reached_m == np.inf
 
 
-def test_what_is_wanted_beyond_the_order_by_what_is_known_is_flown_for_as_well(cleared: Flight) -> None:
+def test_what_is_wanted_beyond_the_order_by_what_is_known_is_flown_for_as_well(cleared: AdaptiveFlight) -> None:
     scene, order = small_scene(), small_order()
     limits = limits_of(scene, order)
     decide = by_replanning(order, GOOD, limits, local_frame(scene.origin))
@@ -79,12 +79,12 @@ def test_what_a_lawnmower_would_come_to_is_what_was_expected_where_the_floor_is_
     limits = limits_of(scene, order)
     origin = local_frame(scene.origin)
     first = planned_legs(scene.track.plan)[0]
-    lawnmower = shortest_lawnmower(SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, Pose(first.east_m, first.north_m, 0.0))
+    lawnmower = shortest_lawnmower(SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, PlanePose(first.east_m, first.north_m, 0.0))
     assert lawnmower is not None
     # The ground's plane may lie elsewhere than the scene's.
     plane = LocalFrame(latitude_deg=origin.latitude_deg + 3e-4, longitude_deg=origin.longitude_deg - 2e-4)
     for there in (origin, plane):
-        ground = over_area(None, order, origin, there, 4.0)
+        ground = clearance_over_order(None, order, origin, there, 4.0)
         told = would_come_to(ground, lawnmower.legs, origin, GOOD, limits)
         assert told == pytest.approx(lawnmower.expected, abs=0.04)
     assert would_come_to(ground, lawnmower.legs[:1], origin, GOOD, limits) < told
@@ -96,7 +96,7 @@ def test_an_order_that_takes_more_track_than_there_is_ends_within_the_budget() -
     assert flight.way_m <= 231.0
 
 
-def test_the_vehicle_stays_inside_the_fence(cleared: Flight) -> None:
+def test_the_vehicle_stays_inside_the_fence(cleared: AdaptiveFlight) -> None:
     low, high = small_order().fence.min(axis=0), small_order().fence.max(axis=0)
     assert (cleared.track > low).all()
     assert (cleared.track < high).all()
@@ -109,9 +109,9 @@ def test_a_flight_with_nothing_left_to_decide_waits_for_what_it_has_flown_over()
     leg = planned_legs(scene.track.plan)[0]._replace(length_m=70.0)
     asked: list[Situation] = []
 
-    def one_leg(now: Situation) -> Decision:
+    def one_leg(now: Situation) -> LegDecision:
         asked.append(now)
-        return Decision((leg,) if len(asked) == 1 else (), "cannot, because the test has one leg", "one leg")
+        return LegDecision((leg,) if len(asked) == 1 else (), "cannot, because the test has one leg", "one leg")
 
     flight = fly_adaptive(scene, order, one_leg, limits, Worth(0.3), coarse_config(), lambda ground: order.required)
     assert not asked[1].complete
@@ -125,7 +125,7 @@ def test_a_lawnmower_flown_gives_about_the_clearance_that_was_expected() -> None
     scene, order = small_scene(), small_order(required=0.7)
     limits = limits_of(scene, order)
     first = planned_legs(scene.track.plan)[0]
-    start = Pose(first.east_m, first.north_m, first.direction_rad)
+    start = PlanePose(first.east_m, first.north_m, first.direction_rad)
     lawnmower = shortest_lawnmower(SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, start)
     assert lawnmower is not None
     flight = fly_fixed(scene, order, lawnmower.legs, GOOD, coarse_config())

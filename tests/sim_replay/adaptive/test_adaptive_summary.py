@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from sim_replay.adaptive.compare import Arm, Compared, Counts, Target
+from sim_replay.adaptive.compare import AreaMine, Arm, Compared, Counts
 from sim_replay.adaptive.order import SIDE_M, drawn_scene
 from sim_replay.adaptive.summary import HEADER, paired, planned_words, rows
 from sim_replay.simulator.scene import TARGET_KINDS
@@ -16,7 +16,7 @@ from sim_replay.simulator.scene import TARGET_KINDS
 
 def arm(track_m: float, n_found: int, reached_m: float | None) -> Arm:
     counts = Counts(n_found=n_found, n_false=3, n_found_half=n_found - 1, n_false_half=1)
-    targets = tuple(Target(p_detected=0.7, found=k < n_found) for k in range(10))
+    targets = tuple(AreaMine(p_detected=0.7, found=k < n_found) for k in range(10))
     return Arm(
         track_m=track_m,
         duration_s=track_m / 2.0,

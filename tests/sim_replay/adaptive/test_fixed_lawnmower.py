@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from auv_mcm.plan.dubins import Pose, dubins_path
+from auv_mcm.plan.dubins import PlanePose, dubins_path
 from auv_mcm.plan.limits import Limits
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower, way_m, worst_seabed
 from sim_replay.simulator.plan import Leg
 from tests.sim_replay.adaptive.small_worlds import Worth
 
-START = Pose(10.0, -30.0, 0.0)
+START = PlanePose(10.0, -30.0, 0.0)
 LIMITS = Limits(turn_radius_m=10.0, budget_m=9000.0, fence=None, altitude_m=5.0, min_altitude_m=2.0, swath=(2.0, 30.0))
 
 
@@ -63,8 +63,8 @@ def test_the_length_is_that_of_legs_and_turns_between_them() -> None:
     assert lawnmower is not None
     length, pose = 0.0, START
     for leg in lawnmower.legs:
-        length += dubins_path(pose, Pose(leg.east_m, leg.north_m, leg.direction_rad), 10.0).length_m + leg.length_m
-        pose = Pose(*leg.end, leg.direction_rad)
+        length += dubins_path(pose, PlanePose(leg.east_m, leg.north_m, leg.direction_rad), 10.0).length_m + leg.length_m
+        pose = PlanePose(*leg.end, leg.direction_rad)
     assert lawnmower.length_m == pytest.approx(length)
     assert way_m(lawnmower.legs, LIMITS, START) == pytest.approx(length)
 

@@ -14,8 +14,8 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config
-from sim_replay.augment.command import augment
-from sim_replay.augment.targets import parse_spec
+from sim_replay.augment.augment_log import augment
+from sim_replay.augment.targets import parse_target_spec
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.scoring.inputs import read_truth
 from tests.sim_replay.augment.plain_logs import CONFIG, HEADING_RAD, STEP_M, written
@@ -33,7 +33,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_the_truth_names_every_object_where_it_lies(log: Path, tmp_path: Path) -> None:
-    done = augment(log, parse_spec(SPEC, "spec"), tmp_path / "out", CONFIG, seabed="sand")
+    done = augment(log, parse_target_spec(SPEC, "spec"), tmp_path / "out", CONFIG, seabed="sand")
     assert (done.n_objects, done.n_targets, done.n_hidden) == (2, 1, 0)
     assert done.log == tmp_path / "out" / "plain.xtf"
     truth = read_truth(done.truth)
@@ -58,7 +58,7 @@ def test_the_truth_names_every_object_where_it_lies(log: Path, tmp_path: Path) -
 
 
 def test_equal_input_gives_equal_files(log: Path, tmp_path: Path) -> None:
-    spec = parse_spec(SPEC, "spec")
+    spec = parse_target_spec(SPEC, "spec")
     one, two = (augment(log, spec, tmp_path / name, CONFIG) for name in ("one", "two"))
     assert one.log.read_bytes() == two.log.read_bytes()
     assert one.truth.read_bytes() == two.truth.read_bytes()
@@ -68,19 +68,19 @@ def test_equal_input_gives_equal_files(log: Path, tmp_path: Path) -> None:
 def test_the_log_itself_is_never_overwritten(log: Path) -> None:
     before = log.read_bytes()
     with pytest.raises(UsageError, match="never overwritten"):
-        augment(log, parse_spec(SPEC, "spec"), log.parent, CONFIG)
+        augment(log, parse_target_spec(SPEC, "spec"), log.parent, CONFIG)
     assert log.read_bytes() == before
 
 
 def test_a_directory_that_cannot_be_written_to_is_refused(log: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(UsageError, match="a file is in its place"):
-        augment(log, parse_spec(SPEC, "spec"), tmp_path / "file", CONFIG)
+        augment(log, parse_target_spec(SPEC, "spec"), tmp_path / "file", CONFIG)
 
 
 def test_a_log_without_side_scan_is_refused(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="no side-scan channel"):
-        augment(shared_data("sidescan/bathymetry-only.xtf"), parse_spec(SPEC, "spec"), tmp_path / "out", Config())
+        augment(shared_data("sidescan/bathymetry-only.xtf"), parse_target_spec(SPEC, "spec"), tmp_path / "out", Config())
 
 
 @pytest.mark.parametrize(("name", "ping", "ground_range_m"), [("scotsman-iver2.xtf", 250, 11.0), ("colorado-river-455k.xtf", 494, 14.0)])
@@ -88,7 +88,9 @@ def test_recorded_logs_change_around_the_target_only(
     shared_data: Callable[[str], Path], tmp_path: Path, name: str, ping: int, ground_range_m: float
 ) -> None:
     log = shared_data(f"sidescan/{name}")
-    spec = parse_spec(f"targets: [{{kind: cylinder, side: port, ping: {ping}, ground_range_m: {ground_range_m}, azimuth_deg: 20}}]", "spec")
+    spec = parse_target_spec(
+        f"targets: [{{kind: cylinder, side: port, ping: {ping}, ground_range_m: {ground_range_m}, azimuth_deg: 20}}]", "spec"
+    )
     done = augment(log, spec, tmp_path / "out", Config())
     before, after = (np.frombuffer(path.read_bytes(), dtype=np.uint8) for path in (log, done.log))
     assert before.size == after.size

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sim_replay.augment.direct import invert, multi_look
-from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render
+from sim_replay.augment.forward import BeamPattern, SeafloorScene, ground_range_m, render_image
 
 Array = NDArray[np.float64]
 COLUMN_M, ROW_M = 0.1, 0.2
@@ -41,7 +41,7 @@ def scene_of(elevation: Array) -> SeafloorScene:
 
 def image_of(scene: SeafloorScene, looks: int, seed: int = 3) -> Array:
     generator = np.random.Generator(np.random.PCG64(seed))
-    return np.asarray((render(scene).intensity + 1e-3) * generator.gamma(looks, 1.0 / looks, scene.elevation_m.shape))
+    return np.asarray((render_image(scene).intensity + 1e-3) * generator.gamma(looks, 1.0 / looks, scene.elevation_m.shape))
 
 
 def inverted(image: Array, scene: SeafloorScene, valid: NDArray[np.bool_] = ALL) -> SeafloorScene:
@@ -79,8 +79,8 @@ def test_level_floor_comes_back_level_with_its_reflectivity_and_beam() -> None:
 @pytest.mark.parametrize("relief", [0.0, 1.0])
 def test_render_of_what_was_found_is_the_image_without_speckle(relief: float) -> None:
     scene = scene_of(relief * ripples())
-    wanted = render(scene).intensity[5:-5, 20:-10]
-    found = render(inverted(image_of(scene, 4), scene)).intensity[5:-5, 20:-10]
+    wanted = render_image(scene).intensity[5:-5, 20:-10]
+    found = render_image(inverted(image_of(scene, 4), scene)).intensity[5:-5, 20:-10]
     assert float(np.sqrt(((found - wanted) ** 2).sum() / (wanted**2).sum())) < 0.25
     assert abs(10.0 * math.log10(found.mean() / wanted.mean())) < 0.2
 
@@ -110,7 +110,7 @@ def test_wall_casts_its_shadow_again() -> None:
     elevation = np.zeros((N_PINGS, N_COLUMNS))
     elevation[30:60, 120:124] = 0.5
     scene = scene_of(elevation)
-    truth, found = render(scene), render(inverted(image_of(scene, 10), scene))
+    truth, found = render_image(scene), render_image(inverted(image_of(scene, 10), scene))
     floor = float(np.median(truth.intensity))
     behind = truth.shadow & (truth.intensity < 0.05 * floor)
     assert float(np.median(found.intensity[behind])) < 0.3 * floor
@@ -121,14 +121,14 @@ def test_picture_without_echoes_gives_finite_planes_that_render_to_nothing() -> 
     for image, valid in ((np.zeros(ALL.shape), ALL), (image_of(scene, 4), ~ALL)):
         found = inverted(image, scene, valid)
         assert all(np.isfinite(plane).all() for plane in (found.elevation_m, found.reflectivity, found.beam.gain))
-        assert not render(found).intensity[valid].any()
+        assert not render_image(found).intensity[valid].any()
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (2, 6), (20, 3), (1, 1)])
 def test_small_pictures_are_inverted_too(shape: tuple[int, int]) -> None:
     image = np.random.Generator(np.random.PCG64(1)).gamma(1.0, 1.0, shape)
     found = invert(image, np.ones(shape, dtype=np.bool_), np.full(shape[0], 5.0), 0.2 * np.arange(shape[0], dtype=np.float64), 0.1)
-    assert np.isfinite(render(found).intensity).all()
+    assert np.isfinite(render_image(found).intensity).all()
 
 
 @pytest.mark.parametrize("looks", [1, 4])

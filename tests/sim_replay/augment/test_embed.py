@@ -14,10 +14,10 @@ from auv_mcm.records import SIDES, Ping, Side, Transfer
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.solids.shapes import Box, view_shape
 from auv_mcm.waterfall.transfer import to_intensity
+from sim_replay.augment.background_log import read_survey, to_samples
 from sim_replay.augment.embed import Augmented, embed
-from sim_replay.augment.line import Change, Line, mixed
-from sim_replay.augment.log import read_survey, to_samples
-from sim_replay.augment.targets import Target, TargetSpec, place_targets
+from sim_replay.augment.line import Change, SampleScatter, mixed
+from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
@@ -37,12 +37,12 @@ from tests.sim_replay.augment.plain_logs import (
 Floats = NDArray[np.float64]
 
 
-def box(side: Side = "starboard", contrast_db: float = 14.0) -> Target:
+def box(side: Side = "starboard", contrast_db: float = 14.0) -> EmbeddedTarget:
     """Broadside to ping 80."""
-    return Target(kind="box", ping=80, side=side, ground_range_m=12.0, azimuth_deg=30.0, contrast_db=contrast_db)
+    return EmbeddedTarget(kind="box", ping=80, side=side, ground_range_m=12.0, azimuth_deg=30.0, contrast_db=contrast_db)
 
 
-def augmented(log: Path, *targets: Target, config: Config = CONFIG, seed: int = 1) -> Augmented:
+def augmented(log: Path, *targets: EmbeddedTarget, config: Config = CONFIG, seed: int = 1) -> Augmented:
     survey = read_survey(log, config)
     track = track_of(survey, config)
     placements = place_targets(TargetSpec(seed=seed, targets=targets), track) if targets else ()
@@ -147,8 +147,10 @@ def test_logarithmic_bytes_are_written_as_logarithms(tmp_path: Path) -> None:
 
 
 def test_what_is_behind_an_embedded_object_is_hidden_by_it(log: Path) -> None:
-    tall = Target(kind="box", ping=80, side="starboard", ground_range_m=9.0, azimuth_deg=30.0, length_m=3.0, width_m=1.0, height_m=1.5)
-    low = Target(kind="box", ping=80, side="starboard", ground_range_m=11.0, azimuth_deg=30.0, height_m=0.3, length_m=0.6)
+    tall = EmbeddedTarget(
+        kind="box", ping=80, side="starboard", ground_range_m=9.0, azimuth_deg=30.0, length_m=3.0, width_m=1.0, height_m=1.5
+    )
+    low = EmbeddedTarget(kind="box", ping=80, side="starboard", ground_range_m=11.0, azimuth_deg=30.0, height_m=0.3, length_m=0.6)
     done = augmented(log, tall, low)
     assert done.objects[0].looks[0].visible_fraction > 0.8
     assert done.objects[1].looks[0].visible_fraction < 0.1
@@ -163,7 +165,9 @@ def test_an_object_in_a_recorded_shadow_makes_no_highlight(tmp_path: Path) -> No
         return shading
 
     log = written(tmp_path / "shaded.xtf", mission(shaded))
-    low = Target(kind="box", ping=80, side="starboard", ground_range_m=11.5, azimuth_deg=30.0, height_m=0.3, length_m=0.6, contrast_db=25.0)
+    low = EmbeddedTarget(
+        kind="box", ping=80, side="starboard", ground_range_m=11.5, azimuth_deg=30.0, height_m=0.3, length_m=0.6, contrast_db=25.0
+    )
     done = augmented(log, low)
     assert done.objects[0].looks[0].visible_fraction < 0.05
     after = tmp_path / "after.xtf"
@@ -188,10 +192,10 @@ def test_every_pass_over_a_place_gets_the_target(tmp_path: Path) -> None:
 # --- how echoes mix ---
 
 
-def white_line(quantiles: Floats | None = None, **others: object) -> Line:
+def white_line(quantiles: Floats | None = None, **others: object) -> SampleScatter:
     probability = np.linspace(0.0, 1.0, 513)
     law = -np.log1p(-np.minimum(probability, 1.0 - 0.25 / 513)) if quantiles is None else quantiles
-    line = Line(WHITE, WHITE, 1, np.ones(400), law / np.trapezoid(law, probability), np.ones(400))
+    line = SampleScatter(WHITE, WHITE, 1, np.ones(400), law / np.trapezoid(law, probability), np.ones(400))
     return line._replace(**others)  # type: ignore[arg-type]  # named fields of a NamedTuple
 
 
@@ -228,7 +232,9 @@ def test_embedded_shadow_scatters_as_real_shadow_does(shape: float) -> None:
 
 
 def test_shadow_embedded_in_a_log_scatters_as_its_water_column_does(log: Path) -> None:
-    wide = Target(kind="box", ping=80, side="starboard", ground_range_m=10.0, azimuth_deg=30.0, length_m=4.0, width_m=1.0, height_m=1.0)
+    wide = EmbeddedTarget(
+        kind="box", ping=80, side="starboard", ground_range_m=10.0, azimuth_deg=30.0, length_m=4.0, width_m=1.0, height_m=1.0
+    )
     after = log.with_name("wide.xtf")
     after.write_bytes(augmented(log, wide).data)
     image = samples(after)["starboard"] ** 2

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import SIDES, Side
 from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, Wedge, view_shape
-from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, Relief, View, echoes
+from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, PingWindow, Relief, echoes
 from sim_replay.augment.forward import BeamPattern
 from sim_replay.augment.track import SIGN
-from sim_replay.simulator.objects import USUAL, Placed
+from sim_replay.simulator.objects import USUAL, PlacedObject
 from sim_replay.simulator.scene import ObjectKind
 
 HEIGHT_M = 5.0
@@ -26,8 +26,8 @@ EVEN = BeamPattern(depression_rad=np.array([0.0, 1.5]), gain=np.array([1.0, 1.0]
 Floats = NDArray[np.float64]
 
 
-def view(side: Side = "starboard") -> View:
-    return View(
+def view(side: Side = "starboard") -> PingWindow:
+    return PingWindow(
         side=side,
         along_m=ALONG_M,
         turn_rad=np.zeros(len(ALONG_M)),
@@ -47,9 +47,9 @@ def relief(elevation: Floats | None = None, column_spacing_m: float = 0.05) -> R
     return Relief(np.broadcast_to(profile, shape).copy(), np.ones(shape), ALONG_M, 0, column_spacing_m)
 
 
-def thing(kind: ObjectKind, ground_m: float, side: Side = "starboard", azimuth_rad: float = 0.0, burial_m: float = 0.0) -> Placed:
+def thing(kind: ObjectKind, ground_m: float, side: Side = "starboard", azimuth_rad: float = 0.0, burial_m: float = 0.0) -> PlacedObject:
     usual = USUAL[kind]
-    return Placed(
+    return PlacedObject(
         kind=kind,
         east_m=SIGN[side] * ground_m,
         north_m=REFERENCE_NORTH_M,

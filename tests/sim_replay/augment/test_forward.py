@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim_replay.augment.forward import BeamPattern, Rendering, SeafloorScene, render
+from sim_replay.augment.forward import BeamPattern, Rendering, SeafloorScene, render_image
 
 BEAM = BeamPattern(depression_rad=np.radians([2.0, 10.0, 40.0, 80.0]), gain=np.array([0.2, 1.0, 2.0, 0.5]))
 
@@ -66,13 +66,13 @@ def test_render_is_what_every_pixel_on_its_own_gives(seed: int, n_pings: int, n_
         altitude_m=generator.uniform(4.0, 7.0, n_pings),
         along_m=np.cumsum(generator.uniform(0.05, 0.3, n_pings)),
     )
-    fast, slow = render(scene), slow_render(scene)
+    fast, slow = render_image(scene), slow_render(scene)
     np.testing.assert_array_equal(fast.shadow, slow.shadow)
     np.testing.assert_allclose(fast.intensity, slow.intensity, rtol=1e-9, atol=1e-12)
 
 
 def test_plain_floor_has_no_shadow_and_lamberts_cosine() -> None:
-    rendering = render(scene_of(np.zeros((3, 200))))
+    rendering = render_image(scene_of(np.zeros((3, 200))))
     ground_m = (np.arange(200) + 0.5) * 0.1
     sine = 5.0 / np.hypot(ground_m, 5.0)
     assert not rendering.shadow.any()
@@ -86,7 +86,7 @@ def test_shadow_ends_where_the_line_over_the_top_meets_the_plane(slope: float, h
     ground_m = (np.arange(800) + 0.5) * spacing_m
     elevation = np.tile(slope * (ground_m - 12.0), (1, 1))
     elevation[0, at] += height_m
-    shadow = render(scene_of(elevation, column_spacing_m=spacing_m)).shadow[0]
+    shadow = render_image(scene_of(elevation, column_spacing_m=spacing_m)).shadow[0]
     top_m, altitude_m = elevation[0, at], 5.0
     # Sight line from (0, H) over the top against the plane: H - (H - top) y / y_top = slope (y - 12).
     end_m = (altitude_m + 12.0 * slope) / (slope + (altitude_m - top_m) / ground_m[at])
@@ -97,8 +97,8 @@ def test_shadow_ends_where_the_line_over_the_top_meets_the_plane(slope: float, h
 
 
 def test_beam_follows_the_elevation_of_the_pixel() -> None:
-    raised = render(scene_of(np.full((1, 100), 1.0), altitude_m=6.0))
-    flat = render(scene_of(np.zeros((1, 100)), altitude_m=5.0))
+    raised = render_image(scene_of(np.full((1, 100), 1.0), altitude_m=6.0))
+    flat = render_image(scene_of(np.zeros((1, 100)), altitude_m=5.0))
     np.testing.assert_allclose(raised.intensity, flat.intensity, rtol=1e-12)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.settings.config import Config
-from sim_replay.augment.forward import render
+from sim_replay.augment.forward import render_image
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.studies.recorded_lines import invert_waterfall, waterfall_pictures
 from tests.sim_replay.logs.xtf_logs import written
@@ -26,7 +26,7 @@ def test_log_gives_pictures_and_scenes_of_both_sides(tmp_path: Path) -> None:
             assert not picture.intensity[~picture.valid].any()
             assert (np.diff(picture.along_m) > 0.0).all()
             assert scene.elevation_m.shape == picture.intensity.shape == (len(picture.altitude_m), picture.valid.shape[1])
-            image, rendered = picture.intensity[picture.valid].mean(), render(scene).intensity[picture.valid].mean()
+            image, rendered = picture.intensity[picture.valid].mean(), render_image(scene).intensity[picture.valid].mean()
             assert 0.7 < rendered / image < 1.4
 
 

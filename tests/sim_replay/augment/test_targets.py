@@ -10,20 +10,20 @@ import pytest
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import SIDES
-from sim_replay.augment.log import read_survey
-from sim_replay.augment.targets import Placement, parse_spec, place_targets, read_spec
-from sim_replay.augment.track import Track, track_of
+from sim_replay.augment.background_log import read_survey
+from sim_replay.augment.targets import Placement, parse_target_spec, place_targets, read_target_spec
+from sim_replay.augment.track import PingTrack, track_of
 from tests.sim_replay.augment.plain_logs import ALTITUDE_M, CONFIG, N_PINGS, mission, written
 
 
 @pytest.fixture(scope="module")
-def track(tmp_path_factory: pytest.TempPathFactory) -> Track:
+def track(tmp_path_factory: pytest.TempPathFactory) -> PingTrack:
     log = written(tmp_path_factory.mktemp("track") / "plain.xtf")
     return track_of(read_survey(log, CONFIG), CONFIG)
 
 
-def placed(text: str, track: Track) -> tuple[Placement, ...]:
-    return place_targets(parse_spec(text, "spec.yaml"), track)
+def placed(text: str, track: PingTrack) -> tuple[Placement, ...]:
+    return place_targets(parse_target_spec(text, "spec.yaml"), track)
 
 
 @pytest.mark.parametrize(
@@ -42,14 +42,14 @@ def placed(text: str, track: Track) -> tuple[Placement, ...]:
 )
 def test_specs_that_cannot_be_are_refused_with_the_key(text: str, says: str) -> None:
     with pytest.raises(UsageError) as refused:
-        parse_spec(text, "spec.yaml")
+        parse_target_spec(text, "spec.yaml")
     assert "spec.yaml" in str(refused.value)
     assert says in str(refused.value)
 
 
 def test_a_spec_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be read"):
-        read_spec(tmp_path / "absent.yaml")
+        read_target_spec(tmp_path / "absent.yaml")
 
 
 @pytest.mark.parametrize(
@@ -63,14 +63,14 @@ def test_a_spec_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ("ping: 80, ground_range_m: 10, height_m: 3.9", "rises 3.90 m"),
     ],
 )
-def test_places_the_log_does_not_show_are_refused_with_the_reason(track: Track, place: str, says: str) -> None:
+def test_places_the_log_does_not_show_are_refused_with_the_reason(track: PingTrack, place: str, says: str) -> None:
     with pytest.raises(UsageError) as refused:
         placed(f"targets: [{{kind: box, side: port, {place}}}]", track)
     assert "targets[0]" in str(refused.value)
     assert says in str(refused.value)
 
 
-def test_an_empty_spec_is_refused(track: Track) -> None:
+def test_an_empty_spec_is_refused(track: PingTrack) -> None:
     with pytest.raises(UsageError, match="names no object"):
         placed("", track)
 
@@ -87,7 +87,7 @@ def test_places_without_a_bottom_are_refused(tmp_path: Path) -> None:
         placed("targets: [{kind: box, side: port, ping: 80, ground_range_m: 10}]", blind)
 
 
-def test_scattered_objects_keep_apart_and_clear(track: Track) -> None:
+def test_scattered_objects_keep_apart_and_clear(track: PingTrack) -> None:
     text = """
       seed: 5
       targets: [{kind: box, side: port, ping: 60, ground_range_m: 10}]
@@ -108,7 +108,7 @@ def test_scattered_objects_keep_apart_and_clear(track: Track) -> None:
     assert [one.thing for one in placed(text, track)] == [one.thing for one in found]
 
 
-def test_scattered_objects_are_even_over_area_and_azimuth(track: Track) -> None:
+def test_scattered_objects_are_even_over_area_and_azimuth(track: PingTrack) -> None:
     found = placed("scatter: [{kinds: [cylinder], count: 600, apart_m: 0, length_m: [0.001, 0.001], width_m: [0.001, 0.001]}]", track)
     assert len(found) == 600
     sides = [one.side for one in found]
@@ -123,23 +123,23 @@ def test_scattered_objects_are_even_over_area_and_azimuth(track: Track) -> None:
     assert contrasts.std() == pytest.approx(4.0, rel=0.15)
 
 
-def test_too_many_objects_are_refused_with_what_stands_in_the_way(track: Track) -> None:
+def test_too_many_objects_are_refused_with_what_stands_in_the_way(track: PingTrack) -> None:
     with pytest.raises(UsageError, match=r"no room for number \d+ of 500; mostly because: another object"):
         placed("scatter: [{kinds: [box], count: 500, apart_m: 5}]", track)
 
 
-def test_ranges_that_are_never_seen_are_refused(track: Track) -> None:
+def test_ranges_that_are_never_seen_are_refused(track: PingTrack) -> None:
     with pytest.raises(BadInputError, match="no sea floor between ground ranges"):
         placed("scatter: [{kinds: [box], count: 1, ground_range_m: [100, 200]}]", track)
 
 
-def test_a_log_too_short_to_put_anything_on_says_so_and_not_between_which_ranges(track: Track) -> None:
+def test_a_log_too_short_to_put_anything_on_says_so_and_not_between_which_ranges(track: PingTrack) -> None:
     short = track._replace(why=("too close to the start or end of the recording",) * N_PINGS)
     with pytest.raises(BadInputError, match=r"no sea floor of the log is shown .*; mostly because: too close to the start or end"):
         placed("scatter: [{kinds: [box], count: 1}]", short)
 
 
-def test_looks_find_the_ping_that_a_place_was_made_from(track: Track) -> None:
+def test_looks_find_the_ping_that_a_place_was_made_from(track: PingTrack) -> None:
     for side in SIDES:
         east_m, north_m = track.plane_place(70, side, 9.0)
         ((ping, found_side, ground_range_m),) = track.looks(east_m, north_m)

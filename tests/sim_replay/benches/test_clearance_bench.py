@@ -12,7 +12,7 @@ from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import without_contact
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
-from sim_replay.benches.clearance import Judged, fitted_share, judge, report
+from sim_replay.benches.clearance import JudgedClearance, fitted_share, judge, report
 
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
 
@@ -61,8 +61,8 @@ def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
     assert (told.n_targets, told.n_found, told.p_doubtful) == (0, 0, 0.0)
 
 
-def mission(scene: str, n_left: int, p_doubtful: float) -> Judged:
-    return Judged(scene=scene, n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5)
+def mission(scene: str, n_left: int, p_doubtful: float) -> JudgedClearance:
+    return JudgedClearance(scene=scene, n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5)
 
 
 def test_the_share_makes_as_many_mines_expected_as_were_left() -> None:

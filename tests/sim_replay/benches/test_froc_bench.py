@@ -11,9 +11,9 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
-from sim_replay.benches.froc import SYSTEMS, AugmentedLine, Flown, SimulatedLine, best_pd, outdone
+from sim_replay.benches.froc import SYSTEMS, Flown, HeldOutAugmentedLine, HeldOutSimulatedLine, best_pd, outdone
 from sim_replay.missions import config_for
-from sim_replay.scoring import Mission, parse_truth, score_missions
+from sim_replay.scoring import ScoredMission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene import Lawnmower, Scatter, Scene, Track
@@ -36,7 +36,7 @@ def truth_of(*norths_m: float, kind: str = "sphere", is_target: bool = True) -> 
 
 def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed() -> None:
     contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6), at(200.0, 0.5))
-    score = score_missions([Mission(contacts, parse_truth(truth_of(0.0, 100.0, 200.0), "here"), "here")])
+    score = score_missions([ScoredMission(contacts, parse_truth(truth_of(0.0, 100.0, 200.0), "here"), "here")])
     assert [best_pd(score, limit)[:4] for limit in (0.0, 100.0, 200.0)] == ["0.33", "0.67", "1.00"]
 
 
@@ -45,7 +45,7 @@ def test_false_alarms_on_rocks_can_be_left_out() -> None:
     rocks = truth_of(50.0, kind="rock", is_target=False)
     both = {"area_km2": 0.01, "objects": [*truth["objects"], *rocks["objects"]]}
     contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6))
-    score = score_missions([Mission(contacts, parse_truth(both, "here"), "here")])
+    score = score_missions([ScoredMission(contacts, parse_truth(both, "here"), "here")])
     assert best_pd(score, 0.0).startswith("0.50")
     assert best_pd(score, 0.0, on_objects=False).startswith("1.00")
 
@@ -53,7 +53,7 @@ def test_false_alarms_on_rocks_can_be_left_out() -> None:
 def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_less() -> None:
     truth = parse_truth(truth_of(0.0, 100.0), "here")
     ours, rivals, worse = (
-        score_missions([Mission(tuple(at(north_m, p) for north_m, p in contacts), truth, "here")])
+        score_missions([ScoredMission(tuple(at(north_m, p) for north_m, p in contacts), truth, "here")])
         for contacts in (
             ((0.0, 0.9), (50.0, 0.8), (100.0, 0.7)),  # one, one and a false alarm, both and that
             ((50.0, 0.9), (0.0, 0.8), (150.0, 0.7), (100.0, 0.6)),
@@ -63,11 +63,11 @@ def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_les
     assert outdone(ours, rivals) == (3, 3)
     assert outdone(ours, ours) == (3, 1)  # the first and the last are the best that it has
     assert outdone(worse, ours) == (3, 1)
-    assert outdone(ours, score_missions([Mission((at(50.0, 0.9),), truth, "here")])) == (0, 0)
+    assert outdone(ours, score_missions([ScoredMission((at(50.0, 0.9),), truth, "here")])) == (0, 0)
 
 
 def test_without_contacts_the_best_pd_is_none_of_the_targets() -> None:
-    score = score_missions([Mission((), parse_truth(truth_of(0.0, 100.0), "here"), "here")])
+    score = score_missions([ScoredMission((), parse_truth(truth_of(0.0, 100.0), "here"), "here")])
     assert best_pd(score, 10.0).startswith("0.00")
 
 
@@ -79,7 +79,7 @@ def test_rocks_count_by_views_and_by_the_most_mine_like_contact_near_them() -> N
         place: dict[str, Any] = {"latitude_deg": float(latitude), "longitude_deg": float(longitude)}
         return contact(**place, p_mine=p_mine, views=tuple(detection(**place) for _ in range(n_views)))
 
-    found = list(froc._rocks([seen(0.5, 0.1, 1), seen(-0.5, 0.9, 2), seen(100.0, 0.2, 1)], Mission((), truth, "here")))
+    found = list(froc._rocks([seen(0.5, 0.1, 1), seen(-0.5, 0.9, 2), seen(100.0, 0.2, 1)], ScoredMission((), truth, "here")))
     assert [(rock.n_views, rock.called) for rock in found] == [(2, True), (1, False), (0, False)]
 
 
@@ -101,7 +101,7 @@ def test_every_system_reports_of_one_mission() -> None:
         scatter=(Scatter(kind="rock", count=2), Scatter(kind="cylinder", count=2)),
     )
     mission = simulated.Mission(scene)
-    found = froc._seen(SimulatedLine("flat", 3), config_for(scene), mission.events(), mission.truth)
+    found = froc._seen(HeldOutSimulatedLine("flat", 3), config_for(scene), mission.events(), mission.truth)
     assert set(found.reported) == set(SYSTEMS)
     assert all(one.truth is found.reported["chain"].truth for one in found.reported.values())
     assert len(found.reported["chain"].contacts) == len(found.reported["confirmation"].contacts) > 0
@@ -110,4 +110,4 @@ def test_every_system_reports_of_one_mission() -> None:
 def test_a_scene_that_is_not_there_is_refused_by_name() -> None:
     with pytest.raises(UsageError, match="nowhere"):
         read_scene("nowhere")
-    assert AugmentedLine(Path("/data/line.xtf"), 1).group == "line"
+    assert HeldOutAugmentedLine(Path("/data/line.xtf"), 1).group == "line"

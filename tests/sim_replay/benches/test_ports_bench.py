@@ -11,14 +11,14 @@ import pytest
 from auv_mcm.cli import main
 from drivers.framing import Framer
 from drivers.sonar.ping_protocol import PingGrammar
-from sim_replay.benches.ports import GARBAGE, Line, cost, latency, pings, start_up
+from sim_replay.benches.ports import GARBAGE, PacedLine, cost, latency, pings, start_up
 
 BAUD = 921_600
 
 
 def test_a_line_carries_every_byte_and_knows_when_each_message_ended() -> None:
     messages = pings(20_000)
-    with Line(messages, BAUD) as line:
+    with PacedLine(messages, BAUD) as line:
         reader = os.open(line.path, os.O_RDONLY | os.O_NOCTTY)
         received, ended_s = b"", []
         while len(received) < sum(map(len, messages)):
@@ -33,7 +33,7 @@ def test_a_line_carries_every_byte_and_knows_when_each_message_ended() -> None:
 
 
 def test_a_line_that_nobody_reads_loses_what_does_not_fit() -> None:
-    with Line([bytes(1 << 20)], 1 << 30) as line:
+    with PacedLine([bytes(1 << 20)], 1 << 30) as line:
         while not line.sent_s:
             time.sleep(0.01)
     assert line.n_lost > 0

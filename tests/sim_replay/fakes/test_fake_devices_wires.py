@@ -29,7 +29,7 @@ from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
 from drivers.sonar.sonars import sonar_named
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.faults import FaultRates
-from sim_replay.fakes.feed import Fed, read_ahead
+from sim_replay.fakes.feed import TimedEvent, read_ahead
 from sim_replay.fakes.job import ClockStep, Damage, Device, Fault, Flood, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
 from tests.sim_replay.logs.xtf_logs import written
 
@@ -37,14 +37,14 @@ N_PINGS = 20
 PERIOD_S = 0.04
 
 
-def mission(n_pings: int = N_PINGS) -> Iterator[Fed]:
+def mission(n_pings: int = N_PINGS) -> Iterator[TimedEvent]:
     """A vehicle that sails north at 2 m/s, with short traces."""
     trace = EchoTrace(samples=np.full(200, 1000, np.uint16), first_range_m=0.025, spacing_m=0.05)
     for number in range(n_pings):
         at_s = number * PERIOD_S
         place = NavSample(time_s=at_s, latitude_deg=43.0 + at_s * 1.8e-5, longitude_deg=5.0, depth_m=9.0, altitude_m=5.0, speed_mps=2.0)
-        yield Fed(at_s, msgspec.structs.replace(place, heading_rad=0.5, pitch_rad=0.1, roll_rad=-0.1))
-        yield Fed(at_s, Ping(number=number, time_s=at_s, port=trace, starboard=trace))
+        yield TimedEvent(at_s, msgspec.structs.replace(place, heading_rad=0.5, pitch_rad=0.1, roll_rad=-0.1))
+        yield TimedEvent(at_s, Ping(number=number, time_s=at_s, port=trace, starboard=trace))
 
 
 class Bench:

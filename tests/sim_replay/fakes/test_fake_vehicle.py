@@ -26,7 +26,7 @@ from sim_replay.fakes.vehicle_device import FakeVehicle, passes
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.scene_file import parse_scene
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 from tests.sim_replay.fakes.plain_vehicle import PlainController
 
 SCENE = """
@@ -211,8 +211,8 @@ def test_nonsense_comes_beside_what_it_has_to_say(tmp_path: Path) -> None:
     assert len(sound) >= 5
 
 
-def pose(east_m: float, north_m: float, heading_rad: float = 0.0, time_s: float = 0.0) -> Pose:
-    return Pose(time_s, east_m, north_m, 10.0, heading_rad, 0.0, 0.0, heading_rad, 4.0, -1)
+def pose(east_m: float, north_m: float, heading_rad: float = 0.0, time_s: float = 0.0) -> SonarPose:
+    return SonarPose(time_s, east_m, north_m, 10.0, heading_rad, 0.0, 0.0, heading_rad, 4.0, -1)
 
 
 def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:

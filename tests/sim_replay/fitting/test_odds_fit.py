@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import math
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pytest
 
 from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
+from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
-from sim_replay.fitting import odds as calibrate
-from sim_replay.fitting.odds import CROWD, N_TREES, Example, crowded, examples_of, log_odds_of, main
-from sim_replay.fitting.odds import fit as fit_all
+from sim_replay.fitting import fit_odds as calibrate
+from sim_replay.fitting.fit_odds import CROWD, FIRST_SEED, N_TREES, Example, crowded, examples_of, fit_odds, log_odds_of
 from sim_replay.missions import HELD_OUT, SCENES
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 from tests.auv_mcm.classify import drawn_looks
 
-ROOT = Path(__file__).resolve().parents[3]
 WEIGHTS = {"a": 1.5, "b": -0.7, "c": 0.0}
 OFFSET = -1.0
 MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock"}
@@ -41,7 +38,7 @@ def example(features: dict[str, float], is_target: bool, weight: float = 1.0, sc
 
 def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
     """Sums alone, of which it is known what they must be."""
-    return fit_all(examples, fitted_on, dict.fromkeys(N_TREES, 0))
+    return fit_odds(examples, fitted_on, dict.fromkeys(N_TREES, 0))
 
 
 def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]:
@@ -180,7 +177,7 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
         example({"a": a}, bool(target))._replace(details={step: {"d": d} for step in N_TREES})
         for (a, d), target in zip(values.tolist(), is_target.tolist(), strict=True)
     ]
-    odds = fit_all(examples, "a bump", {"detector": 0, "contours": 5, "shape": 80})
+    odds = fit_odds(examples, "a bump", {"detector": 0, "contours": 5, "shape": 80})
     assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [0, 5, 80]
     right = [(odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples]
     assert np.mean(right) > 0.95
@@ -375,7 +372,7 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], detector: Detector, scenes: tuple[str, ...]
 ) -> None:
     out = tmp_path / "odds.json"
-    assert main(["--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    assert main(["calibrate", "odds", "--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
     assert flown.missions == [(name, seed, detector, 1) for seed in (7, 8) for name in scenes]
     odds = written(out)
     assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
@@ -391,7 +388,7 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
 def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main(["--seeds", "5", "--crowded", "2", "--first-seed", "7", "--out", str(tmp_path / "odds.json")])
+    main(["calibrate", "odds", "--seeds", "5", "--crowded", "2", "--first-seed", "7", "--out", str(tmp_path / "odds.json")])
     n_targets = {mission: sum(item.is_target for item in flown(*mission)) for mission in list(flown.missions)}
     title, _, _, _, *rows = capsys.readouterr().out.splitlines()[-7:]
     judged = sum(n for (_, seed, _, _), n in n_targets.items() if seed == 11)
@@ -402,14 +399,14 @@ def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
 
 
 def test_of_one_seed_nothing_is_said_about_more(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
+    main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")])
     assert flown.missions
     assert "learned from" not in capsys.readouterr().out
 
 
 def test_crowded_scenes_are_flown_over_other_floors_and_told(flown: Flown, tmp_path: Path) -> None:
     out = tmp_path / "odds.json"
-    assert main(["--seeds", "1", "--crowded", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    assert main(["calibrate", "odds", "--seeds", "1", "--crowded", "2", "--first-seed", "7", "--out", str(out)]) == 0
     n = len(flown.missions) // 3
     assert {mission[1:] for mission in flown.missions[:n]} == {(7, "cascade", 1)}
     assert {mission[1:] for mission in flown.missions[n:]} == {(57, "cascade", CROWD), (58, "cascade", CROWD)}
@@ -431,7 +428,7 @@ def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -
 @pytest.mark.usefixtures("flown")
 def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
     for name, workers in (("one", "1"), ("two", "2")):
-        main(["--seeds", "1", "--workers", workers, "--out", str(tmp_path / name)])
+        main(["calibrate", "odds", "--seeds", "1", "--workers", workers, "--out", str(tmp_path / name)])
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
 
 
@@ -452,42 +449,42 @@ def test_arguments_that_make_no_sense_are_refused(
     flown: Flown, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
 ) -> None:
     with pytest.raises(SystemExit) as refused:
-        main(arguments)
+        main(["calibrate", "odds", *arguments])
     assert refused.value.code == 2
     assert told in capsys.readouterr().err
     assert flown.missions == []
 
 
-def test_weights_that_could_not_be_written_are_refused_before_flying(flown: Flown, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"there is no folder .*missing\. Make it first"):
-        main(["--out", str(tmp_path / "missing" / "odds.json")])
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("missing/odds.json", r"auv-mcm: --out .*: there is no folder .*missing\. Make it first"),
+        (".", r"auv-mcm: --out .* cannot be written: it is a folder"),
+        ("/proc/odds.json", "auv-mcm: cannot write to the output directory /proc"),
+    ],
+)
+def test_weights_that_could_not_be_written_are_refused_before_flying(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str, message: str
+) -> None:
+    assert main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / place)]) == 2
+    assert re.match(message, capsys.readouterr().err)
     assert flown.missions == []
 
 
-def test_a_folder_in_the_place_of_the_file_is_told_before_flying(flown: Flown, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=re.escape(f"--out {tmp_path} cannot be written")):
-        main(["--seeds", "1", "--out", str(tmp_path)])
-    assert flown.missions == []
+def test_the_help_names_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["calibrate", "odds", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"(default {FIRST_SEED})" in said
+    assert f"with {CROWD} times as many mines and rocks" in said
+    assert f"{{{','.join(get_args(Detector))}}}" in said
 
 
-def test_a_folder_that_takes_no_file_is_told_before_flying(flown: Flown) -> None:
-    with pytest.raises(UsageError, match="cannot write to the output directory /proc"):
-        main(["--seeds", "1", "--out", "/proc/odds.json"])
-    assert flown.missions == []
-
-
-def test_the_command_ends_with_a_message_and_exit_code_2(tmp_path: Path) -> None:
-    place = tmp_path / "missing" / "odds.json"
-    command = [sys.executable, "-m", "sim_replay.fitting.odds", "--out", str(place)]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
-    assert ended.returncode == 2
-    assert ended.stderr.startswith(f"calibrate: --out {place}: there is no folder")
-    assert "Traceback" not in ended.stderr
-
-
-def test_too_few_targets_end_the_command_with_advice(monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path) -> None:
+def test_too_few_targets_end_the_command_with_advice(
+    monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(calibrate, "examples_of", lambda name, seed, detector, crowd: [example({"a": 1.0}, False, scene=name)])
-    with pytest.raises(UsageError, match="0 targets in 9 detections"):
-        main(["--seeds", "1", "--out", str(tmp_path / "odds.json")])
+    assert main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")]) == 2
+    assert "0 targets in 9 detections" in capsys.readouterr().err
     assert not (tmp_path / "odds.json").exists()
     assert flown.missions == []

@@ -17,7 +17,7 @@ from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Lawnmower, Recorder, Scene, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import Lawnmower, SampleRecorder, Scene, Seabed, Sonar, Track, World
 from tests.sim_replay.logs.xtf_logs import (
     START_S,
     codes_of,
@@ -105,7 +105,7 @@ def test_the_order_is_seen_in_port_alone_whatever_the_samples_mean(
 ) -> None:
     scene = Scene(
         world=World(depth_m=25.0, seabeds=(Seabed(type="sand", texture_shape=3.0, texture_m=0.5),)),
-        sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, ring_down_m=ring_down_m, beam_lines=1, recorder=Recorder(samples=kind)),
+        sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, ring_down_m=ring_down_m, beam_lines=1, recorder=SampleRecorder(samples=kind)),
         track=Track(plan=Lawnmower(n_legs=1, leg_m=6.0), altitude_m=altitude_m),
     )
     traces = [event.port for event in Mission(scene).events() if isinstance(event, Ping) and event.port is not None]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from sim_replay.scoring import Mission, parse_contacts, parse_truth
+from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth
 
 FRAME = LocalFrame(latitude_deg=43.1, longitude_deg=5.9)
 
@@ -37,14 +37,14 @@ def collection(contacts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": list(contacts)}
 
 
-def mission(contacts: Sequence[dict[str, Any]], objects: Sequence[dict[str, Any]], *, area_km2: float = 0.1, **truth: Any) -> Mission:
-    return Mission(
+def mission(contacts: Sequence[dict[str, Any]], objects: Sequence[dict[str, Any]], *, area_km2: float = 0.1, **truth: Any) -> ScoredMission:
+    return ScoredMission(
         parse_contacts(collection(contacts), "contacts.geojson"),
         parse_truth({"area_km2": area_km2, "objects": list(objects), **truth}, "truth.json"),
     )
 
 
-def random_mission(seed: int, n_objects: int = 30, extent_m: float = 300.0) -> Mission:
+def random_mission(seed: int, n_objects: int = 30, extent_m: float = 300.0) -> ScoredMission:
     """Targets and rocks that are mostly found, some twice, and false alarms between them."""
     random = np.random.Generator(np.random.PCG64(seed))
     objects, contacts = [], []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from sim_replay.scoring import Mission, ReportedContact, Score, score_missions
+from sim_replay.scoring import ReportedContact, Score, ScoredMission, score_missions
 from sim_replay.scoring.breakdown import Group
 from sim_replay.scoring.seabed_map import encode
 from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, thing
@@ -105,7 +105,7 @@ def test_places_across_the_antimeridian_are_near() -> None:
     told = mission([], [thing(0.0, 0.0)]).truth
     there = msgspec.structs.replace(told.objects[0], latitude_deg=0.0, longitude_deg=180.0)
     contacts = (ReportedContact(0.0, -179.999999, 0.9), ReportedContact(0.0, 179.9, 0.9))
-    point = score_missions([Mission(contacts, msgspec.structs.replace(told, objects=(there,)))]).at_threshold
+    point = score_missions([ScoredMission(contacts, msgspec.structs.replace(told, objects=(there,)))]).at_threshold
     assert (point.pd.count, point.false_alarms.count) == (1, 1)
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_replay.scoring import Mission, Score, score_missions
+from sim_replay.scoring import Score, ScoredMission, score_missions
 from sim_replay.scoring.froc import OperatingPoint
 from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, rock, thing
 
@@ -134,7 +134,7 @@ def test_bootstrap_spreads_as_the_missions_differ() -> None:
 
 
 def test_bootstrap_of_missions_without_targets_tells_false_alarms_only() -> None:
-    empty: Mission = mission([contact(0.0, 0.0)], [])
+    empty: ScoredMission = mission([contact(0.0, 0.0)], [])
     bootstrap = score_missions([empty] * 3).bootstrap
     assert bootstrap is not None
     assert bootstrap.pd is None

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from sim_replay.scoring import Score, plot, score_missions, table, to_json
+from sim_replay.scoring import Score, plot, score_json, score_missions, table
 from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, thing
 
 
@@ -59,10 +59,10 @@ def test_table_warns_where_ranges_are_not_known() -> None:
 
 
 def test_json_holds_every_threshold_and_repeats_to_the_last_byte(score: Score) -> None:
-    document = json.loads(to_json(score))
+    document = json.loads(score_json(score))
     assert document["at_threshold"]["pd"]["count"] == score.at_threshold.pd.count
     assert [point["threshold"] for point in document["froc"]] == [point.threshold for point in score.froc]
-    assert to_json(score_missions([random_mission(seed) for seed in range(3)])) == to_json(score)
+    assert score_json(score_missions([random_mission(seed) for seed in range(3)])) == score_json(score)
 
 
 def test_plot_is_a_picture_with_a_curve(score: Score, tmp_path: Path) -> None:

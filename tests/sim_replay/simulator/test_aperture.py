@@ -20,8 +20,8 @@ from sim_replay.simulator.echo import absorption_db_per_km, flat_floor_intensity
 from sim_replay.simulator.plan import planned_legs
 from sim_replay.simulator.scene import (
     Lawnmower,
-    Recorder,
     Ripples,
+    SampleRecorder,
     Scatter,
     Scene,
     SceneObject,
@@ -221,7 +221,7 @@ def test_a_flat_floor_follows_the_sonar_equation_at_all_ranges(view: View) -> No
 
 
 def test_gain_levels_a_floor_that_scatters_alike_at_all_angles() -> None:
-    sonar = msgspec.structs.replace(WIDE, vertical_beam_width_deg=180.0, recorder=Recorder(samples="amplitude_float32"))
+    sonar = msgspec.structs.replace(WIDE, vertical_beam_width_deg=180.0, recorder=SampleRecorder(samples="amplitude_float32"))
     aperture, strip = first_leg(scene_of(leg_m=12.0, sonar=sonar))
     power = np.mean([ping.starboard.samples**2 for _, ping in aperture.lines(strip, 0.0, 0) if ping.starboard is not None], axis=0)
     slant = (np.arange(power.size) + 0.5) * aperture.bin_m
@@ -347,7 +347,7 @@ def test_lines_come_when_the_vehicle_passes_them_and_hold_the_image(view: View) 
     sonar = msgspec.structs.replace(
         scene.sonar,
         synthetic_aperture=msgspec.structs.replace(scene.sonar.synthetic_aperture, view=view),
-        recorder=Recorder(samples="amplitude_float32"),
+        recorder=SampleRecorder(samples="amplitude_float32"),
         ring_down_m=0.0,
         absorption_db_per_km=0.0,
     )

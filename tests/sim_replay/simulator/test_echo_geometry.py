@@ -20,7 +20,7 @@ from sim_replay.simulator.scene import (
     STEADY,
     Lawnmower,
     Origin,
-    Recorder,
+    SampleRecorder,
     Scene,
     SceneObject,
     Seabed,
@@ -29,7 +29,7 @@ from sim_replay.simulator.scene import (
     World,
 )
 from sim_replay.simulator.sea import Sea
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 Floats = NDArray[np.float64]
 Side = Literal["port", "starboard"]
@@ -48,7 +48,7 @@ PLAIN = Scene(
         ring_down_m=0.0,
         noise_db=-100.0,
         beam_lines=1,
-        recorder=Recorder(samples="amplitude_float32"),
+        recorder=SampleRecorder(samples="amplitude_float32"),
     ),
     track=Track(plan=Lawnmower(n_legs=1, leg_m=10.0), altitude_m=5.0, motion=STEADY),
     navigation_error=EXACT,
@@ -59,18 +59,18 @@ BIN_M = PLAIN.sonar.range_m / PLAIN.sonar.n_samples
 RANGE_M = (np.arange(2048) + 0.5) * BIN_M
 
 
-def pose(altitude_m: float = 5.0, heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Pose:
+def pose(altitude_m: float = 5.0, heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> SonarPose:
     """Over the origin of the scene, at 1.8 m/s."""
     heading, pitch, roll = math.radians(heading_deg), math.radians(pitch_deg), math.radians(roll_deg)
-    return Pose(0.0, 0.0, 0.0, DEPTH_M - altitude_m, heading, pitch, roll, heading, 1.8, 0)
+    return SonarPose(0.0, 0.0, 0.0, DEPTH_M - altitude_m, heading, pitch, roll, heading, 1.8, 0)
 
 
-def heard(scene: Scene, at: Pose, side: Side = "starboard") -> Floats:
+def heard(scene: Scene, at: SonarPose, side: Side = "starboard") -> Floats:
     """Mean intensity, (n_samples,)."""
     return np.asarray(Sea(scene).mean_intensity([at])[0, ("port", "starboard").index(side)])
 
 
-def abeam(at: Pose, across_m: float, thing: SceneObject) -> SceneObject:
+def abeam(at: SonarPose, across_m: float, thing: SceneObject) -> SceneObject:
     """The thing, turned with the vehicle, where the fan meets the floor `across_m` to starboard: pitched forwards, and carried on by the
     vehicle while the echo travels."""
     below = DEPTH_M - at.depth_m
@@ -97,14 +97,14 @@ def intensities(pings: list[Ping], side: Side = "starboard") -> Floats:
 @pytest.mark.parametrize(
     ("recorder", "decibel_per_count"),
     [
-        (Recorder(samples="amplitude_uint8", seabed_counts=40.0), None),
-        (Recorder(samples="amplitude_uint16"), None),
-        (Recorder(samples="amplitude_float32", seabed_counts=0.3), None),
-        (Recorder(samples="log_uint8"), 0.35),
-        (Recorder(samples="log_uint16", seabed_counts=30_000.0, db_per_count=0.01), 0.01),
+        (SampleRecorder(samples="amplitude_uint8", seabed_counts=40.0), None),
+        (SampleRecorder(samples="amplitude_uint16"), None),
+        (SampleRecorder(samples="amplitude_float32", seabed_counts=0.3), None),
+        (SampleRecorder(samples="log_uint8"), 0.35),
+        (SampleRecorder(samples="log_uint16", seabed_counts=30_000.0, db_per_count=0.01), 0.01),
     ],
 )
-def test_the_floor_midway_is_stored_as_what_the_recorder_has_for_it(recorder: Recorder, decibel_per_count: float | None) -> None:
+def test_the_floor_midway_is_stored_as_what_the_recorder_has_for_it(recorder: SampleRecorder, decibel_per_count: float | None) -> None:
     scene = replace(PLAIN, sonar=replace(PLAIN.sonar, recorder=recorder, looks=8))
     mission = Mission(scene)
     pings = [event for event in mission.events() if isinstance(event, Ping)]

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from auv_mcm.errors import UsageError
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from sim_replay.simulator.faults import with_faults
-from sim_replay.simulator.scene import Fault, Recorder
+from sim_replay.simulator.scene import Fault, SampleRecorder
 
 N_PINGS = 12
-RECORDER = Recorder(samples="amplitude_uint16")
+RECORDER = SampleRecorder(samples="amplitude_uint16")
 
 
 def samples(number: int, side: str) -> NDArray[np.uint16]:
@@ -36,7 +36,7 @@ def mission(n_pings: int = N_PINGS, dtype: Any = np.uint16) -> Iterator[NavSampl
         yield Ping(number=number, time_s=100.0 + number, port=port, starboard=starboard, altitude_m=6.0, place=f"ping {number}")
 
 
-def struck(*faults: Fault, recorder: Recorder = RECORDER) -> tuple[list[NavSample], list[Ping]]:
+def struck(*faults: Fault, recorder: SampleRecorder = RECORDER) -> tuple[list[NavSample], list[Ping]]:
     events = list(with_faults(mission(), faults, recorder))
     return [event for event in events if isinstance(event, NavSample)], [event for event in events if isinstance(event, Ping)]
 
@@ -108,19 +108,19 @@ def test_a_gain_step_multiplies_amplitudes(side: Any) -> None:
 @pytest.mark.parametrize(
     ("recorder", "dtype", "gain_db", "expected"),
     [
-        (Recorder(samples="amplitude_uint16"), np.uint16, 20.0, [0, 1000, 65535]),
-        (Recorder(samples="amplitude_uint16", full_scale=4095), np.uint16, 40.0, [0, 4095, 4095]),
-        (Recorder(samples="amplitude_uint8"), np.uint8, 6.0206, [0, 200, 255]),
-        (Recorder(samples="amplitude_uint8", full_scale=15), np.uint8, -40.0, [0, 1, 2]),
-        (Recorder(samples="amplitude_float32"), np.float32, 60.0, [0.0, 1e5, 2e7]),
-        (Recorder(samples="amplitude_float32", full_scale=50_000), np.float32, 60.0, [0.0, 5e4, 5e4]),
-        (Recorder(samples="log_uint8", db_per_count=0.5), np.uint8, 6.0, [12, 112, 212]),
-        (Recorder(samples="log_uint8", db_per_count=0.5, full_scale=200), np.uint8, -6.0, [0, 88, 188]),
-        (Recorder(samples="log_uint8", db_per_count=0.5, full_scale=200), np.uint8, 10.0, [20, 120, 200]),
-        (Recorder(samples="log_uint16", db_per_count=0.01), np.uint16, 60.0, [6000, 6100, 65535]),
+        (SampleRecorder(samples="amplitude_uint16"), np.uint16, 20.0, [0, 1000, 65535]),
+        (SampleRecorder(samples="amplitude_uint16", full_scale=4095), np.uint16, 40.0, [0, 4095, 4095]),
+        (SampleRecorder(samples="amplitude_uint8"), np.uint8, 6.0206, [0, 200, 255]),
+        (SampleRecorder(samples="amplitude_uint8", full_scale=15), np.uint8, -40.0, [0, 1, 2]),
+        (SampleRecorder(samples="amplitude_float32"), np.float32, 60.0, [0.0, 1e5, 2e7]),
+        (SampleRecorder(samples="amplitude_float32", full_scale=50_000), np.float32, 60.0, [0.0, 5e4, 5e4]),
+        (SampleRecorder(samples="log_uint8", db_per_count=0.5), np.uint8, 6.0, [12, 112, 212]),
+        (SampleRecorder(samples="log_uint8", db_per_count=0.5, full_scale=200), np.uint8, -6.0, [0, 88, 188]),
+        (SampleRecorder(samples="log_uint8", db_per_count=0.5, full_scale=200), np.uint8, 10.0, [20, 120, 200]),
+        (SampleRecorder(samples="log_uint16", db_per_count=0.01), np.uint16, 60.0, [6000, 6100, 65535]),
     ],
 )
-def test_gain_is_stored_as_the_recorder_stores_it(recorder: Recorder, dtype: Any, gain_db: float, expected: list[float]) -> None:
+def test_gain_is_stored_as_the_recorder_stores_it(recorder: SampleRecorder, dtype: Any, gain_db: float, expected: list[float]) -> None:
     loudest = {"amplitude_float32": 2e4, "amplitude_uint16": 60_000, "log_uint16": 60_000}.get(recorder.samples, 200)
     trace = EchoTrace(samples=np.array([0, 100, loudest], dtype=dtype), first_range_m=0.1, spacing_m=0.2)
     ping = Ping(number=0, time_s=0.0, port=trace, starboard=None)
@@ -136,7 +136,7 @@ def test_gain_is_stored_as_the_recorder_stores_it(recorder: Recorder, dtype: Any
 def test_a_gain_step_in_logarithms_of_unknown_scale_is_refused_before_the_first_event() -> None:
     fault = Fault(kind="gain_step", at_ping=1000, gain_db=3.0)
     with pytest.raises(UsageError, match="db_per_count"):
-        next(with_faults(mission(), [fault], Recorder(samples="log_uint8")))
+        next(with_faults(mission(), [fault], SampleRecorder(samples="log_uint8")))
 
 
 @pytest.mark.parametrize("side", ["port", "starboard", "both"])

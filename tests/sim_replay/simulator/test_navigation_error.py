@@ -15,26 +15,26 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample
 from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.scene import EXACT, NavigationError, Origin
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 ORIGIN = Origin(latitude_deg=43.0, longitude_deg=5.0)
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
-POSE = Pose(1_700_000_000.0, 30.0, -20.0, 14.0, 1.0, 0.05, -0.02, 1.1, 1.8, 0)
+POSE = SonarPose(1_700_000_000.0, 30.0, -20.0, 14.0, 1.0, 0.05, -0.02, 1.1, 1.8, 0)
 N = 1000
 SURE = 4.5  # standard deviations
 
 
-def told(error: NavigationError, poses: list[Pose], seed: int = 1, altitude_m: float = 6.0) -> list[NavSample]:
+def told(error: NavigationError, poses: list[SonarPose], seed: int = 1, altitude_m: float = 6.0) -> list[NavSample]:
     model = NavigationModel(error, ORIGIN, seed)
     return [model.told(pose, altitude_m) for pose in poses]
 
 
-def straight(n: int, interval_s: float = 1.0) -> list[Pose]:
+def straight(n: int, interval_s: float = 1.0) -> list[SonarPose]:
     """Northwards at 2 m/s."""
-    return [Pose(interval_s * i, 0.0, 2.0 * interval_s * i, 14.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0) for i in range(n)]
+    return [SonarPose(interval_s * i, 0.0, 2.0 * interval_s * i, 14.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0) for i in range(n)]
 
 
-def off_m(samples: list[NavSample], poses: list[Pose]) -> NDArray[np.float64]:
+def off_m(samples: list[NavSample], poses: list[SonarPose]) -> NDArray[np.float64]:
     """(n, 2) error to the east and north."""
     latitude, longitude = np.array([(sample.latitude_deg, sample.longitude_deg) for sample in samples]).T
     there = FRAME.to_enu(latitude, longitude, np.zeros(len(samples)))

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from auv_mcm.errors import UsageError
 from sim_replay.simulator.bodies import body_tops, pack
-from sim_replay.simulator.objects import USUAL, Placed, bodies_of, hull_planes, place_objects, points_of
+from sim_replay.simulator.objects import USUAL, PlacedObject, bodies_of, hull_planes, place_objects, points_of
 from sim_replay.simulator.plan import planned_legs
 from sim_replay.simulator.scene import Lawnmower, ObjectKind, Scatter, Scene, SceneObject, Track
 
@@ -21,12 +21,12 @@ TRACK = Track(plan=Lawnmower(heading_deg=20.0, n_legs=2, leg_m=200.0, spacing_m=
 KINDS: list[ObjectKind] = list(USUAL)
 
 
-def named(**keys: object) -> Placed:
+def named(**keys: object) -> PlacedObject:
     thing = SceneObject(east_m=30.0, north_m=40.0, **keys)  # type: ignore[arg-type]  # keys of one test each
     return place_objects(Scene(track=TRACK, objects=(thing,)))[0]
 
 
-def highest_m(thing: Placed) -> float:
+def highest_m(thing: PlacedObject) -> float:
     """Of its bodies over a fine grid around it."""
     bodies = pack(bodies_of(thing, lambda east, north: 0.0, 0))
     reach = thing.reach_m + 1.0
@@ -97,7 +97,7 @@ def test_hull_planes_bound_exactly_the_hull(seed: int) -> None:
             assert top == pytest.approx(upper, abs=1e-9)
 
 
-def scattered(*groups: Scatter, seed: int = 1) -> tuple[Placed, ...]:
+def scattered(*groups: Scatter, seed: int = 1) -> tuple[PlacedObject, ...]:
     return place_objects(Scene(track=TRACK, seed=seed, scatter=groups))
 
 

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.solids.shapes import Box, Cylinder, Shape, Sphere, TruncatedCone, View, Wedge, view_shape
+from auv_mcm.solids.shapes import Box, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge, view_shape
 from sim_replay.simulator import backend
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, MOAT, POLYHEDRON, SCAR, TORUS, Bodies, Body, pack
-from sim_replay.simulator.render import Lines, Rendered, render, render_numpy
+from sim_replay.simulator.render import Lines, Rendered, render_numpy, render_pings
 from sim_replay.simulator.world import NODES, PATCH, Patches
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -145,7 +145,7 @@ class Seen(NamedTuple):
     front_m: float
 
 
-def closed_form(solid: Standing, ground_range_m: float, altitude_m: float) -> View:
+def closed_form(solid: Standing, ground_range_m: float, altitude_m: float) -> SolidView:
     offset = solid.along_m * math.cos(solid.azimuth_rad) - solid.across_m * math.sin(solid.azimuth_rad)
     return view_shape(solid.shape, offset, ground_range_m, altitude_m)
 
@@ -164,7 +164,7 @@ def rendered(
     lines = rays(foot[0] / cell_m, foot[1] / cell_m, heading_rad + 0.5 * math.pi, altitude_m)
     n_bins = math.ceil(math.hypot(end_m, altitude_m) / bin_m)
     size = 2 * math.ceil(n_nodes / PATCH + 1)
-    out = render(
+    out = render_pings(
         lines,
         flat_patches(size),
         pack([body]),
@@ -269,7 +269,7 @@ def test_nodes_are_lit_where_a_slow_ray_caster_sees_them(
         (north, east), n_nodes = ((20.0, 31.0), (31.0, 20.0), (42.0, 31.0), (31.0, 42.0))[quarter], 24
     elevation_m += float(bilinear(floor, np.array([north]), np.array([east]))[0])
     lines = rays(north, east, direction, elevation_m)
-    out = render(
+    out = render_pings(
         lines,
         one_patch(floor),
         NO_BODIES,
@@ -301,7 +301,7 @@ def test_a_facet_is_lit_as_far_as_the_shadow_before_it_leaves_it() -> None:
     cell_m, altitude_m = 0.1, 5.0
     heights = np.zeros((64, 64), dtype=np.float32)
     heights[:, 20] = 0.5
-    out = render(
+    out = render_pings(
         rays(30.0, 0.0, 0.5 * math.pi, altitude_m),
         one_patch(heights),
         NO_BODIES,
@@ -354,7 +354,7 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
     cell_m, n_nodes, slot = 0.05, 100, seed % 3
     patches = Patches(POOL[slot : slot + 1], np.ones_like(POOL[:1]), np.zeros_like(SEABED[:1]), np.zeros((1, 1), np.int32), 0, 0)
     lines = rays(128.0 + seed % 7 / 7.0, 128.4, direction_rad, 6.0, pitch_rad=pitch_rad)
-    out = render(
+    out = render_pings(
         lines, patches, NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=n_bins, bin_m=bin_m, keep_nodes=True
     )
     assert out.lit is not None
@@ -372,7 +372,7 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
     s = np.diff(z) / cell_m
     area = cell_m * np.sqrt(1.0 + s**2 + q**2) * out.lit[0, 1:]
     assert float(out.energy.sum() + out.beyond.sum()) == pytest.approx(float(area.sum()), rel=2e-5)
-    whole = render(lines, patches, NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=1, bin_m=1e3)
+    whole = render_pings(lines, patches, NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=1, bin_m=1e3)
     assert float(out.energy.sum() + out.beyond.sum()) == pytest.approx(float(whole.energy[0, 0]), rel=1e-6)
 
 
@@ -384,7 +384,9 @@ def test_a_level_floor_fills_every_bin_by_its_ground(bin_m: float, altitude_m: f
     cell_m, n_nodes = 0.05, 800
     lines = rays(0.3, 0.2, 1.0, altitude_m)._replace(weight=np.array([weight]))
     n_bins = int((math.hypot((n_nodes - 2) * cell_m, altitude_m)) / bin_m)
-    out = render(lines, flat_patches(), NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=n_bins, bin_m=bin_m)
+    out = render_pings(
+        lines, flat_patches(), NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=n_bins, bin_m=bin_m
+    )
     edges = np.sqrt(np.maximum((np.arange(n_bins + 1) * bin_m) ** 2 - altitude_m**2, 0.0))
     cumulative = np.concatenate([[0.0], np.cumsum(out.energy[0])]) / weight
     np.testing.assert_allclose(cumulative, edges, atol=0.25 * cell_m)
@@ -402,7 +404,7 @@ def box_echo(tables: NDArray[np.float32], turned_rad: float, cell_m: float = 0.0
     """Energy of a box of 1 m by 1 m by 0.5 m turned by an angle, 10 m away and 4 m below, by a ray through its middle, and what Lambert's
     law gives: the wall's height and the top's length across the slice, each by its squared cosine of incidence."""
     body = block(1.0, 1.0, ((0.0, 0.0, 0.5),))._replace(north_m=0.0, east_m=10.0, azimuth_rad=turned_rad)
-    out = render(
+    out = render_pings(
         rays(0.0, 0.0, 0.5 * math.pi, 4.0),
         flat_patches(24),
         pack([body]),
@@ -439,7 +441,7 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
     beam = np.zeros(TABLE_SIZE, dtype=np.float32)
     low, high = sorted((side * 0.1, side * 0.3))
     beam[int((1.0 + low) * 0.5 * TABLE_SIZE) : int((1.0 + high) * 0.5 * TABLE_SIZE)] = 1.0
-    out = render(
+    out = render_pings(
         rays(0.0, 0.0, 2.0, altitude_m, pitch_rad=pitch_rad),
         flat_patches(),
         NO_BODIES,
@@ -531,7 +533,7 @@ def test_c_and_numpy_give_the_same_bytes(
             bin_m=bin_m,
             keep_nodes=True,
         )
-        for work in (render, render_numpy)
+        for work in (render_pings, render_numpy)
     )
     for name, one, other in zip(Rendered._fields, compiled, plain, strict=True):
         assert one is not None
@@ -550,7 +552,7 @@ def test_patches_may_lie_anywhere_without_a_bit_of_difference() -> None:
     def energy(slots: NDArray[np.int32], first_row: int, first_column: int) -> bytes:
         patches = Patches(POOL, TEXTURE, SEABED, slots, first_row, first_column)
         body = Body(ELLIPSOID, -1.0, -3.0, 0.0, 0.3, 0.6, (0.5, 0.4, 0.4, 0.3), 1)
-        return render(
+        return render_pings(
             lines, patches, pack([body]), EVEN, EVEN_BEAM, cell_m=0.05, n_nodes=210, n_pings=9, n_bins=200, bin_m=0.05
         ).energy.tobytes()
 

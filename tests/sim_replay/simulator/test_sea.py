@@ -16,7 +16,7 @@ from sim_replay.simulator.scene import (
     STEADY,
     Lawnmower,
     ObjectKind,
-    Recorder,
+    SampleRecorder,
     Scene,
     SceneObject,
     Seabed,
@@ -27,7 +27,7 @@ from sim_replay.simulator.scene import (
 )
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.seabeds import USUAL
-from sim_replay.simulator.vehicle import Pose
+from sim_replay.simulator.vehicle import SonarPose
 
 Floats = NDArray[np.float64]
 DEPTH_M = 40.0
@@ -38,8 +38,8 @@ def even(kind: SeabedType) -> World:
     return World(depth_m=DEPTH_M, seabeds=(replace(bare, ripples=None),), relief_rms_m=0.0)
 
 
-def pose(altitude_m: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Pose:
-    return Pose(0.0, 3.0, -7.0, DEPTH_M - altitude_m, 0.4, pitch_rad, roll_rad, 0.4, 1.8, 0)
+def pose(altitude_m: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> SonarPose:
+    return SonarPose(0.0, 3.0, -7.0, DEPTH_M - altitude_m, 0.4, pitch_rad, roll_rad, 0.4, 1.8, 0)
 
 
 def level_floor(altitude_m: float, kind: SeabedType = "sand", sonar: Sonar | None = None) -> Scene:
@@ -47,7 +47,7 @@ def level_floor(altitude_m: float, kind: SeabedType = "sand", sonar: Sonar | Non
     return Scene(world=even(kind), sonar=sonar or Sonar(absorption_db_per_km=90.0), track=track)
 
 
-def sonar_equation(scene: Scene, at: Pose, starboard: bool, kind: SeabedType) -> Floats:
+def sonar_equation(scene: Scene, at: SonarPose, starboard: bool, kind: SeabedType) -> Floats:
     """Of every bin: sigma B^2 10^(-2 a r / 10) r^-4 over the floor that lies in it, (n_samples,).
 
     The fan's plane is tilted by the pitch; where it meets the floor, the strip within the beam is r theta / cos(pitch) wide.
@@ -99,7 +99,7 @@ def test_the_reference_is_the_echo_of_the_floor_at_half_range() -> None:
     assert sea.noise == pytest.approx(sea.reference * 10.0 ** (0.1 * scene.sonar.noise_db))
 
 
-def intensity(sea: Sea, poses: list[Pose]) -> Floats:
+def intensity(sea: Sea, poses: list[SonarPose]) -> Floats:
     """Of both sides of pings over its mean, (2 n, n_samples), from the samples that are recorded as amplitudes."""
     pings = sea.sound(poses, 11)
     counts = sea.recorder.seabed_counts
@@ -115,7 +115,7 @@ def intensity(sea: Sea, poses: list[Pose]) -> Floats:
 
 @pytest.mark.parametrize(("looks", "resolution_m"), [(1, 0.0), (3, 0.0), (1, 0.12)])
 def test_speckle_is_exponential_about_the_mean_and_correlated_over_the_resolution(looks: int, resolution_m: float) -> None:
-    recorder = Recorder(samples="amplitude_float32", seabed_counts=1.0)
+    recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0)
     sonar = Sonar(absorption_db_per_km=90.0, looks=looks, range_resolution_m=resolution_m, recorder=recorder)
     speckle = intensity(Sea(level_floor(6.0, "sand", sonar)), [pose(6.0)] * 100)[:, 200:]
     assert speckle.mean() == pytest.approx(1.0, abs=0.01)
@@ -148,11 +148,11 @@ def wild(seed: int) -> Scene:
     return Scene(seed=seed, world=World(seabeds=seabeds, patch_m=10.0), objects=things, sonar=sonar, track=Track(plan=plan))
 
 
-def flown_straight(scene: Scene, n: int) -> list[Pose]:
+def flown_straight(scene: Scene, n: int) -> list[SonarPose]:
     leg_rad = math.radians(200.0)
     random = np.random.Generator(np.random.PCG64(scene.seed))
     return [
-        Pose(
+        SonarPose(
             time_s=k / 6.0,
             east_m=-611.3 + 0.9 * k * math.sin(leg_rad),
             north_m=-1207.7 + 0.9 * k * math.cos(leg_rad),

@@ -15,7 +15,7 @@ from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene import STEADY, Lawnmower, Motion, Origin, Track
 from sim_replay.simulator.steered import FASTEST, SAFE_ALTITUDE_M, STEEPEST_RAD, SteeredVehicle
-from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, Pose
+from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SonarPose
 
 RATE_HZ = 20.0
 FRAME = local_frame(Origin())
@@ -63,10 +63,10 @@ currents = st.builds(
 )
 
 
-def flown(history: list[tuple[Command | None, int]], track: Track = TRACK, at_once: int = 1000) -> list[Pose]:
+def flown(history: list[tuple[Command | None, int]], track: Track = TRACK, at_once: int = 1000) -> list[SonarPose]:
     """Each command is held for a number of poses."""
     steered = vehicle(track)
-    poses: list[Pose] = []
+    poses: list[SonarPose] = []
     for command, n_poses in history:
         steered.steer(command)
         left = n_poses
@@ -76,8 +76,8 @@ def flown(history: list[tuple[Command | None, int]], track: Track = TRACK, at_on
     return poses
 
 
-def fly_until_done(steered: SteeredVehicle) -> list[Pose]:
-    poses: list[Pose] = []
+def fly_until_done(steered: SteeredVehicle) -> list[SonarPose]:
+    poses: list[SonarPose] = []
     while not steered.done:
         poses += steered.fly(1, RATE_HZ)
         assert len(poses) < 200 * RATE_HZ, "it never gets through its plan"

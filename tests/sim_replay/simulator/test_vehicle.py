@@ -23,7 +23,7 @@ from sim_replay.simulator.vehicle import (
     SLOWEST,
     STRONGEST_CURRENT,
     WANDER_PERIOD_S,
-    Pose,
+    SonarPose,
     Vehicle,
 )
 
@@ -42,11 +42,11 @@ def vehicle(track: Track, seed: int = 1) -> Vehicle:
     return Vehicle(track, planned_legs(track.plan), seed, flat)
 
 
-def flown(track: Track, rate_hz: float = 10.0, seed: int = 1) -> list[Pose]:
+def flown(track: Track, rate_hz: float = 10.0, seed: int = 1) -> list[SonarPose]:
     return list(vehicle(track, seed).poses(rate_hz))
 
 
-def column(poses: list[Pose], name: str) -> NDArray[np.float64]:
+def column(poses: list[SonarPose], name: str) -> NDArray[np.float64]:
     return np.array([getattr(pose, name) for pose in poses], dtype=np.float64)
 
 
@@ -54,7 +54,7 @@ def turned(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))
 
 
-def check_flown_in_full(poses: list[Pose], legs: tuple[Leg, ...], track: Track, rate_hz: float) -> None:
+def check_flown_in_full(poses: list[SonarPose], legs: tuple[Leg, ...], track: Track, rate_hz: float) -> None:
     """All legs in order, each on its line from end to end."""
     runs = [(index, list(run)) for index, run in groupby(poses, key=lambda pose: pose.on_leg) if index >= 0]
     assert [index for index, _ in runs] == list(range(len(legs)))
@@ -282,7 +282,7 @@ def test_the_vehicle_stays_off_the_floor_and_under_water(floor_m: float, seed: i
 NEW = (Leg(30.0, 80.0, math.radians(200.0), 40.0), Leg(-20.0, 40.0, math.radians(10.0), 30.0))
 
 
-def redirected(track: Track, after: int, rate_hz: float = 10.0) -> list[Pose]:
+def redirected(track: Track, after: int, rate_hz: float = 10.0) -> list[SonarPose]:
     flying = vehicle(track)
     poses = []
     for number, pose in enumerate(flying.poses(rate_hz)):

@@ -15,7 +15,7 @@ from sim_replay.simulator.fields import generator
 from sim_replay.simulator.scene import Ripples, Seabed, SeabedType
 from sim_replay.simulator.seabeds import USUAL, cover_of
 from sim_replay.simulator.stones import AZIMUTH, EAST, HEIGHT, LENGTH, NORTH, WIDTH
-from sim_replay.simulator.world import NODES, PATCH, Patches, World
+from sim_replay.simulator.world import NODES, PATCH, Patches, SimulatedFloor
 
 TYPES: tuple[SeabedType, ...] = get_args(SeabedType)
 PATCH_M = PATCH * 0.05
@@ -30,8 +30,8 @@ MOTLEY = scene.World(
 
 
 @pytest.fixture(scope="module")
-def motley() -> World:
-    return World(MOTLEY, 5)
+def motley() -> SimulatedFloor:
+    return SimulatedFloor(MOTLEY, 5)
 
 
 def whole(n_rows: int, n_columns: int) -> NDArray[np.bool_]:
@@ -44,13 +44,13 @@ def joined(patches: Patches, layer: NDArray[np.generic]) -> NDArray[np.float64]:
 
 
 def one_kind(seabed: Seabed, size: int = 3, relief_rms_m: float = 0.0) -> Patches:
-    return World(scene.World(seabeds=(seabed,), relief_rms_m=relief_rms_m), 7).patches(whole(size, size), 0, 0)
+    return SimulatedFloor(scene.World(seabeds=(seabed,), relief_rms_m=relief_rms_m), 7).patches(whole(size, size), 0, 0)
 
 
 @pytest.mark.parametrize("cell_m", [0.05, 0.02, 0.3])
 def test_neighbours_agree_on_shared_nodes_to_the_last_bit(cell_m: float) -> None:
     size = 4
-    world = World(msgspec.structs.replace(MOTLEY, cell_m=cell_m), 3)
+    world = SimulatedFloor(msgspec.structs.replace(MOTLEY, cell_m=cell_m), 3)
     patches = world.patches(whole(size, size), -2, -1)
     for layer in (patches.elevation, patches.texture, patches.seabed):
         for row, column in np.ndindex(size, size):
@@ -62,10 +62,10 @@ def test_neighbours_agree_on_shared_nodes_to_the_last_bit(cell_m: float) -> None
     assert len(np.unique(patches.seabed[patches.slots.ravel()])) >= 4
 
 
-def test_patches_are_the_same_bytes_in_any_order_and_after_being_forgotten(motley: World) -> None:
+def test_patches_are_the_same_bytes_in_any_order_and_after_being_forgotten(motley: SimulatedFloor) -> None:
     size = 4
     at_once = motley.patches(whole(size, size), -2, 40)
-    one_by_one = World(MOTLEY, 5, max_patches=2)
+    one_by_one = SimulatedFloor(MOTLEY, 5, max_patches=2)
     for place in generator(1, "order").permutation(size * size).tolist():
         row, column = divmod(place, size)
         single = one_by_one.patches(whole(1, 1), -2 + row, 40 + column)
@@ -77,7 +77,7 @@ def test_patches_are_the_same_bytes_in_any_order_and_after_being_forgotten(motle
 
 def test_another_seed_makes_another_floor() -> None:
     world = scene.World(seabeds=(Seabed(type="sand", texture_shape=2.0), Seabed(type="gravel")), patch_m=6.0)
-    first, second = (World(world, seed).patches(whole(1, 1), 0, 0) for seed in (1, 2))
+    first, second = (SimulatedFloor(world, seed).patches(whole(1, 1), 0, 0) for seed in (1, 2))
     assert abs(np.corrcoef(first.elevation[0].ravel(), second.elevation[0].ravel())[0, 1]) < 0.7
     assert not np.array_equal(first.seabed[0], second.seabed[0])
     assert not np.allclose(first.texture[0], second.texture[0])
@@ -85,14 +85,14 @@ def test_another_seed_makes_another_floor() -> None:
 
 def test_patches_not_asked_for_have_no_slot() -> None:
     needed = np.array([[True, False, True], [False, True, False]])
-    patches = World(scene.World(), 1).patches(needed, -1, 4)
+    patches = SimulatedFloor(scene.World(), 1).patches(needed, -1, 4)
     np.testing.assert_array_equal(patches.slots >= 0, needed)
     assert len(set(patches.slots[needed].tolist())) == 3
     assert (patches.first_patch_row, patches.first_patch_column) == (-1, 4)
 
 
 def test_pool_forgets_what_was_used_longest_ago_and_stays_as_small_as_asked() -> None:
-    world = World(scene.World(seabeds=(BARE,)), 1, max_patches=3)
+    world = SimulatedFloor(scene.World(seabeds=(BARE,)), 1, max_patches=3)
     for column in (0, 1, 2):
         world.patches(whole(1, 1), 0, column)
     kept = world.patches(whole(1, 1), 0, 0).slots[0, 0]
@@ -103,13 +103,13 @@ def test_pool_forgets_what_was_used_longest_ago_and_stays_as_small_as_asked() ->
 
 
 def test_request_larger_than_the_pool_makes_it_grow() -> None:
-    small, large = (World(scene.World(), 2, max_patches=n) for n in (2, 6))
+    small, large = (SimulatedFloor(scene.World(), 2, max_patches=n) for n in (2, 6))
     small.patches(whole(1, 2), 0, 0)
     patches, expected = small.patches(whole(2, 3), 0, 0), large.patches(whole(2, 3), 0, 0)
     np.testing.assert_array_equal(joined(patches, patches.elevation), joined(expected, expected.elevation))
 
 
-def test_full_pool_takes_less_than_300_mb(motley: World) -> None:
+def test_full_pool_takes_less_than_300_mb(motley: SimulatedFloor) -> None:
     patches = motley.patches(whole(1, 1), 0, 0)
     assert patches.elevation.nbytes + patches.texture.nbytes + patches.seabed.nbytes < 300e6
 
@@ -117,7 +117,9 @@ def test_full_pool_takes_less_than_300_mb(motley: World) -> None:
 @settings(max_examples=15, deadline=None)
 @given(st.floats(0.0, 10.0), st.floats(-180.0, 360.0), st.integers(-100, 100), st.integers(-100, 100))
 def test_slope_is_exact(slope_deg: float, towards_deg: float, patch_row: int, patch_column: int) -> None:
-    world = World(scene.World(seabeds=(BARE,), relief_rms_m=0.0, slope_deg=slope_deg, slope_towards_deg=towards_deg), 1, max_patches=1)
+    world = SimulatedFloor(
+        scene.World(seabeds=(BARE,), relief_rms_m=0.0, slope_deg=slope_deg, slope_towards_deg=towards_deg), 1, max_patches=1
+    )
     north = (patch_row * PATCH + np.arange(NODES))[:, None] * 0.05
     east = (patch_column * PATCH + np.arange(NODES)) * 0.05
     towards = math.radians(towards_deg)
@@ -126,7 +128,7 @@ def test_slope_is_exact(slope_deg: float, towards_deg: float, patch_row: int, pa
 
 
 def test_forms_have_the_relief_asked() -> None:
-    patches = World(scene.World(seabeds=(BARE,), relief_rms_m=0.2, cell_m=0.2), 7).patches(whole(4, 4), 0, 0)
+    patches = SimulatedFloor(scene.World(seabeds=(BARE,), relief_rms_m=0.2, cell_m=0.2), 7).patches(whole(4, 4), 0, 0)
     assert np.sqrt(np.mean(joined(patches, patches.elevation) ** 2)) == pytest.approx(0.2, rel=0.2)
 
 
@@ -192,13 +194,13 @@ def test_sand_waves_are_under_all_kinds() -> None:
     waves = Ripples(wavelength_m=6.4, height_m=0.5, direction_deg=0.0, defects=0.0, skew=0.0)
     world = scene.World(seabeds=(BARE, BARE), relief_rms_m=0.0, sand_waves=waves)
     north = np.arange(0.0, 12.0, 0.05)
-    np.testing.assert_allclose(World(world, 1).elevation_m(3.0, north), -0.25 * np.sin(2.0 * np.pi * north / 6.4), atol=1e-4)
+    np.testing.assert_allclose(SimulatedFloor(world, 1).elevation_m(3.0, north), -0.25 * np.sin(2.0 * np.pi * north / 6.4), atol=1e-4)
 
 
 def test_kinds_take_the_shares_asked_of_a_large_area() -> None:
     shares = (0.6, 0.3, 0.1)
     seabeds = tuple(Seabed(type="sand", share=share, relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0) for share in shares)
-    world = World(scene.World(seabeds=seabeds, patch_m=5.0, relief_rms_m=0.0, cell_m=0.2), 2, max_patches=64)
+    world = SimulatedFloor(scene.World(seabeds=seabeds, patch_m=5.0, relief_rms_m=0.0, cell_m=0.2), 2, max_patches=64)
     patches = world.patches(whole(8, 8), -4, -4)
     found = np.bincount(patches.seabed[patches.slots.ravel()].ravel(), minlength=3) / (64 * NODES**2)
     np.testing.assert_allclose(found, shares, atol=0.05)
@@ -207,7 +209,7 @@ def test_kinds_take_the_shares_asked_of_a_large_area() -> None:
 def test_kinds_change_over_about_the_patch_size() -> None:
     def patch_m(asked_m: float) -> float:
         """Mean length of a straight way through one kind, islets left out."""
-        world = World(scene.World(seabeds=(BARE, BARE), patch_m=asked_m, relief_rms_m=0.0, cell_m=0.5), 2)
+        world = SimulatedFloor(scene.World(seabeds=(BARE, BARE), patch_m=asked_m, relief_rms_m=0.0, cell_m=0.5), 2)
         patches = world.patches(whole(4, 4), 0, 0)
         kind = joined(patches, patches.seabed)
         way = kind[:, ::4]
@@ -220,7 +222,7 @@ def test_kinds_change_over_about_the_patch_size() -> None:
 
 def test_heights_blend_where_kinds_meet() -> None:
     seabeds = BARE, Seabed(type="seagrass", texture_shape=0.0)
-    patches = World(scene.World(seabeds=seabeds, patch_m=10.0, relief_rms_m=0.0), 4).patches(whole(3, 3), 0, 0)
+    patches = SimulatedFloor(scene.World(seabeds=seabeds, patch_m=10.0, relief_rms_m=0.0), 4).patches(whole(3, 3), 0, 0)
     height, kind = joined(patches, patches.elevation), joined(patches, patches.seabed)
     slope = np.abs(np.diff(height, axis=0)) / 0.05
     across = np.diff(kind, axis=0) != 0.0
@@ -230,8 +232,8 @@ def test_heights_blend_where_kinds_meet() -> None:
 
 def test_single_kind_beside_others_looks_as_it_does_alone() -> None:
     seabeds = Seabed(type="rock_outcrop"), Seabed(type="sand")
-    mixed = World(scene.World(seabeds=seabeds, patch_m=60.0), 1)
-    alone = World(scene.World(seabeds=seabeds[:1]), 1)
+    mixed = SimulatedFloor(scene.World(seabeds=seabeds, patch_m=60.0), 1)
+    alone = SimulatedFloor(scene.World(seabeds=seabeds[:1]), 1)
     places = np.argwhere(np.ones((12, 12), dtype=np.bool_)).tolist()
     for row, column in places:
         patches = mixed.patches(whole(1, 1), row, column)
@@ -243,7 +245,7 @@ def test_single_kind_beside_others_looks_as_it_does_alone() -> None:
     pytest.fail("no patch of rock alone")
 
 
-def test_elevation_at_places_is_bilinear_between_nodes(motley: World) -> None:
+def test_elevation_at_places_is_bilinear_between_nodes(motley: SimulatedFloor) -> None:
     patches = motley.patches(whole(2, 2), -1, -1)
     height = joined(patches, patches.elevation)
     random = generator(1, "places")
@@ -261,7 +263,7 @@ def test_elevation_at_places_is_bilinear_between_nodes(motley: World) -> None:
     assert found.dtype == np.float64
 
 
-def test_kind_at_places_is_that_of_the_nearest_node(motley: World) -> None:
+def test_kind_at_places_is_that_of_the_nearest_node(motley: SimulatedFloor) -> None:
     patches = motley.patches(whole(2, 2), -1, -1)
     kind = joined(patches, patches.seabed)
     row, column = generator(2, "places").uniform(0.0, 2 * PATCH - 1.6, (2, 300))
@@ -271,12 +273,12 @@ def test_kind_at_places_is_that_of_the_nearest_node(motley: World) -> None:
 
 
 def test_single_places_give_single_values() -> None:
-    assert World(scene.World(), 1).elevation_m(-1234.5, 17.0).shape == ()
+    assert SimulatedFloor(scene.World(), 1).elevation_m(-1234.5, 17.0).shape == ()
 
 
 def test_stones_have_the_density_and_the_size_law_asked() -> None:
     seabed = Seabed(type="boulder_field", stones_per_ha=2000.0, stone_m=0.3)
-    stones = World(scene.World(seabeds=(seabed,)), 3).stones(-100.0, 100.0, -50.0, 100.0)
+    stones = SimulatedFloor(scene.World(seabeds=(seabed,)), 3).stones(-100.0, 100.0, -50.0, 100.0)
     assert len(stones) == pytest.approx(6000, rel=0.05)
     for longer_m in (0.45, 0.6, 1.0):
         expected = (longer_m / 0.3) ** -2.5
@@ -287,7 +289,7 @@ def test_stones_have_the_density_and_the_size_law_asked() -> None:
     assert np.all((stones[:, AZIMUTH] >= 0.0) & (stones[:, AZIMUTH] < 2.0 * np.pi))
 
 
-def test_stones_of_an_area_are_those_of_its_parts(motley: World) -> None:
+def test_stones_of_an_area_are_those_of_its_parts(motley: SimulatedFloor) -> None:
     whole_area = motley.stones(-30.0, 30.0, -17.0, 30.0)
     parts = [motley.stones(east, east + 15.0, north, north + 23.5) for north in (-17.0, 6.5) for east in (-30.0, -15.0, 0.0, 15.0)]
     assert len(whole_area) > 20
@@ -297,14 +299,14 @@ def test_stones_of_an_area_are_those_of_its_parts(motley: World) -> None:
 
 def test_stones_lie_on_kinds_that_have_them() -> None:
     seabeds = BARE, Seabed(type="boulder_field", stones_per_ha=3000.0)
-    world = World(scene.World(seabeds=seabeds, patch_m=10.0), 3)
+    world = SimulatedFloor(scene.World(seabeds=seabeds, patch_m=10.0), 3)
     stones = world.stones(0.0, 40.0, 0.0, 40.0)
     assert np.mean(world.seabed_at(stones[:, EAST], stones[:, NORTH]) == 1) > 0.9
 
 
 def test_stones_rise_from_the_floor_and_echo_more() -> None:
     seabed = Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=60.0, stone_m=0.8)
-    world = World(scene.World(seabeds=(seabed,), relief_rms_m=0.0), 11)
+    world = SimulatedFloor(scene.World(seabeds=(seabed,), relief_rms_m=0.0), 11)
     stones = world.stones(1.0, 49.0, 1.0, 49.0)
     patches = world.patches(whole(4, 4), 0, 0)
     height, texture = joined(patches, patches.elevation), joined(patches, patches.texture)
@@ -328,6 +330,6 @@ def test_every_type_has_a_usual_cover_that_a_scene_may_override(kind: SeabedType
 
 
 def test_the_height_of_one_place_is_that_of_many() -> None:
-    world = World(scene.World(relief_rms_m=0.3, slope_deg=2.0), 4)
+    world = SimulatedFloor(scene.World(relief_rms_m=0.3, slope_deg=2.0), 4)
     places = np.random.default_rng(1).uniform(-40.0, 40.0, (2, 200))
     assert [world.floor_m(east, north) for east, north in places.T] == pytest.approx(world.elevation_m(*places), abs=1e-9)

@@ -35,7 +35,7 @@ _KNOWN_OF_CHIP: Final = 0.6
 _DARKEST: Final = 0.01  # -20 dB: darker than this is noise
 
 
-class Picture(NamedTuple):
+class ChipPicture(NamedTuple):
     """A tile as chips are cut from it: sum of codes and number of valid pixels over all rows and columns before, (n_rows + 1,
     n_columns + 1) int64. first_return_m: (n_rows,) float64."""
 
@@ -54,16 +54,16 @@ class Chips(NamedTuple):
     known: NDArray[np.bool_]
 
 
-def picture_of(tile: LabelledTile) -> Picture:
+def picture_of(tile: LabelledTile) -> ChipPicture:
     """The tile's sums; what masked pixels hold does not count."""
     return picture(tile.codes, tile.valid, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
 def picture(
     codes: NDArray[np.uint16], valid: NDArray[np.bool_], first_return_m: Array, row_spacing_m: float, column_spacing_m: float
-) -> Picture:
+) -> ChipPicture:
     """Sums of codes (n_rows, n_columns) uint16 where valid (n_rows, n_columns) bool."""
-    return Picture(_summed(np.where(valid, codes, 0)), _summed(valid), first_return_m, row_spacing_m, column_spacing_m)
+    return ChipPicture(_summed(np.where(valid, codes, 0)), _summed(valid), first_return_m, row_spacing_m, column_spacing_m)
 
 
 def reference_shadow_m(ground_range_m: Array, first_return_m: Array) -> Array:
@@ -73,7 +73,7 @@ def reference_shadow_m(ground_range_m: Array, first_return_m: Array) -> Array:
     return np.clip(REFERENCE_HEIGHT_M * ground_range_m / (height_m - REFERENCE_HEIGHT_M), *SHADOW_LIMITS_M)
 
 
-def cut_chips(source: Picture, rows: Pixels, columns: Pixels) -> Chips:
+def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels) -> Chips:
     """Chips centred on the pixels (rows, columns), (n,) each, inside the tile. What lies beyond the tile is not known."""
     shadow_m = reference_shadow_m((columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows])
     row_edges, column_edges = _edges(shadow_m, source.row_spacing_m, source.column_spacing_m)

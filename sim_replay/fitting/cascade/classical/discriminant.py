@@ -34,7 +34,7 @@ class Discriminant(NamedTuple):
         return self.offset + _odds(features, self.slopes)
 
 
-def fit(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float) -> Discriminant:
+def fit_discriminant(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float) -> Discriminant:
     """The most likely discriminant for samples (n, k) that count `weight` (n,) times each.
 
     ridge: precision, above 0, of the prior around 0 of the slopes of standardised features; what never varies gets none.
@@ -55,12 +55,13 @@ def fit(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: f
 
 
 def fit_calibrated(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float, groups: Sequence[str]) -> Discriminant:
-    """As `fit`, with odds that were found true on samples of other groups.
+    """As `fit_discriminant`, with odds that were found true on samples of other groups.
 
     groups: what each sample belongs to, such as its background; the groups are parted in five, each judged by a fit to the others, and
-    all odds are moved and stretched as those judgements ask for. With one group, or where a part leaves one kind only, as `fit`.
+    all odds are moved and stretched as those judgements ask for. With one group, or where a part leaves one kind only,
+    as `fit_discriminant`.
     """
-    found = fit(features, is_positive, weight, ridge)
+    found = fit_discriminant(features, is_positive, weight, ridge)
     names = sorted(set(groups))
     part_of = {name: index % _N_PARTS for index, name in enumerate(names)}
     part = np.array([part_of[group] for group in groups])
@@ -70,8 +71,8 @@ def fit_calibrated(features: Array, is_positive: NDArray[np.bool_], weight: Arra
         others = is_positive[~held_out]
         if not others.any() or others.all():
             return found
-        judged[held_out] = fit(features[~held_out], others, weight[~held_out], ridge).log_odds(features[held_out])
-    line = fit(judged[:, np.newaxis], is_positive, weight, 1e-3)
+        judged[held_out] = fit_discriminant(features[~held_out], others, weight[~held_out], ridge).log_odds(features[held_out])
+    line = fit_discriminant(judged[:, np.newaxis], is_positive, weight, 1e-3)
     # Odds that turn out to say nothing, or the opposite, are no reason to turn the order of samples round.
     stretch = max(float(line.slopes[0]), 1e-3)
     return Discriminant(line.offset + stretch * found.offset, stretch * found.slopes)

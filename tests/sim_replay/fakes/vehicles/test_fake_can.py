@@ -269,7 +269,7 @@ def test_health_is_heard() -> None:
     loop = Loop()
     loop.run(0.5)
     loop.vehicle.take_health()
-    loop.dialect.tell_health(PayloadHealth("fault", "sonar silent"), loop.now_s)
+    loop.dialect.report_health(PayloadHealth("fault", "sonar silent"), loop.now_s)
     loop.run(0.5)
     assert loop.vehicle.take_health() == ["fault", "fault: sonar silent"]
 

@@ -217,7 +217,7 @@ def test_a_plan_left_from_an_earlier_run_is_stopped() -> None:
 
 def test_contacts_and_health_arrive_once() -> None:
     sea = Sea()
-    sea.dialect.tell_health(PayloadHealth("fault", "port bow is silent"), sea.now_s)
+    sea.dialect.report_health(PayloadHealth("fault", "port bow is silent"), sea.now_s)
     sea.dialect.report(a_report(), 4, sea.now_s)
     assert sea.run(1.0) == [Acknowledged(4)]
     assert sea.fake.take_health() == ["fault: port bow is silent"]

@@ -40,7 +40,7 @@ def held_out(names: Sequence[str], seeds: Sequence[int], config: Config) -> tupl
     return tuple(flights)
 
 
-def fly(flight: Flight) -> scoring.Mission:
+def fly(flight: Flight) -> scoring.ScoredMission:
     """What the payload reports of a mission, and the truth about it."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     mission, pipeline = Mission(flight.scene), Pipeline(flight.config)
@@ -49,9 +49,9 @@ def fly(flight: Flight) -> scoring.Mission:
     pipeline.finish()
     place = f"{flight.scene.name}, seed {flight.scene.seed}"
     contacts = scoring.parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), place)
-    return scoring.Mission(contacts, scoring.parse_truth(mission.truth(), place), place)
+    return scoring.ScoredMission(contacts, scoring.parse_truth(mission.truth(), place), place)
 
 
-def fly_all(flights: Sequence[Flight], farm: Farm, progress: Callable[[int], None] = lambda done: None) -> Iterator[scoring.Mission]:
+def fly_all(flights: Sequence[Flight], farm: Farm, progress: Callable[[int], None] = lambda done: None) -> Iterator[scoring.ScoredMission]:
     """All flights in their order, ready for `scoring.score_missions`; raises as run_tasks does."""
     return run_tasks(fly, flights, farm, progress)

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_replay.fitting.cascade.stages import DETECTION, FALSE_ALARMS, Samples, Stage, threshold, train_stage
+from sim_replay.fitting.cascade.stages import DETECTION, FALSE_ALARMS, Stage, StageSamples, threshold, train_stage
 
 
-def _samples(seed: int, shift: float, n: int = 4000) -> Samples:
+def _samples(seed: int, shift: float, n: int = 4000) -> StageSamples:
     rng = np.random.Generator(np.random.PCG64(seed))
     is_target = rng.random(n) < 0.3
-    return Samples(np.clip(rng.normal(120, 30, (12, n)) + shift * is_target, 0, 255).astype(np.uint8), is_target)
+    return StageSamples(np.clip(rng.normal(120, 30, (12, n)) + shift * is_target, 0, 255).astype(np.uint8), is_target)
 
 
 def _train(shift: float) -> Stage:
@@ -44,4 +44,4 @@ def test_threshold_keeps_the_share_and_no_higher_one_does(scores: list[int], det
 def test_samples_without_targets_to_judge_by_are_refused() -> None:
     good = _samples(3, 50.0, 100)
     with pytest.raises(ValueError, match="0 targets among 100"):
-        train_stage(good, Samples(good.bins, np.zeros(100, dtype=np.bool_)), np.random.Generator(np.random.PCG64(0)))
+        train_stage(good, StageSamples(good.bins, np.zeros(100, dtype=np.bool_)), np.random.Generator(np.random.PCG64(0)))

@@ -7,7 +7,7 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.detect.cascade.model import parse_model
-from sim_replay.fitting.cascade.spec import read_spec
+from sim_replay.fitting.cascade.spec import read_training_spec
 from tests.sim_replay.fitting.cascade.training_tiles import write_drawn_set
 
 SPEC = "scenes: [flat]\nseeds: {train: {first: 600, count: 1}, validate: {first: 700, count: 1}}\n"
@@ -16,7 +16,7 @@ SPEC = "scenes: [flat]\nseeds: {train: {first: 600, count: 1}, validate: {first:
 def test_tiles_already_rendered_from_the_spec_are_trained_on_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec, tiles, out = tmp_path / "spec.yaml", tmp_path / "tiles", tmp_path / "model.json"
     spec.write_text(SPEC)
-    manifest = write_drawn_set(tiles, 3, 1, 1, made_from=msgspec.to_builtins(read_spec(spec)[0]))
+    manifest = write_drawn_set(tiles, 3, 1, 1, made_from=msgspec.to_builtins(read_training_spec(spec)[0]))
     assert main(["train", str(spec), "--tiles", str(tiles), "--out", str(out), "--stumps", "4", "--workers", "1"]) == 0
     assert parse_model(out.read_bytes(), "the model").training_sha256 == manifest.sha256
     assert "targets" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry,
 from auv_mcm.geometry.navigation import interpolate_track
 from auv_mcm.records import NAN, VALID, PoseTrack, Side, Tile
 from auv_mcm.settings.config import SonarConfig
-from sim_replay.fitting.cascade.place import Thing, cropped, near_side_m, objects_in
+from sim_replay.fitting.cascade.place import PlacedTarget, cropped, near_side_m, objects_in
 
 ROW_M, COLUMN_M = 0.12, 0.06
 N_ROWS, N_COLUMNS = 120, 500
@@ -58,7 +58,7 @@ def tile_of(side: Side, *, heading_rad: float = 0.0, pitch_rad: float = 0.0, tur
     )
 
 
-def thing(latitude_deg: float, longitude_deg: float, **facts: Any) -> Thing:
+def thing(latitude_deg: float, longitude_deg: float, **facts: Any) -> PlacedTarget:
     """A point on the floor unless told."""
     usual: dict[str, Any] = {
         "floor_depth_m": NAN,
@@ -71,7 +71,7 @@ def thing(latitude_deg: float, longitude_deg: float, **facts: Any) -> Thing:
         "height_m": 0.0,
         "burial_m": 0.0,
     }
-    return Thing(latitude_deg, longitude_deg, **(usual | facts))
+    return PlacedTarget(latitude_deg, longitude_deg, **(usual | facts))
 
 
 def located(tile: Tile, row: float, column: float, sonar: SonarConfig) -> tuple[float, float]:

@@ -12,9 +12,9 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.shell.results import write_json
+from auv_mcm.shell.whole_files import write_json
 from sim_replay.fitting.cascade.farm import Farm
-from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_spec
+from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_training_spec
 from sim_replay.fitting.cascade.store import read_manifest, read_shard, read_tiles
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 from sim_replay.fitting.cascade.training_images import OVERLAP_M, main, render_line, render_set, simulated_tiles
@@ -50,7 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def line(folder: Path) -> SimulatedLine:
-    (line,) = lines_of(parse_spec(SPEC, "spec"), folder)
+    (line,) = lines_of(parse_training_spec(SPEC, "spec"), folder)
     assert isinstance(line, SimulatedLine)
     return line
 
@@ -59,7 +59,7 @@ def line(folder: Path) -> SimulatedLine:
 def short(tmp_path_factory: pytest.TempPathFactory) -> SimulatedLine:
     folder = tmp_path_factory.mktemp("short")
     (folder / "bay.yaml").write_text(SHORT_SCENE)
-    (line,) = lines_of(parse_spec(SHORT_SPEC, "spec"), folder)
+    (line,) = lines_of(parse_training_spec(SHORT_SPEC, "spec"), folder)
     assert isinstance(line, SimulatedLine)
     return line
 

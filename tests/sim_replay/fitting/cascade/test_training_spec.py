@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_spec, read_spec
+from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_training_spec, read_training_spec
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.scene import EXACT, TARGET_KINDS
 from sim_replay.simulator.scene_file import read_scene
 
 
 def simulated(text: str, folder: Path = Path()) -> list[SimulatedLine]:
-    lines = lines_of(parse_spec(text, "spec"), folder)
+    lines = lines_of(parse_training_spec(text, "spec"), folder)
     return [line for line in lines if isinstance(line, SimulatedLine)]
 
 
@@ -35,7 +35,7 @@ def test_the_default_set_keeps_seagrass_and_the_seeds_that_rates_are_told_of_out
 
 
 def simulated_default() -> list[SimulatedLine]:
-    spec, folder = read_spec()
+    spec, folder = read_training_spec()
     return [line for line in lines_of(spec, folder) if isinstance(line, SimulatedLine)]
 
 
@@ -117,7 +117,7 @@ def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path:
         "scenes: [mine.yaml]\nseeds: {train: {first: 600, count: 1}}\ntargets: {per_mission: 5}\nrocks: {per_mission: 3}\n"
         "augmented: [{folder: line1, split: validate}]"
     )
-    first, second = lines_of(*read_spec(tmp_path / "set.yaml"))
+    first, second = lines_of(*read_training_spec(tmp_path / "set.yaml"))
     assert isinstance(first, SimulatedLine)
     assert isinstance(second, AugmentedLine)
     assert first.background == "mine/600"
@@ -154,7 +154,7 @@ SEEDS = "seeds: {train: {first: 600, count: 2}}\n"
 )
 def test_specs_that_cannot_be_are_refused_with_the_key(text: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
-        parse_spec(text, "set.yaml")
+        parse_training_spec(text, "set.yaml")
     assert str(caught.value).startswith("set.yaml: ")
     assert message in str(caught.value)
 
@@ -175,10 +175,10 @@ def test_missions_that_cannot_be_are_refused_before_any_is_flown(text: str, mess
 
 def test_a_spec_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.yaml cannot be read"):
-        read_spec(tmp_path / "none.yaml")
+        read_training_spec(tmp_path / "none.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"scenes: [\xe9]")
     with pytest.raises(UsageError, match="not UTF-8 text"):
-        read_spec(tmp_path / "latin.yaml")
+        read_training_spec(tmp_path / "latin.yaml")
 
 
 def test_no_background_is_in_two_splits() -> None:

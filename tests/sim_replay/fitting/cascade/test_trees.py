@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.odds import DEPTH
-from sim_replay.fitting.cascade.trees import N_LEAVES, N_QUESTIONS, Tree, boost, leaves
+from sim_replay.fitting.cascade.trees import N_LEAVES, N_QUESTIONS, GrownTree, boost, leaves
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ def random_of(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
-def walked(tree: Tree, row: Array) -> int:
+def walked(tree: GrownTree, row: Array) -> int:
     """Leaf of one row, question by question."""
     place = 0
     for _ in range(DEPTH):
@@ -30,7 +30,7 @@ def log_loss(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
     return float(weight @ (np.logaddexp(0.0, odds) - is_target * odds) / weight.sum())
 
 
-def boosted(trees: list[Tree], values: Array, start: Array) -> Array:
+def boosted(trees: list[GrownTree], values: Array, start: Array) -> Array:
     return start + sum((tree.nats[leaves(tree, values)] for tree in trees), np.zeros(len(values)))
 
 
@@ -45,7 +45,7 @@ def bump(n: int, seed: int) -> tuple[Array, NDArray[np.bool_]]:
 @given(st.integers(0, 10_000))
 def test_rows_reach_the_leaves_that_questions_lead_them_to(seed: int) -> None:
     random = random_of(seed)
-    tree = Tree(random.integers(0, 3, N_QUESTIONS), random.normal(0.0, 1.0, N_QUESTIONS), random.normal(0.0, 1.0, N_LEAVES))
+    tree = GrownTree(random.integers(0, 3, N_QUESTIONS), random.normal(0.0, 1.0, N_QUESTIONS), random.normal(0.0, 1.0, N_LEAVES))
     values = random.normal(0.0, 1.0, (20, 3)).round(1)
     assert leaves(tree, values).tolist() == [walked(tree, row) for row in values]
 

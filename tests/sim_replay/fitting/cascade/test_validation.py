@@ -14,7 +14,7 @@ from sim_replay.fitting.cascade.bootstrap import clear_of_targets
 from sim_replay.fitting.cascade.pool import Feature, Pool, model_stump
 from sim_replay.fitting.cascade.pool import feature_pool as whole_pool
 from sim_replay.fitting.cascade.store import pack, write_set
-from sim_replay.fitting.cascade.validation import Inspection, Sighting, calibrate, expected_pd, passed, sightings
+from sim_replay.fitting.cascade.validation import Inspection, ValidationSighting, calibrate, expected_pd, passed, sightings
 from tests.sim_replay.fitting.cascade.training_tiles import drawn_tile
 
 POOL = whole_pool()
@@ -64,8 +64,8 @@ def _slow_isotonic(score: np.ndarray, is_target: np.ndarray) -> np.ndarray:
 
 
 def test_expected_detection_counts_the_targets_of_each_sea_floor_and_range() -> None:
-    def seen(seabed: str, ground_range_m: float, score: int) -> Sighting:
-        return Sighting(seabed, ground_range_m, np.array([score], dtype=np.int32))
+    def seen(seabed: str, ground_range_m: float, score: int) -> ValidationSighting:
+        return ValidationSighting(seabed, ground_range_m, np.array([score], dtype=np.int32))
 
     model = _bright(2.0)
     told = expected_pd(

@@ -15,7 +15,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.detection_performance import FLOORS, parse_performance
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
-from sim_replay.fitting.detection_performance.calibrate_performance import sweep_widths_m, tables, to_json, words_for
+from sim_replay.fitting.detection_performance.calibrate_performance import performance_fit_words, performance_json, sweep_widths_m, tables
 from sim_replay.fitting.detection_performance.closed_form import p_found
 from sim_replay.fitting.detection_performance.fit_performance import (
     EDGES_M,
@@ -25,13 +25,13 @@ from sim_replay.fitting.detection_performance.fit_performance import (
     correlation,
     counts,
     design_effect,
-    fit,
+    fit_performance,
     one_hump,
     outcomes,
     pairs,
     smoothed,
 )
-from sim_replay.fitting.detection_performance.looks import Look
+from sim_replay.fitting.detection_performance.looks import CellPass
 
 Array = NDArray[np.float64]
 
@@ -47,8 +47,8 @@ def look(
     found: bool = True,
     look_deg: float = 0.0,
     time_s: float = 0.0,
-) -> Look:
-    return Look(
+) -> CellPass:
+    return CellPass(
         mission=mission,
         target=target,
         floor="sand",
@@ -62,7 +62,7 @@ def look(
     )
 
 
-def world(p_found_by_kind: dict[str, float], n_missions: int = 12, n_targets: int = 240, seed: int = 1) -> list[Look]:
+def world(p_found_by_kind: dict[str, float], n_missions: int = 12, n_targets: int = 240, seed: int = 1) -> list[CellPass]:
     """Targets everywhere at every range and aspect, each look found on its own."""
     rng = np.random.Generator(np.random.PCG64(seed))
     return [
@@ -160,8 +160,8 @@ def test_missions_that_are_all_alike_count_every_look_and_others_do_not() -> Non
 def test_the_fit_tells_what_the_world_does_and_can_be_written() -> None:
     truth = {"flat": 0.8, "ripple": 0.5, "rough": 0.3, "vegetation": 0.15}
     looks = world(truth)
-    told = fit(looks, words_for(range(800, 802), 6, looks))
-    assert parse_performance(to_json(told), "here") == told
+    told = fit_performance(looks, performance_fit_words(range(800, 802), 6, looks))
+    assert parse_performance(performance_json(told), "here") == told
     assert told.fitted_on == "2880 looks at 2880 targets in 12 simulated missions: seeds 800 to 801, 6 each"
     for kind, p in truth.items():
         for ground_m in (15.0, 25.0, 35.0, 45.0):
@@ -174,10 +174,10 @@ def test_the_fit_tells_what_the_world_does_and_can_be_written() -> None:
 
 def test_a_fit_without_some_floor_or_with_one_mission_is_refused() -> None:
     with pytest.raises(BadInputError, match=r"^here: no look at ripple_across.*--seeds"):
-        fit([look(1, 1), look(2, 1)], "here")
+        fit_performance([look(1, 1), look(2, 1)], "here")
     one = world(dict.fromkeys(KINDS, 0.5), n_missions=1)
     with pytest.raises(BadInputError, match=r"^here: one mission.*--seeds"):
-        fit(one, "here")
+        fit_performance(one, "here")
 
 
 def test_pairs_are_looks_at_one_target_by_direction_in_order_of_time() -> None:

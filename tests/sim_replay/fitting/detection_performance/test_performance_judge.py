@@ -11,10 +11,10 @@ import pytest
 from auv_mcm.clearance.detection_performance import FLOORS, Band, Floor, Performance, parse_performance
 from auv_mcm.cli import main
 from sim_replay.fitting.detection_performance import calibrate_performance as calibrate
-from sim_replay.fitting.detection_performance.calibrate_performance import Flight, to_json
+from sim_replay.fitting.detection_performance.calibrate_performance import Flight, performance_json
 from sim_replay.fitting.detection_performance.fit_performance import Outcomes
 from sim_replay.fitting.detection_performance.judge import judge, mean_error, share
-from sim_replay.fitting.detection_performance.looks import Look
+from sim_replay.fitting.detection_performance.looks import CellPass
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
 
 P = {"flat": 0.8, "ripple_across": 0.2, "ripple_oblique": 0.5, "ripple_along": 0.4, "rough": 0.3, "vegetation": 0.1}
@@ -94,10 +94,10 @@ def test_two_looks_are_judged_by_what_the_further_one_adds() -> None:
     assert found.other.realised == found.same.realised  # the same draw each time
 
 
-def looks_of_flight(flight: Flight) -> list[Look]:
+def looks_of_flight(flight: Flight) -> list[CellPass]:
     rng = np.random.Generator(np.random.PCG64([flight.seed, flight.number]))
     return [
-        Look(
+        CellPass(
             mission=1000 * flight.seed + flight.number,
             target=target,
             floor="sand",
@@ -147,7 +147,7 @@ def test_the_command_writes_tables_that_the_bench_judges(
 def test_bad_files_are_refused_before_anything_is_flown(
     arguments: list[str], code: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def none_flown(flight: Flight) -> list[Look]:
+    def none_flown(flight: Flight) -> list[CellPass]:
         raise AssertionError(flight)
 
     monkeypatch.setattr(calibrate, "fly", none_flown)
@@ -178,4 +178,4 @@ def test_scenes_are_full_of_targets_that_keep_apart_and_differ_by_seed_and_fligh
 
 
 def test_tables_in_json_are_the_same_bytes_each_time() -> None:
-    assert to_json(tables()) == to_json(parse_performance(to_json(tables()), "here"))
+    assert performance_json(tables()) == performance_json(parse_performance(performance_json(tables()), "here"))

@@ -10,7 +10,7 @@ import pytest
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, CoveragePatch, Side, SurveyedCells
-from sim_replay.fitting.detection_performance.looks import Part, looks_of, passes, seen_parts
+from sim_replay.fitting.detection_performance.looks import Part, cell_passes, looks_of, seen_parts
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, Seabed, Sonar, Track, World
 
@@ -52,8 +52,8 @@ def patch(start_s: float, cells: list[tuple[int, int, float]]) -> CoveragePatch:
 
 def test_a_pass_ends_where_a_minute_goes_by_or_the_look_turns() -> None:
     parts = [part(0.0, 350.0), part(10.0, 2.0), part(75.0, 5.0), part(150.0, 5.0), part(160.0, 25.0)]
-    assert [[each.start_s for each in group] for group in passes(parts)] == [[0.0, 10.0, 75.0], [150.0], [160.0]]
-    assert passes([]) == []
+    assert [[each.start_s for each in group] for group in cell_passes(parts)] == [[0.0, 10.0, 75.0], [150.0], [160.0]]
+    assert cell_passes([]) == []
 
 
 def test_a_place_is_seen_by_the_patches_that_hold_its_cell_in_order_of_time() -> None:

@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
-from auv_mcm.seabed.seabed_model import kind_indices, odds_of, parse_seabed_model
+from auv_mcm.seabed.seabed_model import kind_indices, parse_seabed_model, seabed_odds
 from auv_mcm.seabed.texture import NAMES
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.seabed import fit_seabed as fitting
 from sim_replay.fitting.seabed import samples as sampled
-from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_model, told_of
-from sim_replay.fitting.seabed.samples import KINDS, Samples, pooled, samples_of
+from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
+from sim_replay.fitting.seabed.samples import KINDS, SeabedSamples, pooled, samples_of
 from sim_replay.fitting.seabed.seabed_missions import FIRST_LIKE_SCENE, KIND_OF, LIKE, mission_scene, sonar_config
-from sim_replay.simulator.scene import Lawnmower, Recorder, Scene, Seabed
+from sim_replay.simulator.scene import Lawnmower, SampleRecorder, Scene, Seabed
 from sim_replay.simulator.scene_file import read_scene
 
 Array = NDArray[np.float64]
 
 
-def made_up(n: int, seed: int) -> Samples:
+def made_up(n: int, seed: int) -> SeabedSamples:
     """Every kind somewhere else, some more often than others; every tenth cell lies on a border."""
     rng = np.random.Generator(np.random.PCG64(seed))
     middle = np.random.Generator(np.random.PCG64(0)).normal(0.0, 1.5, (len(KINDS), len(NAMES)))
@@ -31,7 +31,7 @@ def made_up(n: int, seed: int) -> Samples:
     shares = np.eye(len(KINDS), dtype=np.float32)[kind]
     shares[::10] = 0.7 * shares[::10] + 0.3 * shares[(np.arange(n) + 1) % n][::10]
     features = (shares @ middle + rng.normal(size=(n, len(NAMES)))).astype(np.float32)
-    return Samples(features, rng.uniform(0.5, 15.0, n).astype(np.float32), shares)
+    return SeabedSamples(features, rng.uniform(0.5, 15.0, n).astype(np.float32), shares)
 
 
 @pytest.fixture(autouse=True)
@@ -41,19 +41,19 @@ def _small_networks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_kinds_that_differ_are_told_apart() -> None:
-    model = fit_model(made_up(4000, 1), "made up")
+    model = fit_seabed_model(made_up(4000, 1), "made up")
     held_out = made_up(1000, 2)
-    odds = odds_of(held_out.features.astype(np.float64), held_out.cot_grazing.astype(np.float64), model)
+    odds = seabed_odds(held_out.features.astype(np.float64), held_out.cot_grazing.astype(np.float64), model)
     whole = held_out.shares.max(axis=1) == 1.0
     found = kind_indices(model)[np.argmax(odds.log_p, axis=-1)]
     assert (found == np.array([SEABED_TYPES.index(kind) for kind in KINDS])[held_out.shares.argmax(axis=1)])[whole].mean() > 0.97
     assert (odds.distance > model.learnt.novelty).mean() < 0.02
-    far = odds_of(held_out.features.astype(np.float64) + 100.0, held_out.cot_grazing.astype(np.float64), model)
+    far = seabed_odds(held_out.features.astype(np.float64) + 100.0, held_out.cot_grazing.astype(np.float64), model)
     assert (far.distance > model.learnt.novelty).all()
 
 
 def test_a_model_survives_its_file_and_the_same_samples_make_the_same_bytes() -> None:
-    first, again = (msgspec.json.encode(fit_model(made_up(1500, 3), "made up")) for _ in range(2))
+    first, again = (msgspec.json.encode(fit_seabed_model(made_up(1500, 3), "made up")) for _ in range(2))
     assert first == again
     assert msgspec.json.encode(parse_seabed_model(first, "m.json")) == first
 
@@ -62,12 +62,12 @@ def test_a_kind_that_is_missing_is_told() -> None:
     some = made_up(1500, 4)
     kept = some.shares[:, KINDS.index("vegetation")] == 0.0
     with pytest.raises(BadInputError, match="too little of vegetation"):
-        fit_model(Samples(*(part[kept] for part in some)), "made up")
+        fit_seabed_model(SeabedSamples(*(part[kept] for part in some)), "made up")
 
 
 def test_too_few_samples_are_told() -> None:
     with pytest.raises(BadInputError, match="give more missions"):
-        fit_model(made_up(40, 5), "made up")
+        fit_seabed_model(made_up(40, 5), "made up")
 
 
 def test_scenes_differ_by_seed_and_hold_two_kinds_at_least() -> None:
@@ -95,7 +95,7 @@ def test_free_missions_are_none_of_the_named_scenes_and_others_are_like_one_in_t
 
 def test_decibels_per_count_are_known_as_well_as_an_estimate() -> None:
     scene = mission_scene(3)
-    recorder = Recorder(samples="log_uint8", db_per_count=0.3)
+    recorder = SampleRecorder(samples="log_uint8", db_per_count=0.3)
     some = [
         sonar_config(msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, recorder=recorder)))
         for seed in range(40)
@@ -120,7 +120,7 @@ def test_cells_of_a_mission_are_what_the_simulator_put_there(monkeypatch: pytest
     assert len(told.shares) > 20
     assert (told.shares[:, KINDS.index("flat")] == 1.0).all()
     assert np.isfinite(told.features).all()
-    assert told_of([11], pooled([told])).startswith("1 simulated missions of seeds 11 to 11, ")
+    assert seabed_fit_words([11], pooled([told])).startswith("1 simulated missions of seeds 11 to 11, ")
 
 
 def test_a_new_model_can_be_learnt_when_the_shipped_one_measures_something_else(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SEABED_TYPES
 from sim_replay.benches.seabed import report
-from sim_replay.fitting.seabed.score import confusion_m2, shares
+from sim_replay.fitting.seabed.seabed_score import confusion_m2, shares
 from sim_replay.scoring.seabed_map import NOT_SWEPT, SeabedMap, encode
 
 FLAT, RIPPLE, ROUGH, VEGETATION, UNKNOWN = range(len(SEABED_TYPES))

@@ -12,11 +12,11 @@ from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import LOW_RESOLUTION, VALID
 from auv_mcm.settings.config import Config
-from sim_replay.fitting.cascade.classical.candidates import Candidates, find_candidates, label, unlabelled
-from sim_replay.fitting.cascade.classical.detect import detect_classical
+from sim_replay.fitting.cascade.classical.classical_candidates import Candidates, find_candidates, label, unlabelled
+from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, format_model, parse_classical_model, score_windows
+from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES
-from sim_replay.fitting.cascade.classical.model import ClassicalModel, format_model, parse_model, score_windows
-from sim_replay.fitting.cascade.classical.train import Samples, collect, fit_model, of_kinds, train_classical
+from sim_replay.fitting.cascade.classical.train_classical import ChipSamples, collect, fit_classical_model, of_kinds, train_classical
 from tests.sim_replay.fitting.cascade.classical.chip_samples import tile_with
 
 CONFIG = Config()
@@ -26,13 +26,13 @@ UNSEEN = tile_with(KINDS, 90, "made up/90")
 
 
 @pytest.fixture(scope="module")
-def samples() -> Samples:
+def samples() -> ChipSamples:
     return collect(TILES, CONFIG)
 
 
 @pytest.fixture(scope="module")
-def model(samples: Samples) -> ClassicalModel:
-    return fit_model(samples)
+def model(samples: ChipSamples) -> ClassicalModel:
+    return fit_classical_model(samples)
 
 
 def _at(*objects: int) -> tuple[np.ndarray[tuple[int], np.dtype[np.int32]], np.ndarray[tuple[int], np.dtype[np.int32]]]:
@@ -46,27 +46,27 @@ def test_mines_never_seen_are_likely_and_rocks_without_shadow_are_not(model: Cla
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_each_family_alone_tells_mines_from_rocks(samples: Samples, family: str) -> None:
-    alone = fit_model(samples, [name for name in FAMILIES if name == family])
+def test_each_family_alone_tells_mines_from_rocks(samples: ChipSamples, family: str) -> None:
+    alone = fit_classical_model(samples, [name for name in FAMILIES if name == family])
     assert score_windows(alone, UNSEEN, *_at(0, 2)).min() > score_windows(alone, UNSEEN, *_at(1, 3)).max()
 
 
 def test_the_same_tiles_give_the_same_model_which_comes_back_from_its_file(model: ClassicalModel) -> None:
     data = format_model(model)
     assert format_model(train_classical(TILES, CONFIG)) == data
-    assert parse_model(data, "model.json") == model
+    assert parse_classical_model(data, "model.json") == model
 
 
-def test_kinds_that_were_not_asked_for_teach_nothing(samples: Samples) -> None:
+def test_kinds_that_were_not_asked_for_teach_nothing(samples: ChipSamples) -> None:
     wedges = of_kinds(samples, {"wedge"})
     assert set(wedges.kind) == {"", "wedge"}
     assert len(wedges.contrast) == len(wedges.background) == len(wedges.weight) == len(samples.kind) - samples.kind.count("cylinder")
-    assert set(fit_model(wedges).templates) == {"wedge", "other"}
+    assert set(fit_classical_model(wedges).templates) == {"wedge", "other"}
     one_tile = train_classical(TILES[:1], CONFIG, families=["central"], kinds={"wedge"})
     assert one_tile.trained_on.startswith("1 targets (1 wedge)")
 
 
-def test_backgrounds_of_samples_are_those_of_their_tiles(samples: Samples) -> None:
+def test_backgrounds_of_samples_are_those_of_their_tiles(samples: ChipSamples) -> None:
     assert set(samples.background) == {f"made up/{seed}" for seed in range(6)}
 
 
@@ -128,13 +128,13 @@ def test_windows_mostly_unknown_have_no_odds_and_none_asked_for_gives_none(model
 def test_a_model_file_that_makes_no_sense_is_refused_by_name(model: ClassicalModel, change: dict[str, object], words: str) -> None:
     data = msgspec.json.encode(msgspec.to_builtins(model) | change)
     with pytest.raises(BadInputError, match=words) as refused:
-        parse_model(data, "model.json")
+        parse_classical_model(data, "model.json")
     assert str(refused.value).startswith("model.json: ")
 
 
 def test_a_model_file_that_is_no_json_is_refused() -> None:
     with pytest.raises(BadInputError, match="Train the model anew"):
-        parse_model(b"\xff{", "model.json")
+        parse_classical_model(b"\xff{", "model.json")
 
 
 def test_detections_come_with_the_odds_of_their_windows_best_first(model: ClassicalModel) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.contacts.picture import in_picture, snippet_picture
+from auv_mcm.contacts.contact_picture import in_picture, snippet_picture
 from auv_mcm.records import Detection, Side
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks

@@ -14,6 +14,7 @@ from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.sources import parse_source_uri
 from auv_mcm.source import LiveSource
 from drivers.links.link import Link
@@ -21,9 +22,9 @@ from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import PortIntake
+from drivers.port_source import OnBytes, OnState, PortSource, open_source
 from drivers.ports import PortSettings, read_ports
-from drivers.source import OnBytes, OnState, PortSource, open_source
-from tests.drivers.port_traffic import PORTS, config_of, fix, profile, traffic
+from tests.drivers.port_traffic import PORTS, Collected, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0
 ASKED = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.02}}]"
@@ -104,8 +105,9 @@ class Bench:
         asyncio.run(main())
 
     async def _read(self) -> None:
-        async for event in self.source.events():
-            self.events.append(event)
+        sink = Collected()
+        self.events = sink.events
+        await self.source.run(sink)
 
     def state_is(self, name: str, state: str) -> Callable[[], bool]:
         return lambda: f"{name}:{state}" in self.source.health()
@@ -190,7 +192,7 @@ def test_a_sonar_is_told_how_to_ping_at_the_start_and_when_it_comes_back() -> No
 
 
 def test_a_silent_sonar_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._ASK_AGAIN_S", 0.05)
+    monkeypatch.setattr("drivers.port_source._ASK_AGAIN_S", 0.05)
     bench = Bench(silent_s=0.1)
     bench.run(bench.state_is("sonar", "silent"), lambda: len(bench.wires["sonar"].written) >= 6)
 
@@ -218,7 +220,7 @@ def test_states_are_told_and_shown() -> None:
 
 
 def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._MAX_STATE_NOTICES", 3)
+    monkeypatch.setattr("drivers.port_source._MAX_STATE_NOTICES", 3)
     bench = Bench()
     wire = bench.wires["gnss"]
     flaps = [
@@ -234,7 +236,7 @@ def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest
 
 
 def test_a_link_that_fails_by_a_defect_is_told_and_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._RESTART_S", 0.01)
+    monkeypatch.setattr("drivers.port_source._RESTART_S", 0.01)
     bench = Bench()
     bench.defects = [ZeroDivisionError("a defect")]
     bench.run(bench.state_is("sonar", "up"), bench.state_is("gnss", "up"))
@@ -261,17 +263,46 @@ def test_at_the_end_what_was_held_back_is_given() -> None:
     assert bench.codes()[-1] != "port_down"
 
 
-def test_what_nobody_takes_is_lost_oldest_first_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.source._MAX_EVENTS", 4)
-    source = PortSource(config_of(), SystemClock(), cpu_s=lambda: 0.0)
+def test_what_nobody_takes_waits_in_the_queue_of_the_service_alone() -> None:
+    """One queue: the oldest pings are dropped there, and counted once."""
+    counters: Counter[str] = Counter()
 
-    async def main() -> None:
+    async def main() -> list[SourceEvent]:
+        source = PortSource(config_of(), SystemClock(), cpu_s=lambda: 0.0)
+        queue = EventQueue(4, counters)
+        running = asyncio.ensure_future(source.run(queue))
+        await asyncio.sleep(0)
         for chunk in traffic(20):
             source.take(*chunk)
+        source.stop()
+        await running
+        queue.close()
+        events = []
+        while (event := await queue.get()) is not None:
+            events.append(event)
+        assert not any("dropped" in name for name in source.counters())
+        return events
+
+    events = asyncio.run(main())
+    pings = [event.number for event in events if isinstance(event, Ping)]
+    assert len(pings) == 4
+    assert pings == sorted(pings)
+    assert counters["service.ping_dropped"] == 20 - 4
+
+
+def test_what_is_known_before_the_source_runs_is_given_first() -> None:
+    open_port = "ports: [{name: n, link: 'udp://0.0.0.0:6001', device: nmea0183}]"
+    sink = Collected()
+
+    async def main() -> None:
+        source = PortSource(config_of(open_port), SystemClock())
+        source.raise_notice(Notice(code="early", text="before the source runs"))
+        source.stop()
+        await source.run(sink)
+        source.raise_notice(Notice(code="late", text="after its end"))
 
     asyncio.run(main())
-    counters = source.counters()
-    assert counters["source.ping_dropped"] + counters["source.event_dropped"] > 20
+    assert [event.code for event in sink.events if isinstance(event, Notice)] == ["port_open_to_all", "early"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Fits the weights with which confirmation turns what it measures into the odds of a mine: `python -m sim_replay.fitting.odds`.
+"""Fit the weights with which confirmation turns what it measures into the odds of a mine, for `auv-mcm calibrate odds`.
 
 Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector has
 weights of its own, those of the trained cascade without the scenes that are held out from its training. With --crowded the scenes are
@@ -9,11 +9,9 @@ the gate of one, per side and passage; further detections of it count for nothin
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -26,15 +24,13 @@ from numpy.typing import NDArray
 from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Tree, Weights
-from auv_mcm.clean_text import clean_lines
 from auv_mcm.confirmation import examine, region_of
-from auv_mcm.errors import AuvMcmError, UsageError
+from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector, LookStep
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory, write_file
-from sim_replay.arguments import count
+from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fitting.cascade import trees
 from sim_replay.missions import HELD_OUT, SCENES, config_for, reporting_everything, served_by
 from sim_replay.scoring.calibration import calibration_error
@@ -128,7 +124,7 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     return _labelled(name, seed, crowd == 1, seen, not_confirmed, mission.truth()["objects"])
 
 
-def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
     """Weights for each step, and as many trees as told; p_mine is right on average over the usual examples.
 
     Raises UsageError if there are no targets, or nothing else, among those.
@@ -151,46 +147,49 @@ def fit(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, 
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m sim_replay.fitting.odds", description=__doc__)
-    detectors: tuple[Detector, ...] = get_args(Detector)
-    parser.add_argument("--detector", choices=detectors, default="cascade", help="whose detections to weigh (default cascade)")
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--crowded", type=count, metavar="N", help=f"missions per scene with {CROWD} times as many mines and rocks (default none)"
-    )
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the weights go, JSON")
-    chosen = parser.parse_args(arguments)
-    if not chosen.out.parent.is_dir():
-        raise UsageError(f"--out {chosen.out}: there is no folder {chosen.out.parent}. Make it first")
-    if chosen.out.is_dir():
-        raise UsageError(f"--out {chosen.out} cannot be written: it is a folder. Name a file")
-    make_directory(chosen.out.parent)
-    seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
-    scenes = [name for name in SCENES if chosen.detector == "contrast" or name not in HELD_OUT]
-    first_crowd = chosen.first_seed + max(_CROWD_SEEDS, chosen.seeds)
-    crowds = range(first_crowd, first_crowd + (chosen.crowded or 0))
-    tasks = [(name, seed, chosen.detector, crowd) for chunk, crowd in ((seeds, 1), (crowds, CROWD)) for seed in chunk for name in scenes]
+def fit_from_missions(
+    out: Path,
+    *,
+    detector: Detector,
+    n_seeds: int,
+    n_crowded: int,
+    first_seed: int,
+    n_workers: int,
+    show: Callable[[int, int], None] = lambda done, of: None,
+) -> None:
+    """Fly missions, fit the weights to what became of their detections, write them to `out`, JSON, and print how they do.
+
+    detector: whose detections to weigh. n_seeds: missions per scene, from `first_seed` on; n_crowded: further ones with CROWD times as many
+    mines and rocks. n_workers: missions flown at once. show: takes the missions flown so far, and how many there are.
+
+    Raises UsageError for an `out` that cannot be written, before any work, and if there are no targets among the detections.
+    """
+    if not out.parent.is_dir():
+        raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
+    if out.is_dir():
+        raise UsageError(f"--out {out} cannot be written: it is a folder. Name a file")
+    make_directory(out.parent)
+    seeds = range(first_seed, first_seed + n_seeds)
+    scenes = [name for name in SCENES if detector == "contrast" or name not in HELD_OUT]
+    first_crowd = first_seed + max(_CROWD_SEEDS, n_seeds)
+    crowds = range(first_crowd, first_crowd + n_crowded)
+    tasks = [(name, seed, detector, crowd) for chunk, crowd in ((seeds, 1), (crowds, CROWD)) for seed in chunk for name in scenes]
     examples: list[Example] = []
-    with ProcessPoolExecutor(min(chosen.workers, len(tasks)), mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(min(n_workers, len(tasks)), mp_context=get_context("spawn")) as pool:
         for done, found in enumerate(pool.map(examples_of, *zip(*tasks, strict=True)), 1):
             examples += found
-            print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
-    # Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones tell worse than sums.
-    n_trees = N_TREES if chosen.detector == "cascade" else _NO_TREES
-    odds = fit(examples, words_for(len(examples), scenes, seeds, crowds), n_trees)
+            show(done, len(tasks))
+    # Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones do worse than sums.
+    n_trees = N_TREES if detector == "cascade" else _NO_TREES
+    odds = fit_odds(examples, odds_fit_words(len(examples), scenes, seeds, crowds), n_trees)
     try:
-        write_file(chosen.out, written(odds))
+        write_file(out, written(odds))
     except OSError as error:
-        raise UsageError(f"--out {chosen.out} cannot be written: {error.strerror}") from error
+        raise UsageError(f"--out {out} cannot be written: {error.strerror}") from error
     _report(examples, n_trees)
-    return 0
 
 
-def words_for(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
+def odds_fit_words(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
     """What weights were fitted on."""
     told = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
     return f"{told}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else told
@@ -303,7 +302,7 @@ def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
     total = weights.offset + weighed
     for tree in weights.trees:
         asked, thresholds = zip(*tree.ask, strict=True)
-        grown = trees.Tree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
+        grown = trees.GrownTree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
         total += grown.nats[trees.leaves(grown, values)]
     return total
 
@@ -336,7 +335,7 @@ def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> Non
     p = {step: np.zeros(len(usual)) for step in _STEPS}
     for scene in sorted({example.scene for example in usual}):
         inside = [example for example in usual if example.scene == scene]
-        others = fit([example for example in examples if example.scene != scene], "others", n_trees)
+        others = fit_odds([example for example in examples if example.scene != scene], "others", n_trees)
         at = np.array([example.scene == scene for example in usual])
         for step in _STEPS:
             p[step][at] = _p_mine(others, step, inside)
@@ -365,7 +364,7 @@ def _report_learning(examples: Sequence[Example], n_trees: Mapping[LookStep, int
     for part in _PARTS:
         learned = {seed for some in (seeds, crowds) for seed in some[: math.ceil(part * len(some))]}
         some = [example for example in examples if example.seed in learned]
-        values = _p_mine(fit(some, "a part", n_trees), "shape", judged)
+        values = _p_mine(fit_odds(some, "a part", n_trees), "shape", judged)
         print(f"{sum(example.is_target for example in some):<24}{_above(values, is_target, weight)}")
 
 
@@ -384,11 +383,3 @@ def _above(p_mine: Array, is_target: NDArray[np.bool_], weight: Array) -> str:
     """How many others lie above what each of _SHARES of the targets reaches."""
     least = np.quantile(p_mine[is_target], 1.0 - np.array(_SHARES))
     return "".join(f"{weight[~is_target & (p_mine >= at)].sum():>9.0f}" for at in least)
-
-
-if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AuvMcmError as error:
-        print(clean_lines(f"calibrate: {error}"), file=sys.stderr)
-        raise SystemExit(error.exit_code) from None

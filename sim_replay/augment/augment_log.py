@@ -8,12 +8,12 @@ from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import make_directory, write_file, write_json
+from auv_mcm.shell.whole_files import make_directory, write_file, write_json
+from sim_replay.augment.augmented_truth import augmented_truth_of
+from sim_replay.augment.background_log import read_survey
 from sim_replay.augment.embed import embed
-from sim_replay.augment.log import read_survey
 from sim_replay.augment.targets import TargetSpec, place_targets
 from sim_replay.augment.track import track_of
-from sim_replay.augment.truth import truth_of
 
 TRUTH_NAME: Final = "truth.json"
 
@@ -54,7 +54,7 @@ def augment(
     done = embed(survey, track, placements, config, spec.seed, progress=progress)
     (folder / TRUTH_NAME).unlink(missing_ok=True)  # written last: its presence says that it belongs to the log
     write_file(target, done.data)
-    facts = truth_of(done.objects, track, log.name, spec.seed, seabed)
+    facts = augmented_truth_of(done.objects, track, log.name, spec.seed, seabed)
     write_json(folder / TRUTH_NAME, facts)
     return Written(
         log=target,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
-from sim_replay.fitting.cascade.classical.chips import N_COLUMNS, N_ROWS, Picture, Pixels, cut_chips, picture_of
+from sim_replay.fitting.cascade.classical.chips import N_COLUMNS, N_ROWS, ChipPicture, Pixels, cut_chips, picture_of
 from sim_replay.fitting.cascade.classical.extractors import Family, extract, feature_names
 from sim_replay.fitting.cascade.tiles import LabelledTile
 
@@ -39,7 +39,7 @@ class ClassicalModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     slopes: dict[str, _Bounded]
 
 
-def parse_model(data: bytes, place: str) -> ClassicalModel:
+def parse_classical_model(data: bytes, place: str) -> ClassicalModel:
     """A model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
     remedy = "Train the model anew"
     try:
@@ -67,7 +67,7 @@ def score_windows(model: ClassicalModel, tile: LabelledTile, rows: Pixels, colum
     return score_picture(model, picture_of(tile), rows, columns)
 
 
-def score_picture(model: ClassicalModel, source: Picture, rows: Pixels, columns: Pixels) -> Array:
+def score_picture(model: ClassicalModel, source: ChipPicture, rows: Pixels, columns: Pixels) -> Array:
     """As score_windows, of a picture."""
     if len(rows) == 0:
         return np.zeros(0)

@@ -1,4 +1,4 @@
-"""The live source: every port listened to, asked and recorded, until it is told to stop.
+"""Listen to every port, request pings, and record both ways, until stopped: the live source.
 
 What the bytes say is `PortIntake`'s affair; here is only what needs an event loop.
 """
@@ -9,16 +9,16 @@ import asyncio
 import logging
 import secrets
 import time
-from collections import Counter, deque
-from collections.abc import AsyncGenerator, Callable, Coroutine
+from collections import Counter
+from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any, Final
 
 from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import UsageError
-from auv_mcm.records import Notice, Ping, SourceEvent
+from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.source import Record, SourceUri
+from auv_mcm.source import EventSink, Record, SourceUri
 from drivers.backlog import Backlog, Chunk
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
@@ -39,7 +39,6 @@ OpenLink = Callable[[PortSettings, OnBytes, OnState, Clock], Link[bytes] | Link[
 
 _TICK_S: Final = 0.25
 _ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its settings with its supply
-_MAX_EVENTS: Final = 4096
 _MAX_STATE_NOTICES: Final = 20  # per port; a loose contact has no end of them
 _RESTART_S: Final = 1.0
 _LAST_TURNS: Final = 50  # 0.5 s of decoding at the end
@@ -65,11 +64,11 @@ class PortSource:
     """The ports as a source of the service, which cannot make devices wait. Whatever a wire or device does, it goes on.
 
     What comes is recorded at once and decoded in the order in which it came, a bounded part in each turn of the event loop (`Backlog`).
+    Its events go straight into the service's queue; nothing waits here.
 
     counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent, port.NAME.commands_refused (by the wire),
     port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), port.NAME.bytes_undecoded (that found no room in a
-    flood), source.ping_dropped and source.event_dropped. Of the vehicle's port, port.NAME.messages_sent and .messages_refused, and those
-    of `PortPilot` and of the vehicle's decoder.
+    flood). Of the vehicle's port, port.NAME.messages_sent and .messages_refused, and those of `PortPilot` and of the vehicle's decoder.
     """
 
     lossless = False
@@ -84,23 +83,21 @@ class PortSource:
         self._own: Counter[str] = Counter()
         self._backlog = Backlog(cpu_s)
         self._turn_ends = False  # the end of this turn of the event loop is awaited
-        self._events: deque[SourceEvent] = deque()
-        self._changed = asyncio.Event()
-        self._stopping = False
+        self._stopped = asyncio.Event()
         self._ended = False
         ports = read_ports(config)
         self._ports = [_ServedPort(port, self, open_link, clock, config) for port in ports]
         self._vehicle_port = next((port for port in self._ports if port.vehicle is not None), None)
-        self._put([*open_to_all(ports)])
+        self._early: list[SourceEvent] = [*open_to_all(ports)]  # from before `run`: its vehicle may be served first
+        self._push: Callable[[SourceEvent], None] = self._early.append
 
     def record_with(self, record: Record) -> None:
         """Hand every byte to `record`, both ways, from now on."""
         self._record = record
 
     def stop(self) -> None:
-        """Close all ports; `events` ends with what was still held back."""
-        self._stopping = True
-        self._changed.set()
+        """Close all ports; `run` gives what was still held back, and returns."""
+        self._stopped.set()
 
     @property
     def vehicle(self) -> PortPilot | None:
@@ -108,13 +105,13 @@ class PortSource:
         return None if self._vehicle_port is None else self._vehicle_port.vehicle
 
     async def serve_vehicle(self) -> None:
-        """Talk to the vehicle until cancelled, whether or not `events` have ended."""
+        """Talk to the vehicle until cancelled, whether or not `run` has begun or returned."""
         if self._vehicle_port is not None:
             await _together(self._vehicle_port.jobs())
 
     @property
     def is_stopping(self) -> bool:
-        return self._stopping
+        return self._stopped.is_set()
 
     def health(self) -> str:
         return "ports=" + ",".join(f"{port.name}:{port.state}" for port in self._ports)
@@ -131,24 +128,24 @@ class PortSource:
             return counters
         return counters + self.vehicle.counters + self._intake.vehicle_counters(self._vehicle_port.name)
 
-    async def events(self) -> AsyncGenerator[SourceEvent, None]:
+    async def run(self, sink: EventSink) -> None:
+        """Push the events of all ports into `sink` until `stop` is called, then what was held back."""
+        self._push = sink.push
+        self._put(self._early)
         jobs = [job for port in self._ports if port is not self._vehicle_port for job in port.jobs()]
         serving = asyncio.ensure_future(_together([*jobs, self._tick()]))
         try:
-            while not self._stopping:
-                await self._changed.wait()
-                self._changed.clear()
-                while self._events:
-                    yield self._events.popleft()
+            try:
+                await asyncio.sleep(0)  # the jobs begin, whenever the source is stopped, and so can be cancelled
+                await self._stopped.wait()
+            finally:
+                self._stopped.set()
+                serving.cancel()
+                await asyncio.wait({serving})
+            self._decode_rest()
+            self._put(self._intake.finish())
         finally:
-            self._stopping = True
-            serving.cancel()
-            await asyncio.wait({serving})
-        self._decode_rest()
-        self._ended = True
-        self._put(self._intake.finish())
-        while self._events:
-            yield self._events.popleft()
+            self._ended = True
 
     def take(self, port: str, data: bytes, stamp: Stamp) -> None:
         """Bytes of a port, or none: a tick."""
@@ -159,7 +156,7 @@ class PortSource:
                 f"port '{port}' brings more than this computer can decode. What does not fit is recorded, counted as "
                 f"port.{port}.bytes_undecoded, and not decoded. Check what sends there, and that nobody else does."
             )
-            self.tell(Notice(code="port_flooded", text=text, place=port))
+            self.raise_notice(Notice(code="port_flooded", text=text, place=port))
         self._work()
 
     def _work(self) -> None:
@@ -197,7 +194,7 @@ class PortSource:
         if self._record is not None:
             self._record(port, "out", self._now(), data)
 
-    def tell(self, notice: Notice) -> None:
+    def raise_notice(self, notice: Notice) -> None:
         self._put([notice])
 
     async def _tick(self) -> None:
@@ -210,13 +207,10 @@ class PortSource:
         return Stamp(mono_ns=round(self._clock.monotonic_s() * 1e9), utc_ns=round(self._clock.utc_s() * 1e9))
 
     def _put(self, events: list[SourceEvent]) -> None:
-        for event in events:
-            if len(self._events) >= _MAX_EVENTS:
-                lost = self._events.popleft()
-                self._own["source.ping_dropped" if isinstance(lost, Ping) else "source.event_dropped"] += 1
-            self._events.append(event)
-        if events:
-            self._changed.set()
+        """Push events on; after the end only the vehicle is served, and nobody takes them."""
+        if not self._ended:
+            for event in events:
+                self._push(event)
 
 
 async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
@@ -231,7 +225,7 @@ async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
 
 
 class _ServedPort:
-    """One port while the source runs: its link kept up, its sonar told how to ping, its vehicle talked to, its states told to a person."""
+    """One port while the source runs: keep its link up, set its sonar, talk to its vehicle, and report its states to a person."""
 
     def __init__(self, port: PortSettings, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
         self.name = port.name
@@ -283,7 +277,7 @@ class _ServedPort:
                 log.exception("the link of port '%s' failed", self.name)
                 text = f"the link of port '{self.name}' failed ({error!r}) and is opened anew. This is a defect: report it with the log."
                 if self._own["failed"] == 1:
-                    self._source.tell(Notice(code="port_failed", text=text, place=self.name))
+                    self._source.raise_notice(Notice(code="port_failed", text=text, place=self.name))
             self._links_before += self._link.counters
             self._link = self._make_link()
             await asyncio.sleep(_RESTART_S)
@@ -322,7 +316,7 @@ class _ServedPort:
             last = " More changes of this port are counted only." if self._own["state_changes"] == _MAX_STATE_NOTICES else ""
             text = f"port '{self.name}' is {state}: {reason}{last}"
             opens_well = self._own["state_changes"] == 1 and reason == f"{self._link.place} is open"
-            self._source.tell(Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well))
+            self._source.raise_notice(Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well))
 
     def _send_commands(self) -> None:
         for command in self._port.commands:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_picture import KIND_COLOURS
-from auv_mcm.contacts.picture import display_levels
+from auv_mcm.contacts.contact_picture import display_levels
 from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline

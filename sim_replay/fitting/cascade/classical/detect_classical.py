@@ -11,12 +11,12 @@ from auv_mcm.detect.cascade.codes import codes_of
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import VALID, Tile
 from auv_mcm.settings.config import Config
-from sim_replay.fitting.cascade.classical.candidates import pixels_of
-from sim_replay.fitting.cascade.classical.chips import Picture, picture
-from sim_replay.fitting.cascade.classical.model import ClassicalModel, score_picture
+from sim_replay.fitting.cascade.classical.chips import ChipPicture, picture
+from sim_replay.fitting.cascade.classical.classical_candidates import pixels_of
+from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, score_picture
 
 
-def tile_picture(tile: Tile) -> Picture:
+def tile_picture(tile: Tile) -> ChipPicture:
     """The tile's sums in the codes of a labelled tile."""
     valid = (tile.mask & VALID) != 0
     return picture(codes_of(tile.intensity, valid), valid, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)

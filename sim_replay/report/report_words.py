@@ -117,7 +117,7 @@ def is_loss(name: str) -> bool:
     return name not in WORK
 
 
-def explained(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
+def explained_counters(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
     """Wanted counters that are not zero, by stage, each with its meaning; one without an entry is told by its own name."""
     stages: dict[str, list[CounterLine]] = {}
     for name in sorted(counters):
@@ -185,7 +185,7 @@ def decibels(level_db: float) -> str:
     return f"{level_db:+.1f} dB".replace("-", "\u2212") if math.isfinite(level_db) else "none"
 
 
-def evidence(log_ratio: float) -> str:
+def evidence_words(log_ratio: float) -> str:
     """Evidence for a mine against clutter in nats, and in words: steps of ten and a hundred to one."""
     if not math.isfinite(log_ratio):
         return "unknown"

@@ -12,7 +12,7 @@ from typing import Final
 from drivers.framing import Refused
 
 
-class Candidates:
+class MessageCandidates:
     """Finds candidates that may be messages, and counts the others by the reason why they are none."""
 
     def __init__(self, syncs: tuple[bytes, ...], alive: bytes, dead: bytes, reasons: tuple[str, ...]) -> None:

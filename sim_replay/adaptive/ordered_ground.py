@@ -24,7 +24,7 @@ _ACROSS_M: Final = 0.5
 _ALONG_M: Final = 1.0
 
 
-def over_area(clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float) -> Clearance:
+def clearance_over_order(clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float) -> Clearance:
     """What is known of the cells whose middles lie in the ordered area, and of no others; nothing where nothing was seen.
 
     origin: the plane that the order is in. plane: that of the clearance, and of the cells.

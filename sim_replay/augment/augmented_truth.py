@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.records import SIDES
-from sim_replay.augment.embed import Embedded, Look
-from sim_replay.augment.track import SIGN, Track
+from sim_replay.augment.embed import Embedded, EmbeddedView
+from sim_replay.augment.track import SIGN, PingTrack
 from sim_replay.simulator.truth import CELL_M
 
 _STEP_M: Final = 0.5 * CELL_M
 
 
-def truth_of(objects: Sequence[Embedded], track: Track, background: str, seed: int, seabed: str | None = None) -> dict[str, Any]:
+def augmented_truth_of(
+    objects: Sequence[Embedded], track: PingTrack, background: str, seed: int, seabed: str | None = None
+) -> dict[str, Any]:
     """Area seen and every object. background: name of the log, by which training and test data are kept apart.
 
     seabed: of the whole log, where it is known. What other objects the log shows is not in it.
@@ -32,7 +34,7 @@ def truth_of(objects: Sequence[Embedded], track: Track, background: str, seed: i
     }
 
 
-def swept_area_m2(track: Track) -> float:
+def swept_area_m2(track: PingTrack) -> float:
     """Area of the sea floor shown well enough to put objects on it, each square metre once."""
     way_m = np.floor((track.along_m - track.along_m[0]) / _STEP_M)
     sampled = np.flatnonzero(np.diff(way_m, prepend=-1.0) > 0.0)
@@ -74,7 +76,7 @@ def _object(one: Embedded, background: str, seabed: str | None) -> dict[str, Any
     return facts if seabed is None else {**facts, "seabed": seabed}
 
 
-def _look(look: Look) -> dict[str, Any]:
+def _look(look: EmbeddedView) -> dict[str, Any]:
     moment = datetime.fromtimestamp(look.time_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     return {
         "side": look.side,

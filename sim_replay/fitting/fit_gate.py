@@ -1,15 +1,14 @@
 """Fit which places of a tile can become contacts: `auv-mcm calibrate gate`.
 
-Simulated missions over the named scenes are flown without the gate, by the cascade and by contrasts alone. The log-odds that each
-detection ends with are forecast by least squares from its score, its contrast and its range. The margin is the one that leaves in all
-but one in two hundred of the detections that would be reported.
+Simulated missions over the named scenes, but for those held out, are flown without the gate, by the cascade and by contrasts alone. The
+log-odds that each detection ends with are forecast by least squares from its score, its contrast and its range. The margin is the one that
+leaves in all but one in two hundred of the detections that would be reported.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple, get_args
 
 import msgspec
@@ -22,7 +21,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector
 from auv_mcm.settings.config import ContactsConfig
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.missions import SCENES, config_for, reporting_everything, served_by
+from sim_replay.missions import HELD_OUT, SCENES, config_for, reporting_everything, served_by
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
 
@@ -81,22 +80,26 @@ def outcomes_of(task: tuple[str, int, Detector]) -> list[PlaceOutcome]:
     return [_outcome(name, view) for contact in pipeline.contacts for view in contact.views]
 
 
-def calibrate_gate(seeds: Sequence[int], scenes: Sequence[str] = SCENES, workers: int = 2) -> Gate:
-    """Fly missions with these seeds through the scenes and fit the gate."""
+def calibrate_gate(seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None) -> Gate:
+    """Fly missions with these seeds through the named scenes that are not held out, and fit the gate.
+
+    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError as fit_gate does.
+    """
+    scenes = [name for name in SCENES if name not in HELD_OUT]
     detectors: tuple[Detector, ...] = get_args(Detector)
     tasks = [(name, seed, detector) for detector in detectors for name in scenes for seed in seeds]
-
-    def progress(done: int) -> None:
-        print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
-
-    outcomes = list(run_tasks(outcomes_of, tasks, Farm(workers), progress))
-    print(file=sys.stderr)
+    outcomes = list(run_tasks(outcomes_of, tasks, Farm(n_workers), lambda done: show(done, len(tasks))))
     found = {
         detector: [one for task, some in zip(tasks, outcomes, strict=True) if task[2] == detector for one in some] for detector in detectors
     }
     n_detections = sum(map(len, outcomes))
     fitted_on = f"{n_detections} detections of simulated missions: {', '.join(scenes)}; seeds {', '.join(map(str, seeds))}"
     return fit_gate(found["cascade"], found["contrast"], ContactsConfig().min_p_mine, fitted_on)
+
+
+def gate_json(gate: Gate) -> str:
+    """Write a gate as JSON, a line per value."""
+    return msgspec.json.format(msgspec.json.encode(gate), indent=1).decode() + "\n"
 
 
 def _outcome(scene: str, view: Detection) -> PlaceOutcome:

@@ -21,9 +21,9 @@ from auv_mcm.source import LiveSource
 from drivers.framing import StampedFramer
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link
+from drivers.port_source import OnBytes, OnState, PortSource
 from drivers.port_stream import pack_can
 from drivers.ports import PortSettings, read_ports
-from drivers.source import OnBytes, OnState, PortSource
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.pilot import Pilot
@@ -34,7 +34,7 @@ from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
-from tests.drivers.port_traffic import config_of
+from tests.drivers.port_traffic import Collected, config_of
 
 GENEROUS_S = 15.0
 VEHICLE = "vehicle: {command: true, fence_deg: [[42.99, 4.99], [42.99, 5.01], [43.01, 5.01], [43.01, 4.99]]}\n"
@@ -154,8 +154,9 @@ class Bench:
             await asyncio.sleep(0.05)
 
     async def _read(self) -> None:
-        async for event in self.source.events():
-            self.events.append(event)
+        sink = Collected()
+        self.events = sink.events
+        await self.source.run(sink)
 
     def is_heard(self) -> bool:
         return self.vehicle.authority != "down"
@@ -205,9 +206,9 @@ def test_the_vehicle_is_heard_and_told_and_every_word_is_recorded(text: str, mak
 
     bench.run(
         bench.is_heard,
-        lambda: bench.vehicle.tell(contact(1)),
+        lambda: bench.vehicle.report(contact(1)),
         bench.has_told(1),
-        lambda: bench.vehicle.tell_health("fault", "the sonar is silent"),
+        lambda: bench.vehicle.report_health("fault", "the sonar is silent"),
         hears_of_it,
     )
     (report,) = bench.controller.take_reports()
@@ -263,11 +264,11 @@ def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_told_and_once_on
 
     bench.run(
         bench.is_heard,
-        lambda: bench.vehicle.tell(contact(1)),
+        lambda: bench.vehicle.report(contact(1)),
         bench.has_told(1),
         plug(False),
         lambda: bench.vehicle.authority == "down",
-        lambda: bench.vehicle.tell(contact(2)),
+        lambda: bench.vehicle.report(contact(2)),
         plug(True),
         bench.has_told(2),
     )
@@ -279,13 +280,13 @@ def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
     def failing(self: Pilot[Any], contact: Contact) -> None:
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(Pilot, "tell", failing)
+    monkeypatch.setattr(Pilot, "report", failing)
     bench = Bench(IMC, FakeImc())
     bench.run(
         bench.is_heard,
         lambda: bench.vehicle.propose(plan()),
         lambda: bench.controller.in_control and bench.vehicle.authority == "granted",
-        lambda: bench.vehicle.tell(contact(1)),
+        lambda: bench.vehicle.report(contact(1)),
         lambda: not bench.controller.in_control and bench.vehicle.authority == "listening",
         lambda: bench.vehicle.propose(plan()),
     )

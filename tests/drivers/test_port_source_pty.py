@@ -17,12 +17,12 @@ from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.recovery import RECORDING
 from auv_mcm.shell.service import Service
-from drivers.source import PortSource
+from drivers.port_source import PortSource
 from sim_replay.fakes.port import FakePort
 from sim_replay.logs.open_log import session_config
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, Recorder, Scene, SceneObject, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, SampleRecorder, Scene, SceneObject, Seabed, Sonar, Track, World
 from tests.drivers.port_traffic import fix, profile
 
 SONAR_BAUD: Final = 4_000_000
@@ -49,7 +49,9 @@ def flown() -> list[SourceEvent]:
             SceneObject(kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
             SceneObject(kind="sphere", leg=0, along_m=30.0, across_m=-14.0, width_m=0.8),
         ),
-        sonar=Sonar(range_m=RANGE_M, n_samples=512, ping_rate_hz=12.0, recorder=Recorder(samples="amplitude_float32", seabed_counts=100.0)),
+        sonar=Sonar(
+            range_m=RANGE_M, n_samples=512, ping_rate_hz=12.0, recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=100.0)
+        ),
         track=Track(plan=Lawnmower(n_legs=1, leg_m=44.0), altitude_m=4.0, motion=STEADY),
         navigation_error=EXACT,
     )

@@ -12,14 +12,14 @@ import msgspec
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.results import write_file
-from sim_replay.fitting.cascade.classical.model import format_model
-from sim_replay.fitting.cascade.classical.train import train_classical
+from auv_mcm.shell.whole_files import write_file
+from sim_replay.fitting.cascade.classical.classical_model import format_model
+from sim_replay.fitting.cascade.classical.train_classical import train_classical
 from sim_replay.fitting.cascade.farm import Farm
-from sim_replay.fitting.cascade.spec import read_spec
+from sim_replay.fitting.cascade.spec import read_training_spec
 from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest, read_tiles
 from sim_replay.fitting.cascade.trainer import train
-from sim_replay.fitting.cascade.training_images import render_set, told_of
+from sim_replay.fitting.cascade.training_images import render_set, tile_set_words
 from sim_replay.missions import untrained_alone
 
 Kind: TypeAlias = Literal["soft", "stages", "classical"]
@@ -40,7 +40,7 @@ def train_model(
     with tempfile.TemporaryDirectory() as passing:
         folder = tiles or Path(passing)
         if not _holds_tiles_of(folder, spec):
-            for line in told_of(render_set(spec, folder, farm)).splitlines():
+            for line in tile_set_words(render_set(spec, folder, farm)).splitlines():
                 say(line)
         if kind == "classical":
             labelled = read_tiles(folder, read_manifest(folder), "train")
@@ -54,5 +54,5 @@ def train_model(
 
 
 def _holds_tiles_of(folder: Path, spec: Path | None) -> bool:
-    wanted = msgspec.json.decode(msgspec.json.encode(read_spec(spec)[0]))  # as the manifest gives it back: lists, not tuples
+    wanted = msgspec.json.decode(msgspec.json.encode(read_training_spec(spec)[0]))  # as the manifest gives it back: lists, not tuples
     return (folder / MANIFEST_NAME).exists() and read_manifest(folder).made_from == wanted

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_picture import KIND_COLOURS, clearance_picture
-from auv_mcm.contacts.picture import encoded
-from sim_replay.adaptive.flight import Flight
+from auv_mcm.contacts.contact_picture import encoded
+from sim_replay.adaptive.flight import AdaptiveFlight
 from sim_replay.adaptive.order import Order
 from sim_replay.fitting.seabed.seabed_missions import KIND_OF
 from sim_replay.simulator.scene import Scene
@@ -25,7 +25,7 @@ _INK: Final = (60, 50, 40)
 _TRACK: Final = (30, 30, 200)
 
 
-def mission_png(scene: Scene, order: Order, flights: dict[str, Flight]) -> bytes:
+def mission_png(scene: Scene, order: Order, flights: dict[str, AdaptiveFlight]) -> bytes:
     """PNG with a row per flight, by title: track over the true sea floor, then clearance and sea floor as mapped."""
     floor = _floor(scene, order)
     return encoded(np.vstack([_row(title, floor, order, flight) for title, flight in flights.items()]), ".png", [])
@@ -48,7 +48,7 @@ def _floor(scene: Scene, order: Order) -> Bytes:
     return picture
 
 
-def _row(title: str, floor: Bytes, order: Order, flight: Flight) -> Bytes:
+def _row(title: str, floor: Bytes, order: Order, flight: AdaptiveFlight) -> Bytes:
     picture = floor.copy()
     cv2.polylines(picture, [_pixels(order, flight.track)], isClosed=False, color=_TRACK, thickness=1, lineType=cv2.LINE_AA)
     words = f"{title}: {flight.way_m:.0f} m, clearance {flight.ground.p_detected.mean():.2f}"

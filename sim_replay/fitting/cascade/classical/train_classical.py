@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from sim_replay.fitting.cascade.classical.candidates import Candidates, find_candidates, label
 from sim_replay.fitting.cascade.classical.chips import cut_chips, picture_of
+from sim_replay.fitting.cascade.classical.classical_candidates import Candidates, find_candidates, label
+from sim_replay.fitting.cascade.classical.classical_model import FORMAT_VERSION, ClassicalModel
 from sim_replay.fitting.cascade.classical.discriminant import Discriminant, fit_calibrated
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family, extract, feature_names, mean_chip
-from sim_replay.fitting.cascade.classical.model import FORMAT_VERSION, ClassicalModel
 from sim_replay.fitting.cascade.tiles import LabelledTile
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _RIDGE: Final = 10.0
 _DIGITS: Final = 8
 
 
-class Samples(NamedTuple):
+class ChipSamples(NamedTuple):
     """contrast: (n, N_ROWS, N_COLUMNS) float32 of chips. kind: of the target, "" for anything else. weight: samples each stands for."""
 
     contrast: NDArray[np.float32]
@@ -44,19 +44,19 @@ def train_classical(
     UsageError if there are no targets, or nothing else, among the candidates.
     """
     samples = collect(tiles, config)
-    return fit_model(samples if kinds is None else of_kinds(samples, kinds), families)
+    return fit_classical_model(samples if kinds is None else of_kinds(samples, kinds), families)
 
 
-def collect(tiles: Iterable[LabelledTile], config: Config) -> Samples:
+def collect(tiles: Iterable[LabelledTile], config: Config) -> ChipSamples:
     """Targets and others among the candidates in tiles. Raises UsageError if there are no tiles."""
     return merged([_samples(tile, find_candidates(tile, config)) for tile in tiles])
 
 
-def merged(parts: Sequence[Samples]) -> Samples:
+def merged(parts: Sequence[ChipSamples]) -> ChipSamples:
     """Samples of several sets. Raises UsageError if there are no sets."""
     if not parts:
         raise UsageError("no tiles to train on. Give some")
-    return Samples(
+    return ChipSamples(
         np.concatenate([part.contrast for part in parts]),
         tuple(kind for part in parts for kind in part.kind),
         tuple(background for part in parts for background in part.background),
@@ -64,10 +64,10 @@ def merged(parts: Sequence[Samples]) -> Samples:
     )
 
 
-def of_kinds(samples: Samples, kinds: Collection[str]) -> Samples:
+def of_kinds(samples: ChipSamples, kinds: Collection[str]) -> ChipSamples:
     """Without the targets of other kinds."""
     kept = [index for index, kind in enumerate(samples.kind) if kind in ("", *kinds)]
-    return Samples(
+    return ChipSamples(
         samples.contrast[kept],
         tuple(samples.kind[index] for index in kept),
         tuple(samples.background[index] for index in kept),
@@ -75,7 +75,7 @@ def of_kinds(samples: Samples, kinds: Collection[str]) -> Samples:
     )
 
 
-def fit_model(samples: Samples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
+def fit_classical_model(samples: ChipSamples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
     """A model of samples. Raises UsageError if they are all targets, or none is."""
     is_target = np.array([kind != "" for kind in samples.kind], dtype=np.bool_)
     contrast = samples.contrast.astype(np.float64)
@@ -86,7 +86,7 @@ def fit_model(samples: Samples, families: Sequence[Family] = FAMILIES) -> Classi
     return _model(found, families, templates, f"{n_targets:.0f} targets ({_count(samples.kind)}), {n_others:.0f} others")
 
 
-def _samples(tile: LabelledTile, found: Candidates) -> Samples:
+def _samples(tile: LabelledTile, found: Candidates) -> ChipSamples:
     labels = label(tile, found)
     rows, columns, kind, weight = [], [], [], []
     for index in np.flatnonzero(labels.object_index >= 0):
@@ -104,7 +104,7 @@ def _samples(tile: LabelledTile, found: Candidates) -> Samples:
     inside = [np.clip(np.array(at, dtype=np.int32), 0, n - 1) for at, n in zip((rows, columns), tile.codes.shape, strict=True)]
     chips = cut_chips(picture_of(tile), *inside)
     known = np.flatnonzero(chips.known)
-    return Samples(
+    return ChipSamples(
         chips.contrast[known].astype(np.float32),
         tuple(kind[index] for index in known),
         (tile.background,) * len(known),

@@ -1,0 +1,66 @@
+"""Append lines of JSON to a file so that each is durable before anybody hears of it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from auv_mcm.safe_files import open_for_append, open_regular, sync_directory
+from auv_mcm.shell.whole_files import finite
+
+
+class Journal:
+    """Append-only lines of JSON, on disk when `append` returns. The file is locked as long as the process lives; see `is_in_use`."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = open_for_append(path)
+        with contextlib.suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._whole_bytes = self._file.seek(0, os.SEEK_END)  # the file ends in a whole line here
+        self._owed = b""  # lines that a failed append could not write
+        sync_directory(path.parent)
+
+    @staticmethod
+    def is_in_use(path: Path) -> bool:
+        """Check whether a process that lives holds the journal at `path`. Raises OSError if there is none."""
+        with open_regular(path) as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+        return False
+
+    def append(self, records: Iterable[Any]) -> None:
+        """Raises OSError, as on a full disk; the file then ends in a whole line, and the records are written with the next ones."""
+        lines = [json.dumps(finite(record), ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for record in records]
+        self._owed += "".join(lines).encode("utf-8", "replace")
+        self._write_owed()
+
+    def close(self) -> None:
+        """Raises OSError if lines are still owed and cannot be written."""
+        try:
+            self._write_owed()
+        finally:
+            self._file.close()
+
+    def _write_owed(self) -> None:
+        if not self._owed:
+            return
+        try:
+            written = 0
+            while written < len(self._owed):
+                written += self._file.write(self._owed[written:]) or 0
+            os.fsync(self._file.fileno())
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._whole_bytes)
+            raise
+        self._whole_bytes += len(self._owed)
+        self._owed = b""

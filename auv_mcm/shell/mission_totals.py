@@ -1,0 +1,97 @@
+"""Sum up a mission for summary.json: contacts, the search and the area to be cleared, and its notices."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from auv_mcm.clearance.area import area_state, over_area
+from auv_mcm.clearance.clearance_export import BANDS
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.clearance.residual import remaining_mines
+from auv_mcm.contacts.contact import is_mine_like
+from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, Notice
+from auv_mcm.settings.config import PlanConfig
+
+
+def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
+    """Counts of contacts, and the area covered: summed over tiles, so that sea floor seen twice counts twice."""
+    covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
+    counted = Counter(bool(is_mine_like(contact)) for contact in contacts)
+    return {"covered_km2": round(covered_m2 / 1e6, 6), "contacts": counted.total(), "contacts_mine_like": counted[True]}
+
+
+def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:
+    """Sum up the search over all that was seen; empty if nothing was.
+
+    mines_found: the sum of p_mine of contacts called mine-like. mines_left: see `remaining_mines`.
+    """
+    if clearance is None:
+        return {}
+    seen = clearance.seen
+    p = clearance.p_detected[seen]
+    cell_m2 = clearance.cell_m**2
+    p_called: list[float] = []
+    p_doubtful: list[float] = []
+    for contact in contacts:
+        (p_called if is_mine_like(contact) else p_doubtful).append(contact.p_mine)
+    left = remaining_mines(p_doubtful, p)
+    kinds = {kind: int(np.count_nonzero(clearance.seabed[seen] == index)) for index, kind in enumerate(SEABED_TYPES)}
+    return {
+        "searched": {
+            "km2": round(p.size * cell_m2 * 1e-6, 6),
+            "p_detected_mean": round(float(p.mean()), 4),
+            "km2_elsewhere": round(clearance.n_elsewhere * cell_m2 * 1e-6, 6),
+            "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
+            "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
+            "mines_found": round(math.fsum(p_called), 4),
+            "mines_left": {
+                "expected": round(left.expected, 4),
+                "at_most_95": left.at_most_95,
+                "p_none": round(left.p_none, 4),
+                "among_contacts": len(p_doubtful),
+                "p_mine_sum": round(math.fsum(p_doubtful), 4),
+            },
+        }
+    }
+
+
+def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:
+    """How the search of the area to be cleared stands at the end; empty if there is none. verdict: of planning, while it went on."""
+    if not plan.area_deg:
+        return {}
+    state = area_state(over_area(clearance, plan.area_deg, plan.cell_m), plan.required_clearance)
+    return {
+        "area": {
+            "km2": round(state.km2, 6),
+            "required": state.required,
+            "p_detected_mean": round(state.p_detected, 4),
+            "percent_at_required": round(100.0 * state.share, 1),
+            "reached": state.is_reached,
+            "verdict": verdict,
+        }
+    }
+
+
+def notice_lists(notices: Iterable[Notice]) -> dict[str, list[dict[str, str]]]:
+    """List `notices`, which ask a person to do something, apart from `remarks`, which are for the record."""
+    lists: dict[str, list[dict[str, str]]] = {"notices": [], "remarks": []}
+    for notice in notices:
+        told = {"code": notice.code, "text": notice.text, "place": notice.place}
+        lists["remarks" if notice.for_the_record else "notices"].append(told)
+    return lists
+
+
+def clearance_notices(clearance: Clearance | None) -> list[Notice]:
+    """What a person should know about the map of clearance."""
+    if clearance is None or not clearance.n_elsewhere:
+        return []
+    text = (
+        f"{clearance.n_elsewhere * clearance.cell_m**2 * 1e-6:.3g} km² were searched too far from the rest to be in the clearance map "
+        "and in the figures of the search. Check the positions in coverage.geojson; replay separate sites apart, or raise plan.cell_m."
+    )
+    return [Notice(code="clearance.elsewhere", text=text)]

@@ -1,0 +1,87 @@
+"""Sum up what is fed to a pipeline: pings, navigation, time and distance, and the last known pose."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from auv_mcm.geometry.geodesy import LocalFrame, geodetic_to_ecef
+from auv_mcm.records import NAN, NavSample, Notice, Ping, SourceEvent
+
+# A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
+MAX_STEP_M: Final = 100.0
+MAX_STEP_S: Final = 60.0
+
+
+class Tally:
+    """Totals of everything fed to a pipeline, and the last pose known, from which a plan of further legs starts."""
+
+    def __init__(self) -> None:
+        self.pings = 0
+        self.navigation_samples = 0
+        self.notices = 0
+        self.first_s = NAN
+        self.last_s = NAN
+        self.duration_s = 0.0
+        self.distance_m = 0.0
+        self.latitude_deg = NAN
+        self.longitude_deg = NAN
+        self.heading_rad = NAN
+        self._course_rad = NAN
+        self._ecef_m = np.full(3, np.nan)
+        self._position_s = NAN
+
+    @property
+    def direction_rad(self) -> float:
+        """Heading, or the course over ground where no heading was ever measured; NaN if neither is known."""
+        return self.heading_rad if math.isfinite(self.heading_rad) else self._course_rad
+
+    def add(self, event: SourceEvent) -> None:
+        match event:
+            case Ping():
+                self.pings += 1
+                self._add_time(event.time_s)
+            case NavSample():
+                self.navigation_samples += 1
+                self._add_position(event)
+            case Notice():
+                self.notices += 1
+
+    def _add_time(self, time_s: float) -> None:
+        if not math.isfinite(time_s):
+            return
+        if math.isnan(self.first_s):
+            self.first_s = time_s
+        elif 0.0 < (step_s := time_s - self.last_s) <= MAX_STEP_S:
+            self.duration_s += step_s
+        self.last_s = time_s
+
+    def _add_position(self, sample: NavSample) -> None:
+        if math.isfinite(sample.heading_rad):
+            self.heading_rad = sample.heading_rad
+        if (
+            not (math.isfinite(sample.latitude_deg) and math.isfinite(sample.longitude_deg))
+            or sample.latitude_deg == sample.longitude_deg == 0
+            or abs(sample.latitude_deg) > 90.0
+            or not -180.0 <= sample.longitude_deg <= 360.0
+        ):
+            return
+        ecef_m = geodetic_to_ecef(sample.latitude_deg, sample.longitude_deg, 0.0)
+        step_m = float(np.linalg.norm(ecef_m - self._ecef_m))
+        if 0.0 < step_m <= MAX_STEP_M and abs(sample.time_s - self._position_s) <= MAX_STEP_S:
+            self.distance_m += step_m
+            frame = LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
+            east_m, north_m, _ = frame.to_enu(sample.latitude_deg, sample.longitude_deg, 0.0)
+            self._course_rad = math.atan2(east_m, north_m)
+        self._ecef_m, self._position_s = ecef_m, sample.time_s
+        self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
+
+    def totals(self) -> dict[str, Any]:
+        return {
+            "pings": self.pings,
+            "navigation_samples": self.navigation_samples,
+            "duration_s": round(self.duration_s, 3),
+            "distance_m": round(self.distance_m, 1),
+        }

@@ -1,0 +1,51 @@
+"""Write files that are whole or absent, and make the directory that they go to."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from auv_mcm.clean_text import clean_json
+from auv_mcm.errors import UsageError
+from auv_mcm.safe_files import replacing
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Replace `path` by `data`; a power cut leaves the old file or the new one, never a piece. Raises OSError."""
+    write_parts(path, [data])
+
+
+def write_parts(path: Path, parts: Iterable[bytes]) -> None:
+    """Replace `path` by the parts, one behind the other. Raises OSError."""
+    with replacing(path) as file:
+        file.writelines(parts)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write indented, `finite` JSON. Control characters are escaped, so that a terminal may show it. Raises OSError."""
+    text = json.dumps(finite(data), indent=2, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace").decode()
+    write_file(path, (clean_json(text) + "\n").encode())
+
+
+def finite(data: Any) -> Any:
+    """Replace NaN and infinities, which JSON lacks, by None; keys become texts, and tuples lists."""
+    if isinstance(data, dict):
+        return {str(key): finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data
+
+
+def make_directory(path: Path) -> Path:
+    """Make a directory if it is not there, and check that it can be written to. Raises UsageError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path).close()
+    except OSError as error:
+        reason = "a file is in its place" if isinstance(error, FileExistsError | NotADirectoryError) else error.strerror
+        raise UsageError(f"cannot write to the output directory {path}: {reason}. Name another one.") from error
+    return path

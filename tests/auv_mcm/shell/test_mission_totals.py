@@ -1,0 +1,67 @@
+"""What summary.json says of the search and of the area to be cleared."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from auv_mcm.clearance.clearance_map import Clearance
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.settings.config import PlanConfig
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, search_totals
+
+
+def test_the_search_is_summed_up_over_what_was_seen() -> None:
+    assert search_totals(None, []) == {}
+    searched = search_totals(searched_half(), [])["searched"]
+    assert searched["km2"] == pytest.approx(3 * 16e-6, abs=1e-6)
+    assert searched["p_detected_mean"] == pytest.approx((0.5 + 0.9 + 0.96) / 3.0, abs=1e-4)
+    assert searched["km2_at_p"]["0.9"] == pytest.approx(2 * 16e-6, abs=1e-6)
+    assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
+    seen_p = np.array([0.5, 0.9001, 0.96])
+    assert searched["mines_left"]["expected"] == pytest.approx(0.5 * (1.0 - seen_p).sum() / seen_p.sum(), abs=1e-3)
+    assert searched["mines_found"] == 0.0
+    assert searched["mines_left"]["among_contacts"] == 0
+
+
+def test_what_was_searched_too_far_off_for_the_map_is_summed_up_and_reported() -> None:
+    assert search_totals(searched_half(), [])["searched"]["km2_elsewhere"] == 0.0
+    assert clearance_notices(searched_half()) == clearance_notices(None) == []
+    split = structs.replace(searched_half(), n_elsewhere=500)
+    assert search_totals(split, [])["searched"]["km2_elsewhere"] == pytest.approx(0.008)
+    (notice,) = clearance_notices(split)
+    assert notice.code == "clearance.elsewhere"
+    assert "0.008 km²" in notice.text
+
+
+def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not_found() -> None:
+    assert area_totals(searched_half(), PlanConfig()) == {}
+    frame = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
+    latitude_deg, longitude_deg, _ = frame.to_geodetic([[0.0, 0.0, 0.0], [0.0, 16.0, 0.0], [8.0, 16.0, 0.0], [8.0, 0.0, 0.0]])
+    plan = PlanConfig(area_deg=tuple(zip(latitude_deg.tolist(), longitude_deg.tolist(), strict=True)))
+    area = area_totals(searched_half(), plan, "cannot, because")["area"]
+    assert area["km2"] == pytest.approx(8 * 16e-6, abs=1e-6)
+    assert area["p_detected_mean"] == pytest.approx((0.5 + 0.9001 + 0.96) / 8.0, abs=1e-4)
+    assert area["percent_at_required"] == pytest.approx(25.0)
+    assert (area["required"], area["reached"], area["verdict"]) == (0.9, False, "cannot, because")
+    assert area_totals(None, plan)["area"]["p_detected_mean"] == 0.0
+
+
+def searched_half() -> Clearance:
+    """Four cells, of which one was not seen."""
+    nothing = np.full((2, 2), np.nan, dtype=np.float32)
+    return Clearance(
+        origin_latitude_deg=43.0,
+        origin_longitude_deg=5.0,
+        cell_m=4.0,
+        first_east=0,
+        first_north=0,
+        exponent=-np.log1p(-np.array([[0.5, 0.9001], [0.96, 0.0]])),
+        looks=np.array([[1, 1], [2, 0]], dtype=np.uint8),
+        towards=np.array([[1, 1], [3, 0]], dtype=np.uint64),
+        seabed=np.array([[0, 1], [2, 4]], dtype=np.uint8),
+        ripple_rad=nothing,
+        wavelength_m=nothing,
+        altitude_m=nothing,
+    )

@@ -1,0 +1,47 @@
+"""Totals that a jump of the navigation does not spoil."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from auv_mcm.records import NAN, NavSample, Ping
+from auv_mcm.shell.tally import Tally
+
+METRE_DEG = 1.0 / 111_194.9  # of latitude, on the way north
+
+
+def fix(time_s: float, north_m: float, heading_rad: float = NAN) -> NavSample:
+    return NavSample(time_s=time_s, latitude_deg=north_m * METRE_DEG, longitude_deg=179.9999, heading_rad=heading_rad)
+
+
+def sailed(*samples: NavSample) -> Tally:
+    tally = Tally()
+    for sample in samples:
+        tally.add(sample)
+    return tally
+
+
+def test_distance_is_the_sum_of_steps_without_jumps_holes_and_absent_positions() -> None:
+    assert sailed(fix(0, 10), fix(1, 12), fix(2, 15)).distance_m == pytest.approx(5.0, rel=0.01)
+    assert sailed(fix(0, 10), fix(1, 5000), fix(2, 5002)).distance_m == pytest.approx(2.0, rel=0.01), "a jump"
+    assert sailed(fix(0, 10), fix(500, 60), fix(501, 62)).distance_m == pytest.approx(2.0, rel=0.01), "a hole"
+    gap = NavSample(time_s=1.0)
+    zero = NavSample(time_s=1.0, latitude_deg=0.0, longitude_deg=0.0)
+    assert sailed(fix(0, 10), gap, zero, fix(2, 12)).distance_m == pytest.approx(2.0, rel=0.01)
+
+
+def test_direction_is_the_heading_or_else_the_course() -> None:
+    assert sailed(fix(0, 10, 1.0), fix(1, 12)).direction_rad == 1.0
+    assert sailed(fix(0, 10), fix(1, 12)).direction_rad == pytest.approx(0.0, abs=1e-6)
+    assert math.isnan(sailed(fix(0, 10)).direction_rad)
+
+
+def test_duration_leaves_out_holes_and_steps_back() -> None:
+    tally = Tally()
+    for time_s in (100.0, 101.0, 100.5, 101.5, 9000.0, 9001.0, NAN):
+        tally.add(Ping(number=0, time_s=time_s, port=None, starboard=None))
+    assert tally.pings == 7
+    assert tally.duration_s == 1.0 + 1.0 + 1.0
+    assert (tally.first_s, tally.last_s) == (100.0, 9001.0)
