@@ -191,7 +191,7 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
             ge=0.0,
             le=1.0,
             description="p_mine below which a contact is not reported; what cannot reach it is counted and neither measured nor confirmed; "
-            "0 reports everything",
+            "0 reports everything; above 0.01 the estimate of mines left comes out too low",
         ),
     ] = 0.01
     gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = (
