@@ -118,6 +118,10 @@ class FakeDevice:
             welcoming.cancel()
             self._report("done", {})
 
+    def hold(self, for_s: float) -> None:
+        """Move everything that is still due, events and faults, to so much later."""
+        self._start_s += for_s
+
     async def _welcome(self) -> None:
         """Tell the controller of every host that opens the wire."""
         while self._controller is not None:
@@ -267,8 +271,7 @@ class FakeDevice:
         return time.monotonic() - self._start_s
 
     async def _sleep_until(self, at_s: float) -> None:
-        wait_s = at_s - self._elapsed_s()
-        if wait_s > 0.0:
+        while (wait_s := at_s - self._elapsed_s()) > 0.0:  # held meanwhile, it waits on
             await asyncio.sleep(wait_s)
 
 
