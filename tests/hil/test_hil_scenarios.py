@@ -20,10 +20,8 @@ QUICK = (
     "vehicle_service_killed",
     "garbage",
     "nav_lost",
-    "wrong_baud",
     "clean",
     "damage",
-    "sonar_power_cycle",
     "full_disk",
 )
 LIMIT_S = 600.0  # a hang; on a busy computer the mission of a vehicle waits

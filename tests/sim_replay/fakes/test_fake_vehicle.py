@@ -73,7 +73,8 @@ class Host:
     async def run(self, script: Callable[[Host], Awaitable[None]]) -> None:
         start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
         flying = asyncio.ensure_future(self.vehicle.run(start))
-        await asyncio.sleep(0.02)
+        while sum(what == "ready" for _, what, _ in self.reports) < len(self.vehicle.devices):
+            await asyncio.sleep(0.005)
         for name, device in self.vehicle.devices.items():
             self._links[name] = self._open(name, device.wire.uri)
         listening = [asyncio.ensure_future(link.run()) for link in self._links.values()]
