@@ -2,9 +2,10 @@
 
 Measured with seeds 1 to 5 at THRESHOLD, 0.029 km2 each: 33, 33, 34, 37 and 33 of 38 targets on flat sand, with 5, 3, 5, 5 and 4 false
 alarms; 29 of 40, 27 of 39, 27 of 39, 28 of 40 and 24 of 40 on ripples, with 3, 2, 4, 2 and 2. Both missions have a fixed seed, so that
-only a change of the chain moves their figures. A floor leaves room for three targets of flat sand and four of ripples, about two standard
+only a change of the chain moves their figures. A floor leaves room for two targets of flat sand and four of ripples, one and two standard
 deviations between seeds, and a ceiling for three more false alarms: rounding and the order of sums move one contact or two across the
-threshold, a stage that is worse or gone moves more.
+threshold, a stage that is worse or gone moves more. On flat sand 30 targets are left without the close look, 22 with three candidates a
+tile.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Limits(NamedTuple):
 
 
 LIMITS = {
-    "flat": Limits(min_pd=30 / 38, max_false_alarms_per_km2=280.0),  # 33 of 38 and 5 false alarms, 172 per km2
+    "flat": Limits(min_pd=31 / 38, max_false_alarms_per_km2=280.0),  # 33 of 38 and 5 false alarms, 172 per km2
     "ripple": Limits(min_pd=25 / 40, max_false_alarms_per_km2=210.0),  # 29 of 40 and 3 false alarms, 104 per km2
 }
 
