@@ -3,8 +3,8 @@
 The vehicle flies in real time, in blocks of a few pings. The echoes of a block are made while the block before is played, of the way that
 the command of that moment makes it go: a command takes effect one to two blocks, 0.1 to 0.4 s at 20 pings a second, after it has come.
 
-On a computer that is too slow the mission waits: its time stands still until the next block is made, so that no ping is left out and what
-the vehicle does depends on mission time alone.
+On a computer that is too slow the mission waits: its time stands still until the next block is made and every device has got rid of what
+is due, so that nothing is left out and what the vehicle does depends on mission time alone.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ class FakeVehicle:
                 _named(report, name),
                 self._controller if device.is_vehicle else None,
                 self._standing(),
+                self._hold,
             )
             for index, (name, device) in enumerate(job.devices.items())
         }
@@ -129,7 +130,9 @@ class FakeVehicle:
             told = [self._navigation.told(pose, self._sea.altitude_m(pose)) for pose in poses]
             silent = self._vehicle.done and self._controller.command is None
             pings: list[Ping] = [] if silent else await asyncio.to_thread(self._sound, poses, number, told)
-            self._hold(number / self._rate_hz)
+            late_s = time.monotonic() - self._start_s - number / self._rate_hz
+            if late_s > 0.0:
+                self._hold(late_s)
             for index, (pose, sample) in enumerate(zip(poses, told, strict=True)):
                 at_s = (number + index) / self._rate_hz
                 ticks = at_s >= next_tick_s
@@ -146,11 +149,8 @@ class FakeVehicle:
                 legs_flown = self._vehicle.legs_flown
             number += _BLOCK
 
-    def _hold(self, due_s: float) -> None:
-        """Let the mission wait if the block that is due at a mission time was made too late."""
-        late_s = time.monotonic() - self._start_s - due_s
-        if late_s <= 0.0:
-            return
+    def _hold(self, late_s: float) -> None:
+        """Let the mission wait: what was due so long ago is due now."""
         self._start_s += late_s
         for device in self.devices.values():
             device.hold(late_s)
