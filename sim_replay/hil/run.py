@@ -15,7 +15,9 @@ import resource
 import signal
 import sys
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Coroutine, Iterator, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -258,10 +260,17 @@ class MissionTime:
         """start_s: of the monotonic clock. holds: when each ended, by the same clock, and how long it was, s."""
         self._start_s = start_s
         self._holds = holds
+        self._ended_s = [ended_s for ended_s, _ in holds]
+        self._held_s = list(accumulate((for_s for _, for_s in holds), initial=0.0))
 
     def at(self, mono_s: float) -> float:
         """Convert an instant of the monotonic clock to mission time."""
-        return mono_s - self._start_s - sum(min(max(mono_s - ended_s + for_s, 0.0), for_s) for ended_s, for_s in self._holds)
+        n_over = bisect_right(self._ended_s, mono_s)
+        held_s = self._held_s[n_over]
+        if n_over < len(self._holds):
+            ended_s, for_s = self._holds[n_over]
+            held_s += max(mono_s - ended_s + for_s, 0.0)
+        return mono_s - self._start_s - held_s
 
 
 class _Process:
