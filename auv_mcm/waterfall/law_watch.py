@@ -24,6 +24,7 @@ from auv_mcm.waterfall.speckle import summarise
 DECIDE_PINGS: Final = 256
 _MAX_PINGS: Final = 512  # where the first do not decide
 _MIN_PINGS: Final = 64
+_LOOK_AGAIN_PINGS: Final = 128  # after the first look: each costs 12 ms of processor time
 _DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that contacts do not wait for minutes
 _MAX_S: Final = 60.0
 _DECISIVE: Final = 0.99
@@ -111,6 +112,8 @@ class LawWatch:
         if self._n_pings % BLOCK_PINGS or self._n_pings < _MIN_PINGS:
             return False
         if self._n_pings < DECIDE_PINGS and lasted_s < _DECIDE_S:
+            return False
+        if self._n_pings > DECIDE_PINGS and self._n_pings % _LOOK_AGAIN_PINGS:
             return False
         odds = self._odds()
         return max(odds.probability) >= _DECISIVE and (odds.likeliest != "log" or self._are_decibels_known(odds))
