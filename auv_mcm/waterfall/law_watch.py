@@ -156,7 +156,12 @@ class LawWatch:
                 return None
         elif not self._decibels_turned(odds):
             return None
-        self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
+        if likeliest == "log" and held.kind != "log" and not self._are_decibels_known(odds):
+            # Reading on by the wrong law is worse than usual decibels until more pings have come.
+            self._transfer = Transfer(likeliest, USUAL_DB_PER_COUNT)
+            self._next_decibels = self._next_check
+        else:
+            self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
         # What is older may speak of another recorder.
         while len(self._blocks) > DECIDE_PINGS // BLOCK_PINGS:
             self._blocks.popleft()
