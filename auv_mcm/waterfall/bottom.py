@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
-from auv_mcm.kernels.waterfall import step_ratios
+from auv_mcm.kernels.waterfall import row_medians, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
 BIN_M: Final = 0.05
@@ -142,7 +142,7 @@ class BottomTracker:
                 continue
             means = mean_between(traces, edges_m)
             # A median, because ring-down may stand a hundred decibels above everything that follows.
-            floor = 1e-6 * np.median(means.intensity, axis=1, keepdims=True) + 1e-300
+            floor = 1e-6 * row_medians(means.intensity, None, 1)[:, np.newaxis] + 1e-300
             independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
             side = independent * change_point_scores(np.log(np.maximum(means.intensity, floor)), means.valid, self._blank_bins)
             # Every side of every ping has the same say: a loud fish, on one side, must not outvote the other and its neighbours.
