@@ -52,6 +52,10 @@ _RANGES: Final = (
 )
 
 
+# What lies between two rows of a track besides the position, and whether it is stale.
+_BLENDED: Final = ("time_s", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m", "position_sigma_m")
+
+
 class _Limits(NamedTuple):
     """How a channel is read between and beyond its samples; seconds."""
 
@@ -404,24 +408,21 @@ def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTr
     above = np.minimum(below + 1, len(track) - 1)
     fraction = rows - below
 
-    def blend(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        low, high = values[below], values[above]
-        weight = fraction[:, np.newaxis] if values.ndim == 2 else fraction
-        return np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))
-
-    latitude, longitude, _ = ecef_to_geodetic(blend(geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0)))
+    # Earth-centred, so that any place will do; all in one array, (n, quantities), since each operation costs more than its numbers.
+    known = np.column_stack(
+        [
+            geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0),
+            *(getattr(track, name) for name in _BLENDED),
+        ]
+    )
+    low, high, weight = known[below], known[above], fraction[:, np.newaxis]
+    values = np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))
+    latitude, longitude, _ = ecef_to_geodetic(values[:, :3])
     return PoseTrack(
-        time_s=blend(track.time_s),
         latitude_deg=latitude,
         longitude_deg=longitude,
-        depth_m=blend(track.depth_m),
-        heading_rad=blend(track.heading_rad),
-        pitch_rad=blend(track.pitch_rad),
-        roll_rad=blend(track.roll_rad),
-        speed_mps=blend(track.speed_mps),
-        altitude_m=blend(track.altitude_m),
         stale=track.stale[below] | (track.stale[above] & (fraction > 0.0)),
-        position_sigma_m=blend(track.position_sigma_m),
+        **dict(zip(_BLENDED, np.ascontiguousarray(values[:, 3:].T), strict=True)),
     )
 
 

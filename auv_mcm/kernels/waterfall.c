@@ -156,8 +156,8 @@ void auv_mcm_waterfall_means(int64_t n_pings, int64_t n_samples, int64_t n_edges
                 if (edge > 0)
                     full[edge - 1] = (uint8_t)((here - before > 0.25 * share[edge - 1]) & covered[edge - 1]);
                 before = here;
-                if (sample == n_near)
-                    break;
+                if (row[sample] == 0.0)
+                    break; /* nothing is clipped from here on */
             }
         }
     }
@@ -258,10 +258,12 @@ void auv_mcm_waterfall_rows(int64_t n_rows, int64_t n_columns, int64_t n_steps, 
     }
 }
 
-/* What a box of rows holds: sums above its first row and below its last one, from the image's corner on, and valid pixels by column. */
+/* What a box of rows holds: sums above its first row and below its last one, from the image's corner on, and valid pixels by column. Of the
+ * box around each column: count, how many pixels are valid, and per_count, one over that or 1.
+ */
 typedef struct {
-    double *lower, *upper, *band, *enters, *leaves;
-    int32_t *valid, *n_band;
+    double *lower, *upper, *band, *enters, *leaves, *per_count;
+    int32_t *valid, *n_band, *count;
 } Box;
 
 /* Running sums along `rows` rows of an image from row `first` on, sums (ROWS_TOGETHER, n); rows outside the image are left out. Rows go
@@ -301,61 +303,89 @@ WIDE static void count_row(int64_t n, const uint8_t *restrict usable, int32_t si
 /* Running sums along the box's rows, with what stands at their ends repeated `pad` times on either side. */
 WIDE static void spread(int64_t n, int64_t pad, Box box)
 {
-    int32_t count = 0;
     double *restrict band = box.band;
     const double *restrict lower = box.lower, *restrict upper = box.upper;
     for (int64_t column = 0; column <= n; column++)
         band[pad + column] = lower[column] - upper[column];
-    for (int64_t column = 0; column < n; column++) {
-        box.n_band[pad + column] = count;
-        count += box.valid[column];
-    }
-    box.n_band[pad + n] = count;
     for (int64_t column = 0; column < pad; column++) {
-        box.band[column] = box.band[pad];
-        box.n_band[column] = box.n_band[pad];
-        box.band[pad + n + 1 + column] = box.band[pad + n];
-        box.n_band[pad + n + 1 + column] = box.n_band[pad + n];
+        band[column] = band[pad];
+        band[pad + n + 1 + column] = band[pad + n];
     }
 }
 
-/* room (2 (n_columns + 1) + n_columns + 1 + 2 pad + 2 ROWS_TOGETHER n_columns), n_room (n_columns + n_columns + 1 + 2 pad): overwritten. */
+/* Count valid pixels, likewise. */
+WIDE static void recount(int64_t n, int64_t pad, Box box)
+{
+    int32_t running = 0, *restrict n_band = box.n_band, *restrict count = box.count;
+    double *restrict per_count = box.per_count;
+    for (int64_t column = 0; column < n; column++) {
+        n_band[pad + column] = running;
+        running += box.valid[column];
+    }
+    n_band[pad + n] = running;
+    for (int64_t column = 0; column < pad; column++) {
+        n_band[column] = n_band[pad];
+        n_band[pad + n + 1 + column] = n_band[pad + n];
+    }
+    for (int64_t column = 0; column < n; column++) {
+        count[column] = n_band[column + 2 * pad] - n_band[column + 1];
+        per_count[column] = 1.0 / (double)(count[column] > 1 ? count[column] : 1);
+    }
+}
+
+/* room (2 (n_columns + 1) + n_columns + 1 + 2 pad + 2 ROWS_TOGETHER n_columns + n_columns), n_room (n_columns + n_columns + 1 + 2 pad +
+ * n_columns): overwritten.
+ */
 static Box empty_box(int64_t n_columns, int64_t pad, double *room, int32_t *n_room)
 {
     double *const enters = room + 3 * (n_columns + 1) + 2 * pad;
-    const Box box = {room, room + n_columns + 1, room + 2 * (n_columns + 1), enters, enters + ROWS_TOGETHER * n_columns,
-                     n_room, n_room + n_columns};
+    int32_t *const n_band = n_room + n_columns;
+    const Box box = {room,
+                     room + n_columns + 1,
+                     room + 2 * (n_columns + 1),
+                     enters,
+                     enters + ROWS_TOGETHER * n_columns,
+                     enters + 2 * ROWS_TOGETHER * n_columns,
+                     n_room,
+                     n_band,
+                     n_band + n_columns + 1 + 2 * pad};
     memset(room, 0, (size_t)(2 * (n_columns + 1)) * sizeof *room);
     memset(n_room, 0, (size_t)n_columns * sizeof *n_room);
     return box;
 }
 
-/* The box goes on by one row, to those around `row`, the first time from -half_rows. */
-static void enter_row(int64_t row, int64_t n_rows, int64_t n_columns, int64_t half_rows, const float *values, const uint8_t *usable, Box box)
+/* The box goes on by one row, to those around `row`, the first time from -half_rows. Rows of the same usable pixels leave the counts as they
+ * are, which most rows do.
+ */
+static void enter_row(int64_t row, int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t pad, const float *values,
+                      const uint8_t *usable, Box box)
 {
     const int64_t enters = row + half_rows, leaves = row - half_rows - 1, k = enters % ROWS_TOGETHER;
+    const uint8_t *more = enters < n_rows ? usable + enters * n_columns : NULL, *less = leaves >= 0 ? usable + leaves * n_columns : NULL;
     if (k == 0) {
         sum_rows(enters, ROWS_TOGETHER, n_rows, n_columns, values, box.enters);
         sum_rows(leaves, ROWS_TOGETHER, n_rows, n_columns, values, box.leaves);
     }
-    if (enters < n_rows) {
+    if (more)
         add_row(n_columns, box.enters + k * n_columns, box.lower);
-        count_row(n_columns, usable + enters * n_columns, 1, box.valid);
-    }
-    if (leaves >= 0) {
+    if (less)
         add_row(n_columns, box.leaves + k * n_columns, box.upper);
-        count_row(n_columns, usable + leaves * n_columns, -1, box.valid);
-    }
+    const int is_same = (!more && !less) || (more && less && memcmp(more, less, (size_t)n_columns) == 0);
+    if (more && !is_same)
+        count_row(n_columns, more, 1, box.valid);
+    if (less && !is_same)
+        count_row(n_columns, less, -1, box.valid);
+    if (row >= 0 && (!is_same || row == 0))
+        recount(n_columns, pad, box);
+    if (row >= 0)
+        spread(n_columns, pad, box);
 }
 
-WIDE static void box_means(int64_t n, int64_t half, const double *restrict band, const int32_t *restrict n_band, double *restrict mean,
-                           int32_t *restrict count)
+/* band: from `pad` columns before the first on. */
+WIDE static void box_means(int64_t n, int64_t pad, const double *restrict band, const double *restrict per_count, double *restrict mean)
 {
-    for (int64_t column = 0; column < n; column++) {
-        const int32_t number = n_band[column + half + 1] - n_band[column - half];
-        mean[column] = (band[column + half + 1] - band[column - half]) * (1.0 / (double)(number > 1 ? number : 1));
-        count[column] = number;
-    }
+    for (int64_t column = 0; column < n; column++)
+        mean[column] = (band[column + 2 * pad] - band[column + 1]) * per_count[column];
 }
 
 /* Whether any pixel of a row may reach its limit: a first look at all, since hardly any does. */
@@ -372,23 +402,20 @@ WIDE static int32_t any_bright(int64_t n, const float *restrict logarithms, cons
     return any;
 }
 
-/* logarithms, usable (n_rows, n_columns). mean, count, bright (n_columns), room, n_room: overwritten. places, limits: out, n_places (1): how
- * many.
- */
+/* logarithms, usable (n_rows, n_columns). mean, bright (n_columns), room, n_room: overwritten. places, limits: out, n_places (1): how many. */
 void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns, const float *restrict logarithms,
                               const uint8_t *restrict usable, double above, double highest, double slack, double *restrict mean,
-                              int32_t *restrict count, uint8_t *restrict bright, double *room, int32_t *n_room, int32_t *restrict places,
+                              uint8_t *restrict bright, double *room, int32_t *n_room, int32_t *restrict places,
                               double *restrict limits, int64_t *restrict n_places)
 {
     const int64_t pad = half_columns + 1;
     const Box box = empty_box(n_columns, pad, room, n_room);
     int64_t n = 0;
     for (int64_t row = -half_rows; row < n_rows; row++) {
-        enter_row(row, n_rows, n_columns, half_rows, logarithms, usable, box);
+        enter_row(row, n_rows, n_columns, half_rows, pad, logarithms, usable, box);
         if (row < 0)
             continue;
-        spread(n_columns, pad, box);
-        box_means(n_columns, half_columns, box.band + pad, box.n_band + pad, mean, count);
+        box_means(n_columns, pad, box.band, box.per_count, mean);
         if (!any_bright(n_columns, logarithms + row * n_columns, usable + row * n_columns, mean, above, highest, slack, bright))
             continue;
         for (int64_t column = 0; column < n_columns; column++)
@@ -407,20 +434,39 @@ WIDE static void know(int64_t n, const int32_t *restrict count, const double *re
         known[column] = (uint8_t)(((double)count[column] >= wanted[column]) & (mean[column] > 0.0));
 }
 
-/* level, usable (n_rows, n_columns). count, wanted (n_columns), room, n_room: overwritten. mean, known (n_rows, n_columns): out. */
-void auv_mcm_waterfall_level(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns, const float *restrict level,
-                             const uint8_t *restrict usable, double least_share, int32_t *restrict count, double *restrict wanted,
-                             double *room, int32_t *n_room, double *restrict mean, uint8_t *restrict known)
+/* One row: over its mean where that is known and the pixel VALID. */
+WIDE static void divide_row(int64_t n, const float *restrict intensity, const double *restrict mean, const uint8_t *restrict known,
+                            const uint8_t *restrict mask, float *restrict divided, uint8_t *restrict masked)
+{
+    for (int64_t column = 0; column < n; column++) {
+        const int32_t sure = known[column] != 0, echo = sure & ((mask[column] & VALID) != 0);
+        const double ratio = (double)intensity[column] / (echo ? mean[column] : 1.0);
+        divided[column] = (float)(echo ? ratio : 0.0);
+        masked[column] = (uint8_t)(sure ? mask[column] : mask[column] & ~VALID);
+    }
+}
+
+/* level, usable (n_rows, n_columns). wanted (n_columns), room, n_room: overwritten. mean, known: out, (n_rows, n_columns), or one row
+ * that is overwritten again and again where mean_step is 0. intensity, mask (n_rows, n_columns), or NULL; divided, masked: out, the same.
+ * some (n_some): columns; some_mean, some_known (n_rows, n_some): out.
+ */
+void auv_mcm_waterfall_level(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns, double least_share,
+                             const float *restrict level, const uint8_t *restrict usable, double *restrict wanted, double *room,
+                             int32_t *n_room, double *restrict mean, uint8_t *restrict known, int64_t mean_step,
+                             const float *restrict intensity, const uint8_t *restrict mask, float *restrict divided,
+                             uint8_t *restrict masked, int64_t n_some, const int64_t *restrict some, double *restrict some_mean,
+                             uint8_t *restrict some_known)
 {
     const int64_t pad = half_columns + 1;
     const Box box = empty_box(n_columns, pad, room, n_room);
     int64_t rows_before = 0;
     for (int64_t row = -half_rows; row < n_rows; row++) {
-        enter_row(row, n_rows, n_columns, half_rows, level, usable, box);
+        enter_row(row, n_rows, n_columns, half_rows, pad, level, usable, box);
         if (row < 0)
             continue;
-        spread(n_columns, pad, box);
-        box_means(n_columns, half_columns, box.band + pad, box.n_band + pad, mean + row * n_columns, count);
+        double *restrict row_mean = mean + row * mean_step;
+        uint8_t *restrict row_known = known + row * mean_step;
+        box_means(n_columns, pad, box.band, box.per_count, row_mean);
         const int64_t rows = at_most(row + half_rows, n_rows - 1) - (row > half_rows ? row - half_rows : 0) + 1;
         for (int64_t column = 0; rows != rows_before && column < n_columns; column++) {
             const int64_t near = column > half_columns ? column - half_columns : 0;
@@ -429,20 +475,15 @@ void auv_mcm_waterfall_level(int64_t n_rows, int64_t n_columns, int64_t half_row
             wanted[column] = wanted[column] > 1.0 ? wanted[column] : 1.0;
         }
         rows_before = rows;
-        know(n_columns, count, wanted, mean + row * n_columns, known + row * n_columns);
-    }
-}
-
-/* intensity, mean, known, mask: n each. normalised, masked: out. */
-WIDE void auv_mcm_waterfall_normalise(int64_t n, const float *restrict intensity, const double *restrict mean,
-                                      const uint8_t *restrict known, const uint8_t *restrict mask, float *restrict normalised,
-                                      uint8_t *restrict masked)
-{
-    for (int64_t i = 0; i < n; i++) {
-        const int32_t sure = known[i] != 0, echo = sure & ((mask[i] & VALID) != 0);
-        const double ratio = (double)intensity[i] / (echo ? mean[i] : 1.0);
-        normalised[i] = (float)(echo ? ratio : 0.0);
-        masked[i] = (uint8_t)(sure ? mask[i] : mask[i] & ~VALID);
+        know(n_columns, box.count, wanted, row_mean, row_known);
+        if (intensity) {
+            const int64_t at = row * n_columns;
+            divide_row(n_columns, intensity + at, row_mean, row_known, mask + at, divided + at, masked + at);
+        }
+        for (int64_t k = 0; k < n_some; k++) {
+            some_mean[row * n_some + k] = row_mean[some[k]];
+            some_known[row * n_some + k] = row_known[some[k]];
+        }
     }
 }
 
@@ -516,7 +557,7 @@ void auv_mcm_waterfall_angle_sums(int64_t n_pings, int64_t n_columns, int64_t n_
     }
 }
 
-enum { FEW = 24, MAX_HALVINGS = 24 };
+enum { FEW = 24, MAX_HALVINGS = 24, N_SAMPLE = 16, SAMPLE_LOW = 4, SAMPLE_HIGH = 11 };
 
 WIDE static int64_t count_below(int64_t n, const double *restrict values, double limit)
 {
@@ -549,30 +590,65 @@ WIDE static void find_ends(int64_t n, const double *restrict values, double *low
     *highest = high[0];
 }
 
-/* Mean of the (n - 1) / 2 th and the n / 2 th of n values by size: halves what lies between the lowest and the highest until few are left,
- * and sorts those. room (n): overwritten.
+static void sort_few(int64_t n, double *values)
+{
+    for (int64_t i = 1; i < n; i++) {
+        const double value = values[i];
+        int64_t j = i;
+        for (; j > 0 && values[j - 1] > value; j--)
+            values[j] = values[j - 1];
+        values[j] = value;
+    }
+}
+
+/* Values in [low, high], or in [low, high) where high is open, among which the median is; below: how many are less, left: how many are in. */
+typedef struct {
+    double low, high;
+    int64_t below, left;
+    int high_is_open;
+} Bracket;
+
+/* Narrows the bracket by a limit where it stays on one side of the first and second of the middle values. Returns whether it does. */
+static int narrow(int64_t n, const double *values, double limit, int64_t first, int64_t second, Bracket *bracket)
+{
+    const int64_t number = count_below(n, values, limit), upto = bracket->below + bracket->left;
+    if (number > second) {
+        bracket->high = limit;
+        bracket->high_is_open = 1;
+        bracket->left = number - bracket->below;
+    } else if (number <= first) {
+        bracket->low = limit;
+        bracket->below = number;
+        bracket->left = upto - number;
+    } else
+        return 0;
+    return 1;
+}
+
+/* Mean of the (n - 1) / 2 th and the n / 2 th of n values by size: halves what lies between two of a sample, or the ends, until few are
+ * left, and sorts those. room (n): overwritten.
  */
 static double median(int64_t n, const double *restrict values, double *restrict room)
 {
     const int64_t first = (n - 1) / 2, second = n / 2;
-    double low, high;
-    int64_t below = 0, upto = n, left = 0;
-    find_ends(n, values, &low, &high); /* the middle ones are in [low, high], `below` are below low, `upto` not above high */
-    int high_is_open = 0;              /* whether high itself is excluded */
-    for (int halving = 0; halving < MAX_HALVINGS && upto - below > FEW; halving++) {
-        const double middle = 0.5 * low + 0.5 * high;
-        if (!(middle > low && middle < high))
+    Bracket bracket = {.left = n};
+    find_ends(n, values, &bracket.low, &bracket.high);
+    if (n > 4 * FEW) {
+        double sample[N_SAMPLE];
+        for (int64_t k = 0; k < N_SAMPLE; k++)
+            sample[k] = values[k * (n / N_SAMPLE)];
+        sort_few(N_SAMPLE, sample);
+        if (sample[SAMPLE_LOW] > bracket.low)
+            narrow(n, values, sample[SAMPLE_LOW], first, second, &bracket);
+        if (sample[SAMPLE_HIGH] > bracket.low && sample[SAMPLE_HIGH] < bracket.high)
+            narrow(n, values, sample[SAMPLE_HIGH], first, second, &bracket);
+    }
+    for (int halving = 0; halving < MAX_HALVINGS && bracket.left > FEW; halving++) {
+        const double middle = 0.5 * bracket.low + 0.5 * bracket.high;
+        if (!(middle > bracket.low && middle < bracket.high))
             break;
-        const int64_t number = count_below(n, values, middle);
-        if (number > second) {
-            high = middle;
-            high_is_open = 1;
-            upto = number;
-        } else if (number <= first) {
-            low = middle;
-            below = number;
-        } else {
-            double under = low, over = high; /* one on either side */
+        if (!narrow(n, values, middle, first, second, &bracket)) {
+            double under = bracket.low, over = bracket.high; /* one on either side */
             for (int64_t i = 0; i < n; i++) {
                 under = values[i] < middle && values[i] > under ? values[i] : under;
                 over = values[i] >= middle && values[i] < over ? values[i] : over;
@@ -580,18 +656,12 @@ static double median(int64_t n, const double *restrict values, double *restrict 
             return 0.5 * (under + over);
         }
     }
-    for (int64_t i = 0; i < n; i++) {
-        room[left] = values[i];
-        left += (values[i] >= low) & (high_is_open ? values[i] < high : values[i] <= high);
-    }
-    for (int64_t i = 1; i < left; i++) {
-        const double value = room[i];
-        int64_t j = i;
-        for (; j > 0 && room[j - 1] > value; j--)
-            room[j] = room[j - 1];
-        room[j] = value;
-    }
-    return 0.5 * (room[first - below] + room[second - below]);
+    int64_t left = 0;
+    for (int64_t i = 0; i < n; i++)
+        if (values[i] >= bracket.low && (bracket.high_is_open ? values[i] < bracket.high : values[i] <= bracket.high))
+            room[left++] = values[i];
+    sort_few(left, room);
+    return 0.5 * (room[first - bracket.below] + room[second - bracket.below]);
 }
 
 /* values, usable (n_rows, n), usable NULL where all are. room (2 n + 2): overwritten. medians (n_rows): out, NaN where fewer than least are

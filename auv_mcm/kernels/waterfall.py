@@ -25,6 +25,7 @@ Masks = NDArray[np.uint8]
 Rows = NDArray[np.int64]
 
 _ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.c
+_NOTHING: Final = ctypes.c_char * 0
 _P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
@@ -102,7 +103,7 @@ def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Fla
         n_pings,
         traces.intensity.shape[1] - 1,
         n_edges,
-        *(None if sums is None else sums.ctypes.data for sums in traces[:3]),
+        *(None if sums is None else _address(sums) for sums in traces[:3]),
         0 if traces.clipped is None else traces.clipped.shape[1] - 1,
         traces.first_m,
         1.0 / traces.spacing_m,
@@ -148,8 +149,8 @@ def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
     room, medians = np.empty(2 * values.shape[1] + 2), np.empty(values.shape[0])
     function(
         *values.shape,
-        values.ctypes.data,
-        None if usable is None else usable.ctypes.data,
+        _address(values),
+        None if usable is None else _address(usable),
         minimum,
         *_pointers(room, medians),
     )
@@ -274,12 +275,12 @@ def bright_spots(
     A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where not usable. Pixels
     are indices, row times n_columns plus column, int32, and rise; limits float64.
     """
-    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 8)
+    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 7)
     if function is None:
         return bright_spots_numpy(logarithms, usable, half, above, highest, slack)
     logarithms, usable = np.ascontiguousarray(logarithms), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
-    room = np.empty(n_columns), np.empty(n_columns, dtype=np.int32), np.empty(n_columns, dtype=np.uint8), *_box_room(n_columns, half[1])
+    room = np.empty(n_columns), np.empty(n_columns, dtype=np.uint8), *_box_room(n_columns, half[1])
     places, limits, n_places = np.empty(usable.size + 1, dtype=np.int32), np.empty(usable.size + 1), np.empty(1, dtype=np.int64)
     function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room, places, limits, n_places))
     return places[: n_places[0]].copy(), limits[: n_places[0]].copy()
@@ -295,17 +296,28 @@ def bright_spots_numpy(
     return found.astype(np.int32), limit.ravel()[found]
 
 
+class Levelled(NamedTuple):
+    """intensity: (n_rows, n_columns) float32, over its mean, 0 where that is not known or the pixel not VALID; mask: the same shape, uint8,
+    VALID only where the mean is known. mean, float64, and known, bool: of some columns, (n_rows, n)."""
+
+    intensity: Plane
+    mask: Masks
+    mean: Values
+    known: Flags
+
+
 def box_level(level: Plane, usable: Flags, half: tuple[int, int], least_share: float) -> tuple[Values, Flags]:
     """Mean of the usable pixels within `half` rows and columns of each pixel, float64, and whether it is known: of the box, clipped at the
     image's edge, least_share and one pixel at least must be usable, and the mean above 0. level: 0 where not usable."""
-    function = _c("waterfall_level", *[_I] * 4, _P, _P, _D, *[_P] * 6)
+    function = _level_function()
     if function is None:
         return box_level_numpy(level, usable, half, least_share)
     level, usable = np.ascontiguousarray(level), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
-    room = np.empty(n_columns, dtype=np.int32), np.empty(n_columns), *_box_room(n_columns, half[1])
+    room = _level_room(n_columns, half[1])
     mean, known = np.empty(usable.shape), np.empty(usable.shape, dtype=np.bool_)
-    function(*usable.shape, *half, *_pointers(level, usable), least_share, *_pointers(*room, mean, known))
+    pointers = _pointers(level, usable, *room, mean, known)
+    function(*usable.shape, *half, least_share, *pointers, n_columns, *[None] * 4, 0, *[None] * 3)
     return mean, known
 
 
@@ -316,22 +328,44 @@ def box_level_numpy(level: Plane, usable: Flags, half: tuple[int, int], least_sh
     return mean, (count >= np.maximum(least_share * np.outer(rows, columns), 1.0)) & (mean > 0.0)
 
 
-def normalise(intensity: Plane, mean: Values, known: Flags, mask: Masks) -> tuple[Plane, Masks]:
-    """Intensity over its mean, float32, 0 where that is not known or the pixel not VALID; and the mask, VALID only where it is known."""
-    function = _c("waterfall_normalise", _I, *[_P] * 6)
+def divide_by_level(
+    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], least_share: float, columns: NDArray[np.int64]
+) -> Levelled:
+    """Divide an image by the box_level around each pixel, which is written out for some `columns` only.
+
+    intensity, mask, level, usable: (n_rows, n_columns).
+    """
+    function = _level_function()
     if function is None:
-        return normalise_numpy(intensity, mean, known, mask)
-    arrays = [np.ascontiguousarray(array) for array in (intensity, mean, known, mask)]
-    ratio, masked = np.empty(mask.shape, dtype=np.float32), np.empty(mask.shape, dtype=np.uint8)
-    function(mask.size, *_pointers(*arrays, ratio, masked))
-    return ratio, masked
+        return divide_by_level_numpy(intensity, mask, level, usable, half, least_share, columns)
+    arrays = np.ascontiguousarray(intensity), np.ascontiguousarray(mask)
+    level, usable, columns = np.ascontiguousarray(level), np.ascontiguousarray(usable), np.ascontiguousarray(columns)
+    n_rows, n_columns = usable.shape
+    room, row = _level_room(n_columns, half[1]), (np.empty(n_columns), np.empty(n_columns, dtype=np.bool_))
+    ratio, masked = np.empty(usable.shape, dtype=np.float32), np.empty(usable.shape, dtype=np.uint8)
+    mean, known = np.empty((n_rows, columns.size)), np.empty((n_rows, columns.size), dtype=np.bool_)
+    pointers = _pointers(level, usable, *room, *row)
+    divided, some = _pointers(*arrays, ratio, masked), _pointers(columns, mean, known)
+    function(n_rows, n_columns, *half, least_share, *pointers, 0, *divided, columns.size, *some)
+    return Levelled(ratio, masked, mean, known)
 
 
-def normalise_numpy(intensity: Plane, mean: Values, known: Flags, mask: Masks) -> tuple[Plane, Masks]:
-    """normalise in numpy alone."""
-    valid = (mask & VALID) != 0
-    ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & valid)
-    return ratio.astype(np.float32), np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
+def divide_by_level_numpy(
+    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], least_share: float, columns: NDArray[np.int64]
+) -> Levelled:
+    """divide_by_level in numpy alone."""
+    mean, known = box_level_numpy(level, usable, half, least_share)
+    ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & ((mask & VALID) != 0))
+    masked = np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
+    return Levelled(ratio.astype(np.float32), masked, mean[:, columns], known[:, columns])
+
+
+def _level_function() -> Callable[..., None] | None:
+    return _c("waterfall_level", *[_I] * 4, _D, *[_P] * 7, _I, *[_P] * 4, _I, *[_P] * 3)
+
+
+def _level_room(n_columns: int, half_columns: int) -> tuple[NDArray[Any], ...]:
+    return np.empty(n_columns), *_box_room(n_columns, half_columns)
 
 
 def ping_masks(
@@ -383,7 +417,7 @@ def angle_sums(
     scratch = np.empty(angle.shape[1], dtype=np.int32)
     count, total = np.empty(n_bins, dtype=np.int64), np.empty(n_bins)
     function(
-        *values.shape, n_bins, *_pointers(*arrays), None if centre is None else centre.ctypes.data, clip, *_pointers(scratch, count, total)
+        *values.shape, n_bins, *_pointers(*arrays), None if centre is None else _address(centre), clip, *_pointers(scratch, count, total)
     )
     return count, total
 
@@ -435,7 +469,7 @@ def _box_sums(plane: NDArray[Any], dtype: type, half: tuple[int, int]) -> NDArra
 def _box_room(n_columns: int, half_columns: int) -> tuple[Values, NDArray[np.int32]]:
     """For what a box holds."""
     wide = n_columns + 1 + 2 * (half_columns + 1)
-    return np.empty(2 * (n_columns + 1) + wide + _ROWS_SUMMED * n_columns), np.empty(n_columns + wide, dtype=np.int32)
+    return np.empty(2 * (n_columns + 1) + wide + (_ROWS_SUMMED + 1) * n_columns), np.empty(2 * n_columns + wide, dtype=np.int32)
 
 
 def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
@@ -444,7 +478,12 @@ def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
 
 
 def _pointers(*arrays: NDArray[Any]) -> list[int]:
-    return [array.ctypes.data for array in arrays]
+    return [_address(array) for array in arrays]
+
+
+def _address(array: NDArray[Any]) -> int:
+    """Where an array's numbers are: a quarter of the time that `array.ctypes.data` takes, which read-only arrays need."""
+    return ctypes.addressof(_NOTHING.from_buffer(array.data)) if array.flags.writeable else int(array.ctypes.data)
 
 
 @functools.cache

@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall import along_curve, angle_sums, box_level, bright_spots
+from auv_mcm.kernels.waterfall import Levelled, along_curve, angle_sums, box_level, bright_spots, divide_by_level
 from auv_mcm.kernels.waterfall import row_medians as medians_of_rows
+from auv_mcm.records import SATURATED, VALID
 
 N_ANGLE_BINS: Final = 180
 _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
@@ -108,6 +109,10 @@ class GainStepFilter:
         are too few samples.
         """
         n_pings = seabed_level.shape[0]
+        if self._is_steady(seabed_level):
+            self._seabed.extend((_finite_end(seabed_level) - self._correction).tolist())
+            self._water.extend((_finite_end(water_level) - self._correction).tolist())
+            return np.full(n_pings, self._correction), 0
         out = np.empty(n_pings)
         n_steps = 0
         for ping, (seabed, water) in enumerate(zip(seabed_level.tolist(), water_level.tolist(), strict=True)):
@@ -128,6 +133,16 @@ class GainStepFilter:
                 self._water.append(water - self._correction)
         return out, n_steps
 
+    def _is_steady(self, seabed_level: NDArray[np.float64]) -> bool:
+        """Check whether no ping of a block can jump: levels closer together than a step are so to any median of them."""
+        if len(self._since_step) < _GAIN_HISTORY and math.isfinite(self._baseline):
+            return False
+        levels = seabed_level[np.isfinite(seabed_level)] - self._correction
+        if levels.size == 0:
+            return True
+        low, high = float(levels.min()), float(levels.max())
+        return max(high, *self._seabed, high) - min(low, *self._seabed, low) <= _GAIN_STEP_NATS
+
     def _steps(self, seabed: float, water: float) -> bool:
         """Check whether both corrected levels of a ping jump alike from those of the last pings."""
         if len(self._seabed) < 3 or len(self._water) < 3 or not (math.isfinite(seabed) and math.isfinite(water)):
@@ -138,6 +153,11 @@ class GainStepFilter:
         water_jump = water - _median(self._water)
         both = min(abs(seabed_jump), abs(water_jump))
         return both > _GAIN_STEP_NATS and seabed_jump * water_jump > 0 and abs(seabed_jump - water_jump) < 0.5 * both
+
+
+def _finite_end(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take the last finite levels, as many as are remembered."""
+    return levels[np.isfinite(levels)][-_GAIN_HISTORY:]
 
 
 def _median(values: Collection[float]) -> float:
@@ -161,12 +181,41 @@ def local_mean(
     everything around it. A box that leaves the image is clipped there. Known where at least a quarter of the box is usable and
     not all of it is zero.
     """
-    half = max(1, round(0.5 * LOCAL_MEAN_M / row_spacing_m)), max(1, round(0.5 * LOCAL_MEAN_M / column_spacing_m))
-    # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
-    log_intensity = np.log(np.clip(intensity, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))) * usable
-    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms tells which may.
-    places, log_limits = bright_spots(log_intensity, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
+    half = _half_box(row_spacing_m, column_spacing_m)
     level = np.array(intensity, dtype=np.float32, order="C")
+    _clip_glints(level, usable, half)
+    return box_level(level, usable, half, _MIN_VALID_FRACTION)
+
+
+def level_out(
+    intensity: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    columns: NDArray[np.int64],
+    row_spacing_m: float,
+    column_spacing_m: float,
+) -> Levelled:
+    """Divide an image by the local mean of its usable pixels, which are VALID and not SATURATED; see `local_mean`.
+
+    intensity, mask: (n_rows, n_columns). columns: those of which the mean is wanted itself.
+    """
+    half = _half_box(row_spacing_m, column_spacing_m)
+    usable = (mask & (VALID | SATURATED)) == VALID
+    level = np.where(usable, intensity, np.float32(0.0))
+    _clip_glints(level, usable, half)
+    return divide_by_level(intensity, mask, level, usable, half, _MIN_VALID_FRACTION, columns)
+
+
+def _half_box(row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
+    return max(1, round(0.5 * LOCAL_MEAN_M / row_spacing_m)), max(1, round(0.5 * LOCAL_MEAN_M / column_spacing_m))
+
+
+def _clip_glints(level: NDArray[np.float32], usable: NDArray[np.bool_], half: tuple[int, int]) -> None:
+    """Bring pixels above their limit down to it, in place. level: 0 where not usable."""
+    # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
+    log_level = np.clip(level, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))
+    np.log(log_level, out=log_level)
+    log_level *= usable
+    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms tells which may.
+    places, log_limits = bright_spots(log_level, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
     flat = level.ravel()
     flat[places] = np.minimum(flat[places], np.exp(log_limits).astype(np.float32))
-    return box_level(level, usable, half, _MIN_VALID_FRACTION)

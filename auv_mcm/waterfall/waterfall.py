@@ -15,7 +15,7 @@ from auv_mcm.records import SIDES, Ping, Side, Tile, Transfer
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
-from auv_mcm.waterfall.ground import Traces, make_traces, mean_between
+from auv_mcm.waterfall.ground import Traces, mean_between
 from auv_mcm.waterfall.pixel_geometry import PixelGeometry, pixel_geometry, runs
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, row_medians
@@ -80,8 +80,7 @@ class Waterfall:
         if first is None:
             return None
         traces = [ping.port if side == "port" else ping.starboard for ping in pings]
-        checked = self._checkers[side].check_all([trace for trace in traces if trace is not None])
-        return make_traces(checked.intensity, checked.valid, checked.saturated, first.first_range_m, first.spacing_m)
+        return self._checkers[side].cumulate([trace for trace in traces if trace is not None])
 
     def _finish_block(self, track: BottomTrack) -> list[Tile]:
         assert self._held is not None
@@ -129,7 +128,8 @@ class Waterfall:
         # A few columns are enough for what changes as slowly as the angle response.
         n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
-        reference = self._references[side].learn(log_intensity[:, some], learnable[:, some], geometry.tangent[:, some], level_row)
+        log_few, learnable_few = np.take(log_intensity, some, axis=1), np.take(learnable, some, axis=1)
+        reference = self._references[side].learn(log_few, learnable_few, np.take(geometry.tangent, some, axis=1), level_row)
         return SideImage(intensity, mask, (curve[:, some] - reference).astype(np.float32)[level_row])
 
     def _turning(self, side: Side, block: PingBlock, first_return_m: NDArray[np.float64]) -> Turning:

@@ -122,9 +122,10 @@ def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[i
     intensity, usable, mask = drawn(seed, shape)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
     same(*(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (kernel.bright_spots, kernel.bright_spots_numpy)))
-    mean, known = kernel.box_level_numpy(intensity, usable, half, 0.25)
-    same(kernel.box_level(intensity, usable, half, 0.25), (mean, known))
-    same(kernel.normalise(intensity, mean, known, mask), kernel.normalise_numpy(intensity, mean, known, mask))
+    same(*(level(intensity, usable, half, 0.25) for level in (kernel.box_level, kernel.box_level_numpy)))
+    columns = np.arange(0, shape[1], 3)
+    both = kernel.divide_by_level, kernel.divide_by_level_numpy
+    same(*(divide(intensity, mask, intensity, usable, half, 0.25, columns) for divide in both))
 
 
 @needs_c
@@ -159,6 +160,20 @@ def test_c_follows_the_angle_curve_that_numpy_follows(seed: int, shape: tuple[in
         same(*(sums(angle, angle_row, values, usable, 30, about, 1.0) for sums in (kernel.angle_sums, kernel.angle_sums_numpy)))
     bins = np.array(sorted(known), dtype=np.intp)
     same(*(curve(angle, bins, centre[bins]) for curve in (kernel.along_curve, kernel.along_curve_numpy)))
+
+
+@needs_c
+@given(seed=seeds, shape=st.tuples(st.integers(1, 30), st.integers(1, 12)), half=st.tuples(st.integers(1, 6), st.integers(1, 12)))
+@settings(deadline=None)
+def test_rows_that_share_their_usable_pixels_are_counted_right(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
+    """Counts are kept where the row that enters a box has the usable pixels of the one that leaves it."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    intensity, usable, mask = drawn(seed, shape)
+    usable = usable[random.integers(0, min(2, shape[0]), shape[0])]
+    level = np.where(usable, intensity, np.float32(0.0))
+    columns = np.array([shape[1] - 1])
+    both = kernel.divide_by_level, kernel.divide_by_level_numpy
+    same(*(divide(intensity, mask, level, usable, half, 0.25, columns) for divide in both))
 
 
 @given(seed=seeds, shape=st.tuples(st.integers(1, 6), st.integers(1, 8)), half=st.tuples(st.integers(1, 3), st.integers(1, 4)))
