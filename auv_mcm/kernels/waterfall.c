@@ -200,6 +200,31 @@ WIDE void auv_mcm_waterfall_steps(int64_t n_pings, int64_t n_bins, const double 
     }
 }
 
+/* ratios, score (n_pings, n_bins); score: adds each ping's ratios times share, brought to the same highest value, vote, unless that is less
+ * than evidence.
+ */
+WIDE void auv_mcm_waterfall_votes(int64_t n_pings, int64_t n_bins, const double *restrict ratios, double share, double vote,
+                                  double evidence, double *restrict score)
+{
+    for (int64_t ping = 0; ping < n_pings; ping++) {
+        const double *restrict ratio = ratios + ping * n_bins;
+        double *restrict sum = score + ping * n_bins;
+        double highest[8];
+        for (int64_t k = 0; k < 8; k++)
+            highest[k] = evidence;
+        for (int64_t bin = 0; bin + 8 <= n_bins; bin += 8)
+            for (int64_t k = 0; k < 8; k++)
+                highest[k] = share * ratio[bin + k] > highest[k] ? share * ratio[bin + k] : highest[k];
+        for (int64_t bin = n_bins - n_bins % 8; bin < n_bins; bin++)
+            highest[0] = share * ratio[bin] > highest[0] ? share * ratio[bin] : highest[0];
+        for (int64_t k = 1; k < 8; k++)
+            highest[0] = highest[k] > highest[0] ? highest[k] : highest[0];
+        const double factor = vote / highest[0];
+        for (int64_t bin = 0; bin < n_bins; bin++)
+            sum[bin] += share * ratio[bin] * factor;
+    }
+}
+
 /* Adds a ping to a row that it overlaps by length; the first one starts the row. */
 WIDE static void add_ping(int64_t n_columns, double length, const float *restrict from, const uint8_t *restrict bits, int is_first,
                           double *restrict total, double *restrict weight, uint8_t *restrict flags)
@@ -402,11 +427,13 @@ WIDE static int32_t any_bright(int64_t n, const float *restrict logarithms, cons
     return any;
 }
 
-/* logarithms, usable (n_rows, n_columns). mean, bright (n_columns), room, n_room: overwritten. places, limits: out, n_places (1): how many. */
+/* logarithms, usable (n_rows, n_columns). mean, bright (n_columns), room, n_room: overwritten. places, limits (n_at_most): out, n_places (1): how
+ * many there are, even if only the first n_at_most are written.
+ */
 void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns, const float *restrict logarithms,
                               const uint8_t *restrict usable, double above, double highest, double slack, double *restrict mean,
-                              uint8_t *restrict bright, double *room, int32_t *n_room, int32_t *restrict places,
-                              double *restrict limits, int64_t *restrict n_places)
+                              uint8_t *restrict bright, double *room, int32_t *n_room, int64_t n_at_most,
+                              int32_t *restrict places, double *restrict limits, int64_t *restrict n_places)
 {
     const int64_t pad = half_columns + 1;
     const Box box = empty_box(n_columns, pad, room, n_room);
@@ -420,8 +447,11 @@ void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_ro
             continue;
         for (int64_t column = 0; column < n_columns; column++)
             if (bright[column]) {
-                places[n] = (int32_t)(row * n_columns + column);
-                limits[n++] = mean[column] + above;
+                if (n < n_at_most) {
+                    places[n] = (int32_t)(row * n_columns + column);
+                    limits[n] = mean[column] + above;
+                }
+                n++;
             }
     }
     *n_places = n;

@@ -25,6 +25,7 @@ Masks = NDArray[np.uint8]
 Rows = NDArray[np.int64]
 
 _ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.c
+_USUAL_SHARE_OF_BRIGHT: Final = 16  # one pixel in so many has room at first: large arrays that are hardly used cost page faults
 _NOTHING: Final = ctypes.c_char * 0
 _P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
@@ -233,6 +234,25 @@ def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, lea
     return score
 
 
+def add_votes(score: Values, ratios: Values, share: float, vote: float, evidence: float) -> None:
+    """Add each ping's ratios times share to its score, both (n_pings, n_bins), with `vote` for the highest of a ping.
+
+    Where that is less than `evidence`, `vote` is what `evidence` would get.
+    """
+    function = _c("waterfall_votes", _I, _I, _P, _D, _D, _D, _P)
+    if function is None or not score.flags.c_contiguous:
+        add_votes_numpy(score, ratios, share, vote, evidence)
+        return
+    ratios = np.ascontiguousarray(ratios)
+    function(*score.shape, *_pointers(ratios), share, vote, evidence, *_pointers(score))
+
+
+def add_votes_numpy(score: Values, ratios: Values, share: float, vote: float, evidence: float) -> None:
+    """add_votes in numpy alone."""
+    side = share * ratios
+    score += side * (vote / np.maximum(side.max(axis=1, keepdims=True), evidence))
+
+
 def average_rows(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, least: float) -> tuple[Plane, Masks]:
     """Rows as means of the pings that they overlap, weighted by overlap: intensity float32 and mask uint8, (n_rows, n_columns) each.
 
@@ -275,15 +295,20 @@ def bright_spots(
     A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where not usable. Pixels
     are indices, row times n_columns plus column, int32, and rise; limits float64.
     """
-    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 7)
+    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 4, _I, *[_P] * 3)
     if function is None:
         return bright_spots_numpy(logarithms, usable, half, above, highest, slack)
     logarithms, usable = np.ascontiguousarray(logarithms), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
     room = np.empty(n_columns), np.empty(n_columns, dtype=np.uint8), *_box_room(n_columns, half[1])
-    places, limits, n_places = np.empty(usable.size + 1, dtype=np.int32), np.empty(usable.size + 1), np.empty(1, dtype=np.int64)
-    function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room, places, limits, n_places))
-    return places[: n_places[0]].copy(), limits[: n_places[0]].copy()
+    n_places, n_at_most = np.empty(1, dtype=np.int64), usable.size // _USUAL_SHARE_OF_BRIGHT + 1
+    while True:
+        places, limits = np.empty(n_at_most, dtype=np.int32), np.empty(n_at_most)
+        found = _pointers(places, limits, n_places)
+        function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room), n_at_most, *found)
+        if n_places[0] <= n_at_most:
+            return places[: n_places[0]], limits[: n_places[0]]
+        n_at_most = int(n_places[0])
 
 
 def bright_spots_numpy(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
-from auv_mcm.kernels.waterfall import row_medians, step_ratios
+from auv_mcm.kernels.waterfall import add_votes, row_medians, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
 BIN_M: Final = 0.05
@@ -142,9 +142,9 @@ class BottomTracker:
             means = mean_between(traces, edges_m)
             independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
             log_intensity = np.log(_not_below_floor(means.intensity))
-            side = independent * change_point_scores(log_intensity, means.valid, self._blank_bins)
+            ratios = change_point_scores(log_intensity, means.valid, self._blank_bins)
             # Every side of every ping has the same say: a loud fish, on one side, must not outvote the other and its neighbours.
-            score += side * (_SIDE_VOTE / np.maximum(side.max(axis=1, keepdims=True), _EVIDENCE))
+            add_votes(score, ratios, independent, _SIDE_VOTE, _EVIDENCE)
         known = np.isfinite(altitude_m) & (altitude_m > 0.0)
         if known.any():
             centre_m = (np.arange(n_bins) * BIN_M)[None, :]
@@ -152,7 +152,10 @@ class BottomTracker:
             outside = (centre_m > _ALTITUDE_RATIO * altitude) | (centre_m * _ALTITUDE_RATIO < altitude)
             score -= _OUTSIDE_GATE * (outside & known[:, None])
             # Where no step shows, the reading is all there is.
-            score -= _ALTITUDE_PULL * np.abs(np.log(np.maximum(centre_m, BIN_M) / altitude)) * known[:, None]
+            pull = np.maximum(centre_m, BIN_M) / altitude
+            np.abs(np.log(pull, out=pull), out=pull)
+            pull *= _ALTITUDE_PULL * known[:, None]
+            score -= pull
         return score
 
 

@@ -105,6 +105,18 @@ def test_c_finds_the_steps_that_numpy_finds(seed: int, shape: tuple[int, int], b
 
 
 @needs_c
+@given(seed=seeds, shape=shapes, share=st.sampled_from([1.0, 0.37]))
+@settings(deadline=None)
+def test_c_adds_the_votes_that_numpy_adds(seed: int, shape: tuple[int, int], share: float) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    ratios = np.maximum(random.normal(0.0, 9.0, shape), 0.0) * random.choice([0.0, 1.0], (shape[0], 1))
+    scores = np.ones((2, *shape))
+    for score, add in zip(scores, (kernel.add_votes, kernel.add_votes_numpy), strict=True):
+        add(score, ratios, share, 10.0, 6.0)
+    same(*scores)
+
+
+@needs_c
 @given(seed=seeds, shape=shapes, n_rows=st.integers(0, 8), n_steps=st.integers(1, 4))
 @settings(deadline=None)
 def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int], n_rows: int, n_steps: int) -> None:
