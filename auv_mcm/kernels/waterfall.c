@@ -544,7 +544,7 @@ void auv_mcm_waterfall_masks(int64_t n_pings, int64_t n_columns, const double *r
         const double stretch = 1.0 + pitch[ping], turn = yaw[ping];
         const int64_t at = ping * n_columns;
         join_masks(n_columns, valid + at, saturated + at, coarse + coarse_row[ping] * n_columns, fast[ping] ? TURN : 0, mask + at);
-        /* The ratio rises or falls along the row, so that its ends tell about all of it. */
+        /* The ratio rises or falls along the row: its ends bound all of it. */
         if (!is_bent(stretch, turn, ground_m[0], limit) && !is_bent(stretch, turn, ground_m[n_columns - 1], limit))
             continue;
         for (int64_t column = 0; column < n_columns; column++)

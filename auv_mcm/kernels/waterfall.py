@@ -419,7 +419,7 @@ def ping_masks_numpy(
     mask |= saturated * np.uint8(SATURATED)
     mask |= coarse[coarse_row]
     ratio = 1.0 + turning.pitch[:, np.newaxis] + turning.yaw[:, np.newaxis] * ground_m[np.newaxis, [0, -1]]
-    # The ratio rises or falls along the row, so that its ends tell about all of it.
+    # The ratio rises or falls along the row: its ends bound all of it.
     turned = np.flatnonzero(((ratio > max_ratio) | (ratio * max_ratio < 1.0)).any(axis=1) | turning.fast)
     ratio = 1.0 + turning.pitch[turned, np.newaxis] + turning.yaw[turned, np.newaxis] * ground_m[np.newaxis, :]
     bent = (ratio > max_ratio) | (ratio * max_ratio < 1.0) | turning.fast[turned, np.newaxis]
