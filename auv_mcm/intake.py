@@ -180,8 +180,13 @@ class Intake:
         if self._run or (len(self._pending) < BLOCK_PINGS and not everything):
             return self._run
         run: list[Ping] = []
+        layout: tuple[object, ...] = ()
         for item in self._pending:
-            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS or (run and _layout(item) != _layout(run[0])):
+            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS:
+                break
+            if not run:
+                layout = _layout(item)
+            elif _layout(item) != layout:
                 break
             run.append(item)
         self._run = run

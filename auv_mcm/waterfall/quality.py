@@ -77,8 +77,8 @@ class TraceChecker:
             highest_count = samples.max(axis=1, initial=0)
             highest = table[highest_count]
             step = max(samples.shape[1] // _SOME, 1)
-            unsure = _may_be_absurd(table[samples[:, ::step]], highest)
             sparse, n_samples = table[samples[:, ::_SPARSE]], samples.shape[1]
+            unsure = _may_be_absurd(sparse if step == _SPARSE else table[samples[:, ::step]], highest)
             if not (unsure.any() or _may_be_dead(sparse, n_samples, highest).any() or self._stuck(samples).any()):
                 saturated = self._saturated(samples, highest_count)
                 self._count_saturation(traces[0], saturated)
@@ -108,7 +108,8 @@ class TraceChecker:
         if n_bad:
             self._counters["quality.sample_not_finite_or_negative"] += n_bad
         highest = intensity.max(axis=1, initial=0.0)
-        for ping in np.flatnonzero(_may_be_absurd(intensity, highest)).tolist():
+        some = intensity[:, :: max(intensity.shape[1] // _SOME, 1)]
+        for ping in np.flatnonzero(_may_be_absurd(some, highest)).tolist():
             absurd = _absurd(intensity[ping])
             if absurd is not None:
                 self._counters["quality.sample_absurd"] += int(np.count_nonzero(absurd))
@@ -141,6 +142,8 @@ class TraceChecker:
             ceilings[ping] = max((1 << self._highest.bit_length()) - 1, 255)
         if (highest < ceilings).all():
             return np.zeros(samples.shape, dtype=np.bool_)
+        if ceilings.max() <= np.iinfo(samples.dtype).max:
+            ceilings = ceilings.astype(samples.dtype)  # else all samples would be widened to compare them
         return np.asarray(samples >= ceilings[:, np.newaxis])
 
     def _count_saturation(self, first: EchoTrace, saturated: NDArray[np.bool_]) -> None:
@@ -168,9 +171,8 @@ class TraceChecker:
         return stuck
 
 
-def _may_be_absurd(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which traces (n_traces, n_samples) `_absurd` must look at: those whose highest is so far above the lowest of the samples it takes."""
-    some = intensity[:, :: max(intensity.shape[1] // _SOME, 1)]
+def _may_be_absurd(some: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which traces `_absurd` must look at: those whose highest sample is so far above the lowest of some, (n_traces, n)."""
     lowest = np.where(some > 0.0, some, np.float32(np.inf)).min(axis=1, initial=np.inf).astype(np.float64)
     return np.asarray(np.isfinite(lowest) & (highest > _ABSURD_RATIO * lowest))
 
