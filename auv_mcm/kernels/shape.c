@@ -1,15 +1,17 @@
 /* Costs of solids as explanations of an image, see shape.py for their definition.
  *
- * Slices are those of auv_mcm.solids.slices and polyhedron, one at a time instead of in arrays. Newton's methods start from simpler
- * bounds and go on until they stand still; as they close in from one side, that finds the same point.
+ * Slices are those of auv_mcm.solids.slices and polyhedron, a block of them at a time so that the compiler can use vectors. Newton's
+ * methods start from simpler bounds and go on until they stand still; as they close in from one side, that finds the same point.
  */
 
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "wide.h"
+
 enum { SPHERE, CYLINDER, CONE, WEDGE };
-enum { FIELDS = 8, EDGES = 9, CORNERS = 6, MAX_STEPS = 60, N_ENDS = 3, MAX_TAPS = 3, MIXTURES = 27 }; /* 3 to the power of MAX_TAPS */
+enum { FIELDS = 8, EDGES = 9, CORNERS = 6, MAX_STEPS = 60, N_ENDS = 3, MAX_TAPS = 3, MIXTURES = 27, BLOCK = 96 }; /* 3 to the power of MAX_TAPS; slices */
 enum { SUNK = 7, RATIO = 8, N_FACTORS = 9 };
 
 #define FORBIDDEN 1e12
@@ -28,6 +30,15 @@ typedef struct {
 typedef struct {
     double front_squared, tangent, height, foot; /* slant range; ground range and height; ground range of a vertical face, if any is seen */
 } Slice;
+
+/* A block of slices: where they are, along the track from the object and across it to its place; what they hold; columns, see cut(). */
+typedef struct {
+    int64_t n;
+    double u[BLOCK], y[BLOCK];
+    double front_squared[BLOCK], tangent[BLOCK], height[BLOCK], foot[BLOCK];
+    double end[N_ENDS][BLOCK];
+    int64_t hit[BLOCK]; /* whether the slice meets the solid; nothing else is known of one that does not */
+} Slices;
 
 typedef struct {
     int64_t n_rows, n_columns;
@@ -72,123 +83,161 @@ static inline double below(double altitude, double centre, double half)
     return altitude - clamp(altitude, larger(centre - half, 0.0), larger(centre + half, 0.0));
 }
 
-static double arch_front(double radius, double lateral, double cosine, double sonar, double rise, double y)
+/* Where the nearest point of a cylinder's circle, drawn out across the track, is: Newton's method in all slices at once. */
+WIDE static void arch_fronts(double radius, double cosine, double rise, double sine, Slices *slices, double *front)
 {
-    const double per_radius = 1.0 / radius, first = sonar * per_radius, second = rise * per_radius, squeeze = cosine * cosine;
-    const double square = first * first + second * second;
-    double t = larger(sqrt(square) - 1.0, squeeze > 1e-30 ? (fabs(first) - 1.0) / squeeze : 0.0);
+    const double per_radius = 1.0 / radius, second = rise * per_radius, squeeze = cosine * cosine;
+    double t[BLOCK], first[BLOCK];
+    int64_t moving[BLOCK];
 
-    if (square <= 1.0)
-        return -INFINITY;
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double sonar = -slices->u[i] * sine - cosine * slices->y[i];
+        first[i] = sonar * per_radius;
+        const double square = first[i] * first[i] + second * second;
+        t[i] = larger(sqrt(square) - 1.0, squeeze > 1e-30 ? (fabs(first[i]) - 1.0) / squeeze : 0.0);
+        moving[i] = slices->hit[i] & (square <= 1.0 ? 0 : 1);
+    }
     for (int step = 0; step < MAX_STEPS; step++) {
-        const double wide = 1.0 / (squeeze * t + 1.0), high = 1.0 / (t + 1.0);
-        const double a = first * wide, b = second * high, value = a * a + b * b;
-        const double move = value * (value - 1.0) / ((sqrt(value) + 1.0) * (a * a * squeeze * wide + b * b * high));
-        t = larger(t + move, 0.0);
-        if (fabs(move) <= STILL * (1.0 + t))
+        int64_t any = 0;
+        for (int64_t i = 0; i < slices->n; i++) {
+            const double wide = 1.0 / (squeeze * t[i] + 1.0), high = 1.0 / (t[i] + 1.0);
+            const double a = first[i] * wide, b = second * high, value = a * a + b * b;
+            const double move = value * (value - 1.0) / ((sqrt(value) + 1.0) * (a * a * squeeze * wide + b * b * high));
+            const double next = larger(t[i] + move, 0.0);
+            t[i] = moving[i] ? next : t[i];
+            moving[i] = fabs(move) <= STILL * (1.0 + next) ? 0 : moving[i];
+            any |= moving[i];
+        }
+        if (!any)
             break;
     }
-    return -(y + lateral * cosine * t) / (squeeze * t + 1.0);
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double square = first[i] * first[i] + second * second, lateral = -slices->u[i] * sine;
+        const double found = -(slices->y[i] + lateral * cosine * t[i]) / (squeeze * t[i] + 1.0);
+        front[i] = square <= 1.0 ? -INFINITY : found;
+    }
 }
 
-static int cylinder(const double *solid, const Placed *placed, double u, double y, double altitude, Slice *slice)
+WIDE static void cylinders(const double *solid, const Placed *placed, double altitude, Slices *slices)
 {
     const double radius = solid[0], centre = radius - solid[3], sunk = smaller(centre, 0.0), cosine = placed->cosine;
-    const double lateral = -u * placed->sine;
-    double low, high, end_low, end_high;
+    const double rise = altitude - centre;
+    const int64_t is_there = radius > 0.0 && !(radius <= -sunk);
+    double low[BLOCK], high[BLOCK], front[BLOCK];
 
-    if (!(radius > 0.0) || radius <= -sunk)
-        return 0;
-    interval(u * cosine, placed->sine, placed->per_sine, 0.5 * solid[1], &end_low, &end_high);
-    interval(lateral, cosine, placed->per_cosine, half_chord(radius, sunk), &low, &high);
-    low = larger(low, end_low);
-    high = smaller(high, end_high);
-    if (!(low <= high))
-        return 0;
+    for (int64_t i = 0; i < slices->n; i++) {
+        double end_low, end_high, side_low, side_high;
+        interval(slices->u[i] * cosine, placed->sine, placed->per_sine, 0.5 * solid[1], &end_low, &end_high);
+        interval(-slices->u[i] * placed->sine, cosine, placed->per_cosine, half_chord(radius, sunk), &side_low, &side_high);
+        low[i] = larger(side_low, end_low);
+        high[i] = smaller(side_high, end_high);
+        slices->hit[i] = low[i] <= high[i] ? is_there : 0;
+    }
+    arch_fronts(radius, cosine, rise, placed->sine, slices, front);
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double y = slices->y[i], lateral = -slices->u[i] * placed->sine, sonar = lateral - cosine * y;
+        const double square = sonar * sonar + rise * rise, power = square - radius * radius;
+        const double touch = radius * (radius * sonar + sqrt(larger(power, 0.0)) * rise) / square;
+        const double across = clamp(power > 0.0 ? (touch - lateral) / larger(cosine, LEVEL) : -INFINITY, low[i], high[i]);
+        const double nearest = clamp(front[i], low[i], high[i]);
+        const double down = below(altitude, centre, half_chord(radius, lateral + cosine * nearest));
 
-    const double sonar = lateral - cosine * y, rise = altitude - centre;
-    const double square = sonar * sonar + rise * rise, power = square - radius * radius;
-    const double touch = radius * (radius * sonar + sqrt(larger(power, 0.0)) * rise) / square;
-    const double across = clamp(power > 0.0 ? (touch - lateral) / larger(cosine, LEVEL) : -INFINITY, low, high);
-    const double front = clamp(arch_front(radius, lateral, cosine, sonar, rise, y), low, high);
-    const double down = below(altitude, centre, half_chord(radius, lateral + cosine * front));
-
-    slice->front_squared = (y + front) * (y + front) + down * down;
-    slice->tangent = y + across;
-    slice->height = larger(centre + half_chord(radius, lateral + cosine * across), 0.0);
-    return 1;
+        slices->front_squared[i] = (y + nearest) * (y + nearest) + down * down;
+        slices->tangent[i] = y + across;
+        slices->height[i] = larger(centre + half_chord(radius, lateral + cosine * across), 0.0);
+        slices->foot[i] = 0.0;
+    }
 }
 
-/* A cylinder's slice without ends and turn: a circle, whose nearest point needs no search. */
-static int sphere(const double *solid, double u, double y, double altitude, Slice *slice)
+/* A cylinder's slices without ends and turn: circles, whose nearest points need no search. */
+WIDE static void spheres(const double *solid, double altitude, Slices *slices)
 {
-    const double radius = half_chord(solid[0], u), centre = solid[0] - solid[1], sunk = smaller(centre, 0.0);
+    const double whole = solid[0], centre = whole - solid[1], sunk = smaller(centre, 0.0), rise = altitude - centre;
 
-    if (!(fabs(u) < solid[0]) || radius <= -sunk)
-        return 0;
-    const double at_floor = half_chord(radius, sunk), rise = altitude - centre, square = y * y + rise * rise;
-    const double power = square - radius * radius, per_square = 1.0 / square;
-    const double touch = radius * (sqrt(larger(power, 0.0)) * rise - radius * y) * per_square;
-    const double across = clamp(power > 0.0 ? touch : -INFINITY, -at_floor, at_floor);
-    const double front = clamp(power > 0.0 ? -radius * y * sqrt(per_square) : -INFINITY, -at_floor, at_floor);
-    const double down = below(altitude, centre, half_chord(radius, front));
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double y = slices->y[i], radius = half_chord(whole, slices->u[i]);
+        const double at_floor = half_chord(radius, sunk), square = y * y + rise * rise;
+        const double power = square - radius * radius, per_square = 1.0 / square;
+        const double touch = radius * (sqrt(larger(power, 0.0)) * rise - radius * y) * per_square;
+        const double across = clamp(power > 0.0 ? touch : -INFINITY, -at_floor, at_floor);
+        const double front = clamp(power > 0.0 ? -radius * y * sqrt(per_square) : -INFINITY, -at_floor, at_floor);
+        const double down = below(altitude, centre, half_chord(radius, front));
+        const int64_t within = fabs(slices->u[i]) < whole ? 1 : 0, above = radius <= -sunk ? 0 : 1;
 
-    slice->front_squared = (y + front) * (y + front) + down * down;
-    slice->tangent = y + across;
-    slice->height = larger(centre + half_chord(radius, across), 0.0);
-    return 1;
+        slices->hit[i] = within & above;
+        slices->front_squared[i] = (y + front) * (y + front) + down * down;
+        slices->tangent[i] = y + across;
+        slices->height[i] = larger(centre + half_chord(radius, across), 0.0);
+        slices->foot[i] = 0.0;
+    }
 }
 
-static inline double cone_side(const Placed *placed, double across, double u, double base, double rim, int flat)
+static inline double cone_side(const Placed *placed, double across, double u, double base, double rim, int64_t flat)
 {
-    if (flat && fabs(across) <= rim)
-        return placed->height;
-    if (fabs(across) >= base)
-        return 0.0;
-    return clamp((placed->base_radius - sqrt(across * across + u * u)) * placed->per_taper, 0.0, placed->height);
+    const double slope = clamp((placed->base_radius - sqrt(across * across + u * u)) * placed->per_taper, 0.0, placed->height);
+    const double side = fabs(across) >= base ? 0.0 : slope;
+    return flat & (fabs(across) <= rim ? 1 : 0) ? placed->height : side;
 }
 
 /* How far before the axis the sloping side is nearest. */
-static double cone_front(double base_radius, double k, double u, double y, double altitude)
+WIDE static void cone_fronts(double base_radius, double k, double altitude, const Slices *slices, double *front)
 {
-    u = larger(u, 1e-12 * base_radius);
-    const double m = base_radius - k * altitude, slope = k * k * larger(y, 1e-6), target = 1.0 + k * k;
-    const double at_corner = slope + m, saturated = (target - m / u) / slope;
-    const double through_origin = at_corner > 0.0 ? target / at_corner : INFINITY;
-    double x = m < 0.0 ? smaller(through_origin, saturated) : larger(through_origin, saturated);
+    const double m = base_radius - k * altitude, target = 1.0 + k * k, thin = 1e-12 * base_radius;
+    double x[BLOCK];
+    int64_t moving[BLOCK];
 
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double u = larger(fabs(slices->u[i]), thin), slope = k * k * larger(slices->y[i], 1e-6);
+        const double at_corner = slope + m, saturated = (target - m / u) / slope;
+        const double through_origin = at_corner > 0.0 ? target / at_corner : INFINITY;
+        const double low = smaller(through_origin, saturated), high = larger(through_origin, saturated);
+        x[i] = m < 0.0 ? low : high;
+        moving[i] = slices->hit[i];
+    }
     for (int step = 0; step < MAX_STEPS; step++) {
-        const double shrink = 1.0 / sqrt(1.0 + u * u * x * x);
-        const double move = (slope * x + m * x * shrink - target) / (slope + m * shrink * shrink * shrink);
-        x -= move;
-        if (fabs(move) <= STILL * fabs(x))
+        int64_t any = 0;
+        for (int64_t i = 0; i < slices->n; i++) {
+            const double u = larger(fabs(slices->u[i]), thin), slope = k * k * larger(slices->y[i], 1e-6);
+            const double shrink = 1.0 / sqrt(1.0 + u * u * x[i] * x[i]);
+            const double move = (slope * x[i] + m * x[i] * shrink - target) / (slope + m * shrink * shrink * shrink);
+            const double next = x[i] - move;
+            x[i] = moving[i] ? next : x[i];
+            moving[i] = fabs(move) <= STILL * fabs(next) ? 0 : moving[i];
+            any |= moving[i];
+        }
+        if (!any)
             break;
     }
-    return 1.0 / x;
+    for (int64_t i = 0; i < slices->n; i++)
+        front[i] = 1.0 / x[i];
 }
 
-static int cone(const Placed *placed, double u, double y, double altitude, Slice *slice)
+WIDE static void cones(const Placed *placed, double altitude, Slices *slices)
 {
-    const double base_radius = placed->base_radius;
-    u = fabs(u);
-    if (!(u <= base_radius && placed->height > 0.0))
-        return 0;
-    const double apex = base_radius - placed->taper * altitude;
-    const double base = half_chord(base_radius, u), rim = half_chord(placed->rim_radius, u);
-    const int flat = u <= placed->rim_radius;
+    const double base_radius = placed->base_radius, apex = base_radius - placed->taper * altitude;
+    const int64_t is_there = placed->height > 0.0;
+    double fronts[BLOCK];
 
-    const double per_far = 1.0 / larger(sqrt(u * u + y * y), 1e-300), sine = clamp(apex * per_far, -1.0, 1.0);
-    const double cosine = sqrt((1.0 - sine) * (1.0 + sine));
-    const double turned_sine = per_far * (y * cosine + u * sine), turned_cosine = per_far * (u * cosine - y * sine);
-    const double touch = turned_sine <= 0.0 ? INFINITY : u * turned_cosine / turned_sine;
-    const double across = clamp(touch, flat ? rim : -base, base);
-    const double front = -clamp(cone_front(base_radius, larger(placed->taper, 1e-9), u, y, altitude), flat ? rim : 0.0, base);
-    const double down = larger(altitude - cone_side(placed, front, u, base, rim, flat), 0.0);
+    for (int64_t i = 0; i < slices->n; i++)
+        slices->hit[i] = fabs(slices->u[i]) <= base_radius ? is_there : 0;
+    cone_fronts(base_radius, larger(placed->taper, 1e-9), altitude, slices, fronts);
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double y = slices->y[i], u = fabs(slices->u[i]);
+        const double base = half_chord(base_radius, u), rim = half_chord(placed->rim_radius, u);
+        const int64_t flat = u <= placed->rim_radius ? 1 : 0;
+        const double per_far = 1.0 / larger(sqrt(u * u + y * y), 1e-300), sine = clamp(apex * per_far, -1.0, 1.0);
+        const double cosine = sqrt((1.0 - sine) * (1.0 + sine));
+        const double turned_sine = per_far * (y * cosine + u * sine), turned_cosine = per_far * (u * cosine - y * sine);
+        const double touch = turned_sine <= 0.0 ? INFINITY : u * turned_cosine / turned_sine;
+        const double across = clamp(touch, flat ? rim : -base, base);
+        const double front = -clamp(fronts[i], flat ? rim : 0.0, base);
+        const double down = larger(altitude - cone_side(placed, front, u, base, rim, flat), 0.0);
 
-    slice->front_squared = (y + front) * (y + front) + down * down;
-    slice->tangent = y + across;
-    slice->height = cone_side(placed, across, u, base, rim, flat);
-    return 1;
+        slices->front_squared[i] = (y + front) * (y + front) + down * down;
+        slices->tangent[i] = y + across;
+        slices->height[i] = cone_side(placed, across, u, base, rim, flat);
+        slices->foot[i] = 0.0;
+    }
 }
 
 static inline void see_point(double y, double z, double altitude, double *highest, double *tangent)
@@ -303,43 +352,50 @@ static void place(int64_t kind, const double *solid, Placed *placed)
     }
 }
 
-/* Columns at which the highlight begins, the shadow begins and the shadow ends in a slice; 0 if it misses the solid. */
-static int cut(int64_t kind, const double *solid, const Placed *placed, const Image *image, double altitude, double u, double y,
-               double *ends)
+/* Columns at which the highlight begins, the shadow begins and the shadow ends in each slice of a block. */
+WIDE static void find_ends(const Image *image, double altitude, Slices *slices)
 {
-    Slice slice = {0.0, 0.0, 0.0, 0.0};
-    int hit;
+    const double per_metre = 1.0 / image->column_m, flat = image->altitude * image->altitude, last = (double)image->n_columns;
 
+    for (int64_t i = 0; i < slices->n; i++) {
+        const double down = altitude - slices->height[i], shadow_end = altitude * slices->tangent[i] / down;
+        const double highest = slices->tangent[i] * slices->tangent[i] + down * down;
+        const double foot = slices->foot[i] * slices->foot[i] + altitude * altitude;
+        const double tangent = slices->foot[i] > 0.0 ? larger(highest, foot) : highest;
+        const double end = shadow_end * shadow_end + altitude * altitude;
+        const double near_m = sqrt(larger(slices->front_squared[i] - flat, 0.0)), top_m = sqrt(larger(tangent - flat, 0.0));
+        const double end_m = sqrt(larger(end - flat, 0.0));
+        const double front = clamp((near_m - image->first_m + -image->smear) * per_metre, 0.0, last);
+        const double between = larger(clamp((top_m - image->first_m + image->smear) * per_metre, 0.0, last), front);
+        slices->end[0][i] = front;
+        slices->end[1][i] = between;
+        slices->end[2][i] = larger(clamp((end_m - image->first_m + 0.0) * per_metre, 0.0, last), between);
+    }
+}
+
+static void cut(int64_t kind, const double *solid, const Placed *placed, const Image *image, double altitude, Slices *slices)
+{
     switch (kind) {
     case SPHERE:
-        hit = sphere(solid, u, y, altitude, &slice);
+        spheres(solid, altitude, slices);
         break;
     case CYLINDER:
-        hit = cylinder(solid, placed, u, y, altitude, &slice);
+        cylinders(solid, placed, altitude, slices);
         break;
     case CONE:
-        hit = cone(placed, u, y, altitude, &slice);
+        cones(placed, altitude, slices);
         break;
     default:
-        hit = wedge(placed, u, y, altitude, &slice);
+        for (int64_t i = 0; i < slices->n; i++) {
+            Slice slice = {0.0, 0.0, 0.0, 0.0};
+            slices->hit[i] = wedge(placed, slices->u[i], slices->y[i], altitude, &slice);
+            slices->front_squared[i] = slice.front_squared;
+            slices->tangent[i] = slice.tangent;
+            slices->height[i] = slice.height;
+            slices->foot[i] = slice.foot;
+        }
     }
-    if (!hit)
-        return 0;
-    const double down = altitude - slice.height, per_metre = 1.0 / image->column_m, shadow_end = altitude * slice.tangent / down;
-    const double tangent = slice.tangent * slice.tangent + down * down, foot = slice.foot * slice.foot + altitude * altitude;
-    const double range_squared[N_ENDS] = {
-        slice.front_squared,
-        slice.foot > 0.0 ? larger(tangent, foot) : tangent,
-        shadow_end * shadow_end + altitude * altitude,
-    };
-    const double smear[N_ENDS] = {-image->smear, image->smear, 0.0}, flat = image->altitude * image->altitude;
-    for (int k = 0; k < N_ENDS; k++) {
-        const double ground = sqrt(larger(range_squared[k] - flat, 0.0));
-        ends[k] = clamp((ground - image->first_m + smear[k]) * per_metre, 0.0, (double)image->n_columns);
-    }
-    ends[1] = larger(ends[1], ends[0]);
-    ends[2] = larger(ends[2], ends[1]);
-    return 1;
+    find_ends(image, altitude, slices);
 }
 
 /* Pixels and echoes of something. */
@@ -432,6 +488,7 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
     Echoes part[3] = {{0.0, 0.0}}, mixture[MIXTURES]; /* highlight, shadow and floor as the middle slice has them */
     double spread = 0.0, cost = 0.0;
     Placed placed;
+    Slices slices;
 
     place(kind, solid, &placed);
     if (!(y > placed.reach * (1.0 + fabs(image->shear)) && altitude >= 1.2 * placed.top && placed.top > 0.0))
@@ -443,30 +500,44 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
     const double low = (along - placed.reach - spread) / image->row_m - 1.0, high = (along + placed.reach + spread) / image->row_m + 1.0;
     const int64_t first = (int64_t)clamp(low, 0.0, (double)image->n_rows), stop = (int64_t)clamp(high, 0.0, (double)image->n_rows);
 
-    for (int64_t row = first; row < stop; row++) {
-        const double *echoes = image->echoes + row * (image->n_columns + 1), *counts = image->counts + row * (image->n_columns + 1);
-        const double u = ((double)row + 0.5) * image->row_m - along;
-        double at[N_ENDS * MAX_TAPS];
-        int code[N_ENDS * MAX_TAPS], n = 0;
+    for (int64_t block = first; block < stop; block += BLOCK / MAX_TAPS) {
+        const int64_t n_rows = block + BLOCK / MAX_TAPS < stop ? BLOCK / MAX_TAPS : stop - block;
 
-        for (int tap = 0; tap < beam->n_taps; tap++) {
-            const double off = u + beam->angle[tap] * slant;
-            double *ends = at + n;
-            if (!cut(kind, solid, &placed, image, altitude, off, y - off * image->shear, ends))
-                continue;
-            code[n++] = DIGIT[tap];
-            code[n++] = DIGIT[tap];
-            code[n++] = -2 * DIGIT[tap];
-            if (tap == middle) {
-                const Echoes front = up_to(counts, echoes, ends[0], image->n_columns);
-                const Echoes between = up_to(counts, echoes, ends[1], image->n_columns);
-                const Echoes end = up_to(counts, echoes, ends[2], image->n_columns);
-                gather(part, front, between);
-                gather(part + 1, between, end);
+        slices.n = 0;
+        for (int64_t row = block; row < block + n_rows; row++) {
+            const double u = ((double)row + 0.5) * image->row_m - along;
+            for (int tap = 0; tap < beam->n_taps; tap++) {
+                const double off = u + beam->angle[tap] * slant;
+                slices.u[slices.n] = off;
+                slices.y[slices.n++] = y - off * image->shear;
             }
         }
-        if (n > 0 && beam->n_taps > 1)
-            mix_row(at, code, n, counts, echoes, image->n_columns, mixture);
+        cut(kind, solid, &placed, image, altitude, &slices);
+        for (int64_t k = 0; k < n_rows; k++) {
+            const double *echoes = image->echoes + (block + k) * (image->n_columns + 1);
+            const double *counts = image->counts + (block + k) * (image->n_columns + 1);
+            double at[N_ENDS * MAX_TAPS];
+            int code[N_ENDS * MAX_TAPS], n = 0;
+
+            for (int tap = 0; tap < beam->n_taps; tap++) {
+                const int64_t i = k * beam->n_taps + tap;
+                if (!slices.hit[i])
+                    continue;
+                for (int end = 0; end < N_ENDS; end++) {
+                    at[n] = slices.end[end][i];
+                    code[n++] = end < 2 ? DIGIT[tap] : -2 * DIGIT[tap];
+                }
+                if (tap == middle) {
+                    const Echoes front = up_to(counts, echoes, slices.end[0][i], image->n_columns);
+                    const Echoes between = up_to(counts, echoes, slices.end[1][i], image->n_columns);
+                    const Echoes end = up_to(counts, echoes, slices.end[2][i], image->n_columns);
+                    gather(part, front, between);
+                    gather(part + 1, between, end);
+                }
+            }
+            if (n > 0 && beam->n_taps > 1)
+                mix_row(at, code, n, counts, echoes, image->n_columns, mixture);
+        }
     }
     part[2].count = image->n_total - part[0].count - part[1].count;
     part[2].sum = image->total - part[0].sum - part[1].sum;
@@ -546,13 +617,19 @@ void auv_mcm_shape_intervals(int64_t kind, int64_t n, const double *hypotheses, 
         const double *hypothesis = hypotheses + FIELDS * i, *solid = hypothesis + 3, y = hypothesis[1];
         const double altitude = image.altitude * hypothesis[2], slant = sqrt(y * y + altitude * altitude);
         Placed placed;
+        Slices slices;
         place(kind, solid, &placed);
-        for (int64_t row = 0; row < n_rows; row++) {
-            for (int64_t tap = 0; tap < n_taps; tap++, ends += N_ENDS) {
-                const double off = ((double)row + 0.5) * image.row_m - hypothesis[0] + angle[tap] * slant;
-                if (!cut(kind, solid, &placed, &image, altitude, off, y - off * image.shear, ends))
-                    ends[0] = ends[1] = ends[2] = 0.0;
+        for (int64_t slot = 0; slot < n_rows * n_taps; slot += slices.n) {
+            slices.n = slot + BLOCK < n_rows * n_taps ? BLOCK : n_rows * n_taps - slot;
+            for (int64_t k = 0; k < slices.n; k++) {
+                const int64_t row = (slot + k) / n_taps, tap = (slot + k) % n_taps;
+                slices.u[k] = ((double)row + 0.5) * image.row_m - hypothesis[0] + angle[tap] * slant;
+                slices.y[k] = y - slices.u[k] * image.shear;
             }
+            cut(kind, solid, &placed, &image, altitude, &slices);
+            for (int64_t k = 0; k < slices.n; k++)
+                for (int end = 0; end < N_ENDS; end++)
+                    *ends++ = slices.hit[k] ? slices.end[end][k] : 0.0;
         }
     }
 }
