@@ -25,8 +25,8 @@ from auv_mcm.kernels.shape import (
     top_m,
     up_to,
 )
-from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, costs_at, hypotheses_at, walk_shapes
-from auv_mcm.solids.box_search import Array, Box, Optima, apart, curvature_covariance, look_around
+from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Chart, Walk, costs_at, hypotheses_at, refine_shapes, search_shapes
+from auv_mcm.solids.box_search import Array, Box, Optima, apart, curvature_covariance
 from auv_mcm.solids.shapes import Shape
 
 SOLIDS: Final = tuple(FIELDS)
@@ -226,15 +226,13 @@ def _look(solid: Solid, region: Region, image: RowSums, effort: Effort) -> _Clas
     box = Box(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
     burial_sigma = math.inf if solid == "truncated_cone" else _BURIAL_SIGMA
     chart = Chart(solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image))
-    starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), box, effort.n_starts, effort.n_walks)
-    return _Class(chart, walk_shapes(chart, image, PENCIL, starts, effort.n_steps, effort.n_tries, first_stride=3.0))
+    walk = Walk(effort.n_walks, effort.n_steps, effort.n_tries, first_stride=3.0)
+    return _Class(chart, search_shapes(chart, image, PENCIL, effort.n_starts, walk))
 
 
 def _refine(entry: _Class, image: RowSums, beam: Beam, effort: Effort) -> _Class:
-    starts = apart(entry.found, entry.box, effort.n_fine_walks)
-    if beam.share.size > 1:
-        starts = Optima(starts.unit, costs_at(entry.chart, entry.box.points(starts.unit), image, beam))
-    return entry._replace(found=walk_shapes(entry.chart, image, beam, starts, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2))
+    walk = Walk(effort.n_fine_walks, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2)
+    return entry._replace(found=refine_shapes(entry.chart, image, beam, entry.found, walk))
 
 
 def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: bool) -> ShapeFit:

@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 /* Raised whenever a signature changes, so that a stale library is refused instead of called wrongly. */
-#define AUV_MCM_KERNELS_VERSION 12
+#define AUV_MCM_KERNELS_VERSION 13
 
 int32_t auv_mcm_kernels_version(void) { return AUV_MCM_KERNELS_VERSION; }
 
