@@ -19,14 +19,15 @@ from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
-from auv_mcm.classify.fit import ShapeFit, ShapeFits, fit_shapes
-from auv_mcm.classify.likelihood import labels_cost
+from auv_mcm.classify.fit import Effort, ShapeFit, ShapeFits, fit_to
+from auv_mcm.classify.likelihood import labels_cost_of, row_sums
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
+from auv_mcm.kernels.shape import RowSums
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import unpack_snippet
@@ -145,7 +146,8 @@ def examine(detection: Detection, region: Region, odds: MineOdds | None, min_p_m
         # Whichever start led to the better contours; a criterion that is not a number is no contour.
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
-    fits = fit_shapes(region, contour_cost(region, contours, area), area)
+    image = row_sums(region, area)
+    fits = fit_to(image, region, contour_cost(image, region, contours, area), Effort())
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
     details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
@@ -172,14 +174,17 @@ def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] 
     return np.where(parts == int(counts.argmax()), labels, np.uint8(BACKGROUND)).astype(np.uint8)
 
 
-def contour_cost(region: Region, contours: Contours, correlation_area: float) -> float:
-    """What the free contours cost in nats, with the code length of their nodes, to weigh against what solids cost."""
+def contour_cost(image: RowSums | None, region: Region, contours: Contours, correlation_area: float) -> float:
+    """Weigh the free contours in nats, with the code length of their nodes, to compare with what solids cost.
+
+    image: the region's `likelihood.row_sums`.
+    """
     labels = np.zeros(region.intensity.shape, dtype=np.uint8)
     for nodes, label in ((contours.shadow, SHADOW), (contours.highlight, HIGHLIGHT)):
         labels[contour_mask(nodes, labels.shape)] = label
     n_nodes = len(contours.highlight) + len(contours.shadow)
     n_samples = float(region.valid.sum()) / correlation_area
-    return labels_cost(region, labels, correlation_area) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
+    return labels_cost_of(image, region, labels) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
 
 
 def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:

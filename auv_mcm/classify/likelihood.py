@@ -63,12 +63,16 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
 
 
 def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: float, *, looks: float = 1.0) -> float:
-    """What labels of pixels explain, in nats against a floor without an object like the costs of solids; 0 if nothing was measured.
+    """Weigh what labels of pixels explain, in nats against a floor without an object like the costs of solids; 0 if nothing was measured.
 
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added, this is what a free
     contour costs. Raises ValueError as row_sums does, and for labels of another shape.
     """
-    image = row_sums(region, correlation_area, looks=looks)
+    return labels_cost_of(row_sums(region, correlation_area, looks=looks), region, labels)
+
+
+def labels_cost_of(image: RowSums | None, region: Region, labels: NDArray[np.uint8]) -> float:
+    """Weigh labels in a region whose `row_sums` are known; see `labels_cost`."""
     if labels.shape != region.intensity.shape:
         raise ValueError(f"labels must have the region's shape {region.intensity.shape}, not {labels.shape}")
     if image is None:
@@ -76,8 +80,10 @@ def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: flo
     if region.squint_rad != 0.0:
         labels = _deskewed(region, labels)
     cost = 0.0
+    per_pixel = [np.diff(sums, axis=1) for sums in (image.counts, image.echoes)]
     for label in (BACKGROUND, SHADOW, HIGHLIGHT):
-        count, total = (float(np.diff(sums, axis=1)[labels == label].sum()) for sums in (image.counts, image.echoes))
+        is_label = labels == label
+        count, total = (float(each[is_label].sum()) for each in per_pixel)
         if count > 0.0:
             mean = max(total / count, LEAST_MEAN)
             cost += count * math.log(mean) + total / mean - count
