@@ -86,9 +86,10 @@ def soft_edges(
     function = _c_soft_edges()
     if function is None:
         return _soft_edges_in_place(start, level, weight, information, n_sweeps)
-    scratch, done = np.empty((len(spread_rows) + 2, len(spread_columns))), np.zeros(1, dtype=np.int64)
+    scratch, done = np.empty((6, len(spread_rows), len(spread_columns))), np.zeros(1, dtype=np.int64)
+    settled = np.zeros(labels.shape, dtype=np.uint8)
     level, weight = np.ascontiguousarray(level), np.ascontiguousarray(weight)
-    planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, done)
+    planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, settled, done)
     reach = len(spread_rows) // 2, len(spread_columns) // 2
     function(*labels.shape, *reach, n_sweeps, information, *(plane.ctypes.data for plane in planes))
     return start.labels
@@ -148,7 +149,7 @@ def _prepared(
 
 @functools.cache
 def _c_soft_edges() -> Callable[..., None] | None:
-    return kernels.c_function("soft_edges", *[_I] * 5, _R, *[_P] * 9)
+    return kernels.c_function("soft_edges", *[_I] * 5, _R, *[_P] * 10)
 
 
 def _soft_edges_in_place(start: _Start, level: Plane, weight: Plane, information: float, n_sweeps: int) -> Labels:
