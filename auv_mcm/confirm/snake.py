@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.snake_elsewhere import evidences
 from auv_mcm.kernels.snake_twin import Moved, Settings
 
 Nodes = NDArray[np.float64]
@@ -129,7 +130,7 @@ def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: N
     low, high = _intervals(np.repeat(nears, len(widths)), np.add.outer(nears, widths).ravel(), n_columns)
     rows, columns = np.minimum(bottom, n_rows)[:, None], np.minimum(high, n_columns)
     total, count = (sums[rows, columns] - sums[top[:, None], columns] - sums[rows, low] + sums[top[:, None], low]).transpose(2, 0, 1)
-    row, column = divmod(int(snake_rules.evidences(which, total, count).argmax()), len(low))
+    row, column = divmod(int(evidences(which, total, count).argmax()), len(low))
     return _box(top[row], low[column], bottom[row], high[column], region)
 
 

@@ -159,47 +159,6 @@ def sides_numpy(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDAr
     return found
 
 
-def shifted_sums(
-    table: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    near: NDArray[np.int64],
-    far: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Intensity and measured pixels of the columns [near, far) in rows (n,), shifted: (n_shifts, 2) float64.
-
-    table: of row_sums. shifts: (n_shifts, 2) int64 rows and columns. Raises ValueError if any shift leaves the table.
-    """
-    if len(rows) == 0 or len(shifts) == 0:
-        return np.zeros((len(shifts), 2))
-    lowest, highest = shifts.min(axis=0), shifts.max(axis=0)
-    first, last = np.array([rows.min(), near.min()]) + lowest, np.array([rows.max(), far.max()]) + highest
-    if (first < 0).any() or (last >= table.shape[:2]).any():
-        raise ValueError(f"shifts from {lowest} to {highest} leave the window of {table.shape[0]} rows and {table.shape[1] - 1} columns")
-    function = _c_shifted_sums()
-    if function is None:
-        return shifted_sums_numpy(table, rows, near, far, shifts)
-    sums = np.zeros((len(shifts), 2))
-    table = np.ascontiguousarray(table, dtype=np.float64)
-    places = [np.ascontiguousarray(each, dtype=np.int64) for each in (rows, near, far, shifts)]
-    at = [place.ctypes.data for place in places]
-    function(table.shape[1] - 1, table.ctypes.data, len(rows), *at[:3], len(shifts), at[3], sums.ctypes.data)
-    return sums
-
-
-def shifted_sums_numpy(
-    table: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    near: NDArray[np.int64],
-    far: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """shifted_sums in numpy alone."""
-    there = rows[:, None] + shifts[:, 0]
-    inside = table[there, far[:, None] + shifts[:, 1]] - table[there, near[:, None] + shifts[:, 1]]
-    return np.asarray(inside.sum(axis=0), dtype=np.float64)
-
-
 class _Ran(NamedTuple):
     """What the C function left of both polygons."""
 
@@ -243,12 +202,6 @@ def _run(
 def _c_sides() -> Callable[..., None] | None:
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
     return kernels.c_function("snake_sides", integer, integer, integer, pointer, pointer)
-
-
-@functools.cache
-def _c_shifted_sums() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("snake_shifted_sums", integer, pointer, integer, *[pointer] * 3, integer, *[pointer] * 2)
 
 
 @functools.cache
