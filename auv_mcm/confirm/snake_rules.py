@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
-from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.snake_descent import row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
 
 Nodes = NDArray[np.float64]
 
 BORDER_PX: Final = 2.0
-_LEAST_ROWS: Final = 3
 _DARKEST: Final = 0.01  # times the mean of the window
 
 # What objects keep to, on simulated missions over rippled sand, seagrass and bare floor with seeds kept apart for it.
@@ -243,13 +243,6 @@ def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
     return max(stop - start, 0.0)
 
 
-def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Rows a polygon reaches, and its columns [near, far) in each; three (n,) int64."""
-    near, far = snake.sides(nodes, shape[0], shape[1])
-    rows = np.flatnonzero((near >= 0) & (far > near))
-    return rows, near[rows], far[rows]
-
-
 def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Pixels of a region of this shape (n_rows, n_columns) inside a contour (n, 2); none for no nodes."""
     inside = np.zeros(shape, dtype=np.bool_)
@@ -257,13 +250,6 @@ def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     column = np.arange(shape[1])
     inside[rows] = (column >= near[:, None]) & (column < far[:, None])
     return inside
-
-
-def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
-    """Whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are fewer."""
-    rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))
-    n_measured = int((table[rows, far, 1] - table[rows, near, 1] >= 1.0).sum())
-    return n_measured >= max(min(_LEAST_ROWS, len(rows)), 1)
 
 
 def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:

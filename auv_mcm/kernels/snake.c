@@ -14,6 +14,8 @@
 #define HIGHLIGHT 0
 #define SHADOW 1
 #define BACKGROUND 2
+#define LEAST_SIDE 4.0 /* pixels, of a box */
+#define LEAST_ROWS 3   /* in which pixels must have been measured */
 
 /* What an edge, and by summation a polygon, adds up over the rows it crosses; the order is that of snake.py. */
 enum { SUM, COUNT, AREA, FAR, ROWS, GAP, SHARED, OVERLAP };
@@ -467,6 +469,96 @@ static int64_t prune(pair *pair, int which, double *cost)
     }
 }
 
+/* Nodes of a highlight and a shadow, and what is known of them once they have been moved. */
+typedef struct {
+    int64_t n[2];
+    double node[2][MAX_NODES][2];
+    double cost, total[2][N_FIELDS];
+    int64_t n_accepted, n_evaluated;
+} Moved;
+
+/* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) says what, see below. */
+static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *moved, int64_t *fault)
+{
+    static const int ORDER[2] = {SHADOW, HIGHLIGHT};
+    double cost = 0.0;
+
+    pair->n_evaluated = pair->n_accepted = 0;
+    for (int which = 0; which < 2; which++) {
+        pair->part[which].n = moved->n[which];
+        fault[which] = 0;
+        memcpy(pair->part[which].node, moved->node[which], (size_t)moved->n[which] * sizeof moved->node[which][0]);
+        memset(pair->part[which].total, 0, sizeof pair->part[which].total);
+    }
+    for (int which = 0; which < 2; which++)
+        if (pair->part[which].n > 0) {
+            const polygon *part = &pair->part[which];
+            find_bound(pair, which);
+            measure(pair, which);
+            if (!(part->total[COUNT] >= 1.0 && part->total[AREA] >= pair->set->min_area_px))
+                fault[which] = 1;
+            else if (!sound(part->node, part->n, 0, part->n))
+                fault[which] = 2;
+        }
+    if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
+        return;
+    for (int which = 0; which < 2; which++)
+        if (pair->part[which].n > 0) {
+            find_bound(pair, which);
+            cost = refresh(pair, which);
+        }
+    for (int64_t stage = 0; stage < n_stages; stage++) {
+        const double *now = schedule + 3 * stage;
+        for (int k = 0; k < 2; k++) {
+            polygon *part = &pair->part[ORDER[k]];
+            if (part->n == 0)
+                continue;
+            if (now[1] == 0.0) {
+                pair->n_accepted += prune(pair, ORDER[k], &cost);
+            } else {
+                subdivide(part, (int64_t)now[0]);
+                find_bound(pair, ORDER[k]);
+                cost = refresh(pair, ORDER[k]);
+            }
+        }
+        for (int64_t k = 0; now[1] > 0.0 && k < (int64_t)now[2]; k++) {
+            int64_t n_moved = sweep(pair, SHADOW, now[1], &cost);
+            n_moved += sweep(pair, HIGHLIGHT, now[1], &cost);
+            pair->n_accepted += n_moved;
+            if (n_moved == 0)
+                break;
+        }
+    }
+    for (int which = 0; which < 2; which++) {
+        moved->n[which] = pair->part[which].n;
+        memcpy(moved->node[which], pair->part[which].node, (size_t)moved->n[which] * sizeof moved->node[which][0]);
+        memcpy(moved->total[which], pair->part[which].total, sizeof moved->total[which]);
+    }
+    moved->cost = cost;
+    moved->n_accepted = pair->n_accepted;
+    moved->n_evaluated = pair->n_evaluated;
+}
+
+/* highlight, shadow (MAX_NODES, 2), n_nodes (2): nodes and their numbers, in and out. */
+static void take_in(Moved *moved, const double *highlight, const double *shadow, const int64_t *n_nodes)
+{
+    memset(moved, 0, sizeof *moved);
+    memcpy(moved->n, n_nodes, sizeof moved->n);
+    memcpy(moved->node[HIGHLIGHT], highlight, sizeof moved->node[HIGHLIGHT]);
+    memcpy(moved->node[SHADOW], shadow, sizeof moved->node[SHADOW]);
+}
+
+static void give_out(const Moved *moved, double *highlight, double *shadow, int64_t *n_nodes, double *out)
+{
+    memcpy(n_nodes, moved->n, sizeof moved->n);
+    memcpy(highlight, moved->node[HIGHLIGHT], sizeof moved->node[HIGHLIGHT]);
+    memcpy(shadow, moved->node[SHADOW], sizeof moved->node[SHADOW]);
+    out[0] = moved->cost;
+    out[1] = (double)moved->n_accepted;
+    out[2] = (double)moved->n_evaluated;
+    memcpy(out + 3, moved->total, sizeof moved->total);
+}
+
 /* Moves the pair through all stages of the schedule.
  *
  * table (n_rows, n_columns + 1, 2): row cumulative sums and counts. set: see `settings`. schedule (n_stages, 3): nodes, amplitude in
@@ -477,63 +569,105 @@ static int64_t prune(pair *pair, int which, double *cost)
 void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const double *set, int64_t n_stages, const double *schedule,
                    double *highlight, double *shadow, int64_t *n_nodes, double *bound, double *out, int64_t *fault)
 {
-    static const int ORDER[2] = {SHADOW, HIGHLIGHT};
-    double *const node[2] = {highlight, shadow};
-    double cost = 0.0;
     pair pair = {.n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
+    Moved moved;
 
-    for (int which = 0; which < 2; which++) {
-        pair.part[which].n = n_nodes[which];
-        fault[which] = 0;
-        memcpy(pair.part[which].node, node[which], sizeof pair.part[which].node);
+    take_in(&moved, highlight, shadow, n_nodes);
+    move(&pair, n_stages, schedule, &moved, fault);
+    if (fault[HIGHLIGHT] == 0 && fault[SHADOW] == 0)
+        give_out(&moved, highlight, shadow, n_nodes, out);
+}
+
+/* Whole pixels from low to high within the window, LEAST_SIDE or more of them. */
+static void whole_side(double low, double high, double size, double *from, double *to)
+{
+    low = rint(fmin(fmax(low, 0.0), size));
+    high = rint(fmin(fmax(high, 0.0), size));
+    *from = fmax(0.0, fmin(low, size - LEAST_SIDE));
+    *to = fmax(high, *from + LEAST_SIDE);
+}
+
+/* A strip on the near side of a shadow, `width` pixels wide; returns whether there is room for one in which enough was measured. */
+static int strip_before(const pair *pair, double width, const Moved *shadow, Moved *strip)
+{
+    const double (*const node)[2] = shadow->node[SHADOW];
+    const int64_t n = shadow->n[SHADOW], half = n / 2 > 1 ? n / 2 : 1;
+    double column[MAX_NODES], top, bottom, nearest, low_row, high_row, low_column, high_column;
+    int64_t n_reached = 0, n_measured = 0;
+
+    for (int64_t i = 0; i < n; i++) {
+        int64_t k = i;
+        for (; k > 0 && column[k - 1] > node[i][1]; k--)
+            column[k] = column[k - 1];
+        column[k] = node[i][1];
     }
-    for (int which = 0; which < 2; which++)
-        if (pair.part[which].n > 0) {
-            const polygon *part = &pair.part[which];
-            find_bound(&pair, which);
-            measure(&pair, which);
-            if (!(part->total[COUNT] >= 1.0 && part->total[AREA] >= pair.set->min_area_px))
-                fault[which] = 1;
-            else if (!sound(part->node, part->n, 0, part->n))
-                fault[which] = 2;
-        }
+    const double near = floor(half % 2 ? column[half / 2] : (column[half / 2 - 1] + column[half / 2]) / 2.0);
+    if (near < LEAST_SIDE)
+        return 0;
+    extents(node, n, &top, &bottom, &nearest);
+    whole_side(top, bottom, (double)pair->n_rows, &low_row, &high_row);
+    whole_side(near - width, near, (double)pair->n_columns, &low_column, &high_column);
+    const double corner[4][2] = {{low_row, low_column}, {low_row, high_column}, {high_row, high_column}, {high_row, low_column}};
+    strip->n[HIGHLIGHT] = 4;
+    memcpy(strip->node[HIGHLIGHT], corner, sizeof corner);
+    for (int64_t row = (int64_t)low_row; row < (int64_t)high_row && row < pair->n_rows; row++) {
+        const double *cell = pair->table + 2 * row * (pair->n_columns + 1);
+        const int64_t far = high_column < (double)pair->n_columns ? (int64_t)high_column : pair->n_columns;
+        n_reached++;
+        n_measured += cell[2 * far + 1] - cell[2 * (int64_t)low_column + 1] >= 1.0;
+    }
+    const int64_t enough = n_reached < LEAST_ROWS ? n_reached : LEAST_ROWS;
+    return n_measured >= (enough > 1 ? enough : 1);
+}
+
+/* The best pair from a start, as snake_descent.py has it. schedule (n_stages[0] + n_stages[1] + n_stages[2], 3): coarse, fine, polish.
+ * strip_px: width of the strip before a shadow. moves (1): out, those on the way to the pair. The rest as above.
+ */
+void auv_mcm_snake_descend(int64_t n_rows, int64_t n_columns, const double *table, const double *set, const int64_t *n_stages,
+                           const double *schedule, double strip_px, double *highlight, double *shadow, int64_t *n_nodes, double *bound,
+                           double *out, int64_t *fault, int64_t *moves)
+{
+    pair pair = {.n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
+    const double *fine = schedule + 3 * n_stages[0], *polish = fine + 3 * n_stages[1];
+    Moved best, start;
+
+    take_in(&best, highlight, shadow, n_nodes);
+    start = best;
+    move(&pair, n_stages[0], schedule, &best, fault);
     if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
         return;
-    for (int which = 0; which < 2; which++)
-        if (pair.part[which].n > 0) {
-            find_bound(&pair, which);
-            cost = refresh(&pair, which);
-        }
-    for (int64_t stage = 0; stage < n_stages; stage++) {
-        const double *now = schedule + 3 * stage;
-        for (int k = 0; k < 2; k++) {
-            polygon *part = &pair.part[ORDER[k]];
-            if (part->n == 0)
-                continue;
-            if (now[1] == 0.0) {
-                pair.n_accepted += prune(&pair, ORDER[k], &cost);
-            } else {
-                subdivide(part, (int64_t)now[0]);
-                find_bound(&pair, ORDER[k]);
-                cost = refresh(&pair, ORDER[k]);
+    *moves = best.n_accepted;
+    if (start.n[SHADOW] > 0) {
+        Moved alone = start, other;
+        alone.n[HIGHLIGHT] = 0;
+        move(&pair, n_stages[0], schedule, &alone, fault);
+        other = alone;
+        if (fault[SHADOW] == 0 && strip_before(&pair, strip_px, &alone, &other)) {
+            const int64_t last = n_stages[0] > 0 ? 1 : 0;
+            move(&pair, last, fine - 3 * last, &other, fault);
+            if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
+                return;
+            if (other.cost < best.cost) {
+                best = other;
+                *moves = alone.n_accepted + other.n_accepted;
             }
         }
-        for (int64_t k = 0; now[1] > 0.0 && k < (int64_t)now[2]; k++) {
-            int64_t n_moved = sweep(&pair, SHADOW, now[1], &cost);
-            n_moved += sweep(&pair, HIGHLIGHT, now[1], &cost);
-            pair.n_accepted += n_moved;
-            if (n_moved == 0)
-                break;
+    }
+    move(&pair, n_stages[1], fine, &best, fault);
+    *moves += best.n_accepted;
+    if (best.n[HIGHLIGHT] > 0 && best.n[SHADOW] > 0) {
+        const Moved both = best;
+        for (int which = SHADOW; which >= HIGHLIGHT; which--) {
+            Moved lone = both;
+            lone.n[1 - which] = 0;
+            move(&pair, which == SHADOW ? n_stages[2] : 0, polish, &lone, fault);
+            if (lone.cost < best.cost) {
+                best = lone;
+                *moves += lone.n_accepted;
+            }
         }
     }
-    for (int which = 0; which < 2; which++) {
-        n_nodes[which] = pair.part[which].n;
-        memcpy(node[which], pair.part[which].node, sizeof pair.part[which].node);
-        memcpy(out + 3 + which * N_FIELDS, pair.part[which].total, sizeof pair.part[which].total);
-    }
-    out[0] = cost;
-    out[1] = (double)pair.n_accepted;
-    out[2] = (double)pair.n_evaluated;
+    give_out(&best, highlight, shadow, n_nodes, out);
 }
 
 /* The columns at which a polygon's edges that run up, and those that run down, cross each row; the last one counts.

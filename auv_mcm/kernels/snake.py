@@ -96,25 +96,38 @@ def move_pair(
     """
     table = np.ascontiguousarray(table, dtype=np.float64)
     schedule = np.ascontiguousarray(schedule, dtype=np.float64)
+    parts = checked(table, schedule, highlight, shadow)
+    c_snake = c_kernel()
+    if c_snake is None:
+        refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
+        return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
+    ran = _run(c_snake, table, settings, schedule, parts)
+    refuse(ran.faults, settings)
+    return moved_of(ran.nodes, ran.n_nodes, ran.out)
+
+
+def checked(
+    table: NDArray[np.float64], schedule: NDArray[np.float64], highlight: NDArray[np.float64], shadow: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Round the nodes of both polygons to 2^-20 pixel. Raises ValueError as move_pair does, but for polygons that cannot be moved."""
     parts = [np.rint(np.asarray(nodes, dtype=np.float64) * _NODES_PER_PX) / _NODES_PER_PX for nodes in (highlight, shadow)]
     _check(table, schedule, parts)
     if len(parts[0]) + len(parts[1]) == 0:
         raise ValueError("there is neither a highlight nor a shadow to move")
-    c_snake = c_kernel()
-    if c_snake is None:
-        _refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
-        return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
-    ran = _run(c_snake, table, settings, schedule, parts)
-    _refuse(ran.faults, settings)
+    return parts
+
+
+def moved_of(nodes: NDArray[np.float64], n_nodes: list[int], out: list[float]) -> Moved:
+    """Take apart what C leaves: nodes (2, MAX_NODES, 2), their numbers, and criterion, moves, proposals and both sums."""
     n_sums = len(Sums._fields)
     return Moved(
-        ran.nodes[0, : ran.n_nodes[0]].copy(),
-        ran.nodes[1, : ran.n_nodes[1]].copy(),
-        ran.out[0],
-        int(ran.out[1]),
-        int(ran.out[2]),
-        Sums(*ran.out[3 : 3 + n_sums]),
-        Sums(*ran.out[3 + n_sums :]),
+        nodes[0, : n_nodes[0]].copy(),
+        nodes[1, : n_nodes[1]].copy(),
+        out[0],
+        int(out[1]),
+        int(out[2]),
+        Sums(*out[3 : 3 + n_sums]),
+        Sums(*out[3 + n_sums :]),
     )
 
 
@@ -222,11 +235,12 @@ def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: lis
     for name, nodes in zip(NAMES, parts, strict=False):
         if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) in (1, 2) or len(nodes) > MAX_NODES:
             raise ValueError(f"{name} must have shape (n, 2) with 3 to {MAX_NODES} nodes or none, not {nodes.shape}")
-        if not ((nodes >= 0.0) & (nodes <= window)).all():
+        if len(nodes) and not (nodes.min() >= 0.0 and nodes[:, 0].max() <= window[0] and nodes[:, 1].max() <= window[1]):
             raise ValueError(f"{name} has nodes outside the window of {window[0]} rows and {window[1]} columns")
 
 
-def _refuse(faults: list[int], settings: Settings) -> None:
+def refuse(faults: list[int], settings: Settings) -> None:
+    """Raise ValueError for polygons that cannot be moved. faults: of highlight and shadow, as fault_of has them."""
     why = {
         1: f"covers fewer than {settings.min_area_px:g} pixels, none that was measured, or runs up its far side",
         2: "crosses itself, has coinciding nodes, or is crossed more than twice by a row",

@@ -122,3 +122,41 @@ void auv_mcm_soft_edges(int64_t n_rows, int64_t n_columns, int64_t reach_rows, i
             break;
     }
 }
+
+/* plane, between, smeared (n_rows, n_columns), the second overwritten; share_rows (n_row_taps), share_columns (n_column_taps): point spread
+ * along each axis, odd numbers. edge (n_columns + n_column_taps): overwritten. Beyond its edges the plane goes on as at the edge.
+ */
+WIDE void auv_mcm_smear(int64_t n_rows, int64_t n_columns, const double *restrict plane, int64_t n_row_taps, const double *restrict share_rows,
+                        int64_t n_column_taps, const double *restrict share_columns, double *restrict between, double *restrict edge,
+                        double *restrict smeared)
+{
+    const int64_t half_rows = n_row_taps / 2, half_columns = n_column_taps / 2;
+
+    for (int64_t row = 0; row < n_rows; row++) {
+        double *restrict into = between + row * n_columns;
+        for (int64_t tap = 0; tap < n_row_taps; tap++) {
+            const int64_t wanted = row + tap - half_rows, there = wanted < 0 ? 0 : wanted >= n_rows ? n_rows - 1 : wanted;
+            const double *restrict from = plane + there * n_columns, share = share_rows[tap];
+            if (tap == 0)
+                for (int64_t column = 0; column < n_columns; column++)
+                    into[column] = share * from[column];
+            else
+                for (int64_t column = 0; column < n_columns; column++)
+                    into[column] += share * from[column];
+        }
+    }
+    for (int64_t row = 0; row < n_rows; row++) {
+        const double *restrict from = between + row * n_columns;
+        double *restrict into = smeared + row * n_columns;
+        for (int64_t k = 0; k < half_columns; k++) {
+            edge[k] = from[0];
+            edge[half_columns + n_columns + k] = from[n_columns - 1];
+        }
+        memcpy(edge + half_columns, from, (size_t)n_columns * sizeof *from);
+        for (int64_t column = 0; column < n_columns; column++)
+            into[column] = share_columns[0] * edge[column];
+        for (int64_t tap = 1; tap < n_column_taps; tap++)
+            for (int64_t column = 0; column < n_columns; column++)
+                into[column] += share_columns[tap] * edge[column + tap];
+    }
+}

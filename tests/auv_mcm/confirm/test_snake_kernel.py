@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.snake import COARSE, FINE, settings_of
-from auv_mcm.confirm.snake_rules import contour_mask, row_intervals
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.snake_descent import Course, descend, descend_numpy, row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere, elsewhere_numpy, evidence
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings, Sums
 from sim_replay.studies.snakes import box, drawn_pair, plain_region
@@ -349,3 +350,22 @@ def test_polygons_beyond_the_window_are_not_looked_for_elsewhere() -> None:
     assert elsewhere(table, ((SHADOW, box(0, 0, *SHAPE)),))[1] in (0.0, math.inf)
     with pytest.raises(ValueError, match="outside the window of 24 rows and 30 columns"):
         elsewhere(table, ((SHADOW, box(4, 4, 25, 12)),))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("parts", ["both", "highlight", "shadow"])
+def test_c_descends_as_move_after_move_does(seed: int, parts: str) -> None:
+    table, known = window(seed)
+    highlight, shadow = box(7, 5, 15, 9 + seed % 3), box(9, 11, 15, 16 + seed)
+    start = (NONE if parts == "shadow" else highlight), (NONE if parts == "highlight" else shadow)
+    one, n_moves = descend(table, known, Course(COARSE, FINE, FINE[-2:]), *start, 4.0 + seed)
+    other, n_others = descend_numpy(table, known, Course(COARSE, FINE, FINE[-2:]), *start, 4.0 + seed)
+    assert_same(one, other)
+    assert n_moves == n_others
+
+
+def test_a_start_that_cannot_move_is_refused_on_the_way_down() -> None:
+    table, known = window(1)
+    for function in (descend, descend_numpy):
+        with pytest.raises(ValueError, match="shadow covers fewer than 9 pixels"):
+            function(table, known, Course(COARSE, FINE, ()), NONE, box(9, 11, 11, 13), 4.0)
