@@ -403,12 +403,13 @@ typedef struct {
     double count, sum;
 } Echoes;
 
-/* Of a row up to a column, linear within a pixel. */
+/* Of a row up to a column, linear within a pixel. counts: NULL where every pixel counts. */
 static inline Echoes up_to(const double *counts, const double *echoes, double column, int64_t n_columns)
 {
     const int64_t left = column < (double)(n_columns - 1) ? (int64_t)column : n_columns - 1;
     const double part = column - (double)left;
-    const Echoes found = {counts[left] + (counts[left + 1] - counts[left]) * part, echoes[left] + (echoes[left + 1] - echoes[left]) * part};
+    const double count = counts ? counts[left] + (counts[left + 1] - counts[left]) * part : column;
+    const Echoes found = {count, echoes[left] + (echoes[left + 1] - echoes[left]) * part};
     return found;
 }
 
@@ -418,51 +419,59 @@ static inline void gather(Echoes *into, Echoes from, Echoes to)
     into->sum += to.sum - from.sum;
 }
 
-/* Adds a row's stretches to what is known of each mixture. */
-static void mix_row(const double *at_row, const int *code, int n, const double *counts, const double *echoes, int64_t n_columns,
-                    Echoes *mixture)
+/* Adds a row's stretches to what is known of each mixture. at (n): columns where stretches end; found (n): of the row up to them. */
+static void mix_row(const double *at, const int *code, int n, const Echoes *found, Echoes *mixture)
 {
-    double at[N_ENDS * MAX_TAPS];
-    int change[N_ENDS * MAX_TAPS], now = 0;
+    int order[N_ENDS * MAX_TAPS], now = 0;
 
     for (int i = 0; i < n; i++) {
         int place = i;
-        for (; place > 0 && at[place - 1] > at_row[i]; place--) {
-            at[place] = at[place - 1];
-            change[place] = change[place - 1];
-        }
-        at[place] = at_row[i];
-        change[place] = code[i];
+        for (; place > 0 && at[order[place - 1]] > at[i]; place--)
+            order[place] = order[place - 1];
+        order[place] = i;
     }
-    Echoes before = up_to(counts, echoes, at[0], n_columns);
+    int before = order[0];
     for (int i = 0; i + 1 < n; i++) {
-        now += change[i];
-        if (at[i + 1] <= at[i])
+        now += code[order[i]];
+        if (at[order[i + 1]] <= at[order[i]])
             continue;
-        const Echoes here = up_to(counts, echoes, at[i + 1], n_columns);
-        gather(mixture + now, before, here);
-        before = here;
+        gather(mixture + now, found[before], found[order[i + 1]]);
+        before = order[i + 1];
     }
 }
 
 static inline double misfit(double count, double sum, double mean) { return count * log(mean) + sum / mean - count; }
 
-/* One step of Fisher scoring for the logarithms of the means of highlight, shadow and floor. */
-static void improve(const Echoes *mixture, const double (*share)[2], int n_mixtures, double *mean)
-{
-    double h[3][3] = {{0.0}}, g[3] = {0.0};
+/* Mixtures that hold anything. share (3, n): of highlight, shadow and floor. */
+typedef struct {
+    int64_t n;
+    double count[MIXTURES], sum[MIXTURES], share[3][MIXTURES];
+} Mixtures;
 
-    for (int i = 0; i < n_mixtures; i++) {
-        if (mixture[i].count <= 0.0 && mixture[i].sum <= 0.0)
-            continue;
-        double a[3] = {share[i][0] * mean[0], share[i][1] * mean[1], (1.0 - share[i][0] - share[i][1]) * mean[2]};
-        const double scale = 1.0 / (a[0] + a[1] + a[2]), surprise = mixture[i].sum * scale - mixture[i].count;
-        for (int j = 0; j < 3; j++) {
-            a[j] *= scale;
-            g[j] += a[j] * surprise;
-            for (int k = 0; k <= j; k++)
-                h[j][k] += mixture[i].count * a[j] * a[k];
-        }
+/* One step of Fisher scoring for the logarithms of the means of highlight, shadow and floor. */
+WIDE static void improve(const Mixtures *mixtures, double *mean)
+{
+    double h[3][3] = {{0.0}}, g[3] = {0.0}, part[3][MIXTURES], surprise[MIXTURES];
+
+    for (int64_t i = 0; i < mixtures->n; i++) {
+        const double bright = mixtures->share[0][i] * mean[0], dark = mixtures->share[1][i] * mean[1], rest = mixtures->share[2][i] * mean[2];
+        const double scale = 1.0 / (bright + dark + rest);
+        surprise[i] = mixtures->sum[i] * scale - mixtures->count[i];
+        part[0][i] = bright * scale;
+        part[1][i] = dark * scale;
+        part[2][i] = rest * scale;
+    }
+    for (int64_t i = 0; i < mixtures->n; i++) {
+        const double a = part[0][i], b = part[1][i], c = part[2][i], count = mixtures->count[i];
+        g[0] += a * surprise[i];
+        g[1] += b * surprise[i];
+        g[2] += c * surprise[i];
+        h[0][0] += count * a * a;
+        h[1][0] += count * b * a;
+        h[1][1] += count * b * b;
+        h[2][0] += count * c * a;
+        h[2][1] += count * c * b;
+        h[2][2] += count * c * c;
     }
     const double ridge = 1e-9 * (h[0][0] + h[1][1] + h[2][2]) + 1e-12;
     for (int j = 0; j < 3; j++)
@@ -515,8 +524,10 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
         cut(kind, solid, &placed, image, altitude, &slices);
         for (int64_t k = 0; k < n_rows; k++) {
             const double *echoes = image->echoes + (block + k) * (image->n_columns + 1);
-            const double *counts = image->counts + (block + k) * (image->n_columns + 1);
+            const double *counted = image->counts + (block + k) * (image->n_columns + 1);
+            const double *counts = counted[image->n_columns] == (double)image->n_columns ? 0 : counted;
             double at[N_ENDS * MAX_TAPS];
+            Echoes found[N_ENDS * MAX_TAPS];
             int code[N_ENDS * MAX_TAPS], n = 0;
 
             for (int tap = 0; tap < beam->n_taps; tap++) {
@@ -524,19 +535,18 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
                 if (!slices.hit[i])
                     continue;
                 for (int end = 0; end < N_ENDS; end++) {
-                    at[n] = slices.end[end][i];
-                    code[n++] = end < 2 ? DIGIT[tap] : -2 * DIGIT[tap];
+                    at[n + end] = slices.end[end][i];
+                    found[n + end] = up_to(counts, echoes, at[n + end], image->n_columns);
+                    code[n + end] = end < 2 ? DIGIT[tap] : -2 * DIGIT[tap];
                 }
                 if (tap == middle) {
-                    const Echoes front = up_to(counts, echoes, slices.end[0][i], image->n_columns);
-                    const Echoes between = up_to(counts, echoes, slices.end[1][i], image->n_columns);
-                    const Echoes end = up_to(counts, echoes, slices.end[2][i], image->n_columns);
-                    gather(part, front, between);
-                    gather(part + 1, between, end);
+                    gather(part, found[n], found[n + 1]);
+                    gather(part + 1, found[n + 1], found[n + 2]);
                 }
+                n += N_ENDS;
             }
             if (n > 0 && beam->n_taps > 1)
-                mix_row(at, code, n, counts, echoes, image->n_columns, mixture);
+                mix_row(at, code, n, found, mixture);
         }
     }
     part[2].count = image->n_total - part[0].count - part[1].count;
@@ -552,13 +562,21 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
             mixture[0].count -= mixture[i].count;
             mixture[0].sum -= mixture[i].sum;
         }
-        for (int64_t step = 0; step < beam->n_steps; step++)
-            improve(mixture, beam->share, n_mixtures, mean);
+        Mixtures held;
+        held.n = 0;
         for (int i = 0; i < n_mixtures; i++) {
-            const double *share = beam->share[i], expected = share[0] * mean[0] + share[1] * mean[1] + (1.0 - share[0] - share[1]) * mean[2];
-            if (mixture[i].count > 0.0 || mixture[i].sum > 0.0)
-                cost += misfit(mixture[i].count, mixture[i].sum, expected);
+            if (!(mixture[i].count > 0.0 || mixture[i].sum > 0.0))
+                continue;
+            held.count[held.n] = mixture[i].count;
+            held.sum[held.n] = mixture[i].sum;
+            held.share[0][held.n] = beam->share[i][0];
+            held.share[1][held.n] = beam->share[i][1];
+            held.share[2][held.n++] = 1.0 - beam->share[i][0] - beam->share[i][1];
         }
+        for (int64_t step = 0; step < beam->n_steps; step++)
+            improve(&held, mean);
+        for (int64_t i = 0; i < held.n; i++)
+            cost += misfit(held.count[i], held.sum[i], held.share[0][i] * mean[0] + held.share[1][i] * mean[1] + held.share[2][i] * mean[2]);
     } else {
         for (int k = 0; k < 3; k++)
             cost += misfit(part[k].count, part[k].sum, mean[k]);
