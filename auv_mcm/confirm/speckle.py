@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.speckle import half_differences
+from auv_mcm.kernels.speckle import half_differences, half_differences_in
 
 Plane = NDArray[np.float64]
 
@@ -63,12 +63,17 @@ def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
     of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be measured.
     """
     rows, columns = (np.linspace(0, size, _PARTS + 1).astype(int).tolist() for size in intensity.shape)
-    areas = sorted(
-        math.prod(measure_correlation(np.ascontiguousarray(intensity[part]), np.ascontiguousarray(usable[part])))
-        for part in ((slice(top, bottom), slice(near, far)) for top, bottom in pairwise(rows) for near, far in pairwise(columns))
-        if usable[part].size and usable[part].mean() > _MOSTLY_USABLE
-    )
-    return areas[min(1, len(areas) - 1)] if areas else 1.0
+    boxes = [
+        (top, near, bottom, far)
+        for top, bottom in pairwise(rows)
+        for near, far in pairwise(columns)
+        if np.count_nonzero(usable[top:bottom, near:far]) > _MOSTLY_USABLE * ((bottom - top) * (far - near))
+    ]
+    if not boxes:
+        return 1.0
+    halves = half_differences_in(np.minimum(intensity, _CLIP), usable, boxes, (*_NEAR_LAGS, *_PLATEAU_LAGS), _LEAST_PAIRS)
+    areas = sorted(math.prod(_grain(along) for along in part) for part in halves.tolist())
+    return areas[min(1, len(areas) - 1)]
 
 
 def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
