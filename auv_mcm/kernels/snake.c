@@ -36,6 +36,7 @@ typedef struct {
     double step[2]; /* summed |difference| of rows and of columns between adjacent nodes */
     double own;     /* its part of the criterion */
     double top, bottom, near;
+    int64_t tried[MAX_NODES]; /* the pair's n_changes when no way of a node was better: as long as nothing changes none will be */
 } polygon;
 
 typedef struct {
@@ -46,6 +47,7 @@ typedef struct {
     polygon part[2];
     int64_t n_evaluated;
     int64_t n_accepted;
+    int64_t n_changes; /* of nodes or of the length of moves, from 1 */
 } pair;
 
 static inline int64_t ceil_of(double value)
@@ -380,7 +382,7 @@ static double try_shift(pair *pair, int which, int64_t first, int64_t n_moved, d
 /* Directions of a node, then of an edge: (row, column). */
 static const double WAYS[12][2] = {{-1, 0}, {1, 0}, {0, -1}, {0, 1}, {-1, -1}, {-1, 1}, {1, -1}, {1, 1}, {-1, 0}, {1, 0}, {0, -1}, {0, 1}};
 
-/* Each node, and the edge after it, goes the best way of all; returns how many moved. */
+/* Each node, and the edge after it, goes the best way of all unless it is settled; returns how many moved. */
 static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
 {
     polygon *part = &pair->part[which];
@@ -392,6 +394,8 @@ static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
     *cost = refresh(pair, which);
     for (int64_t i = 0; i < part->n; i++) {
         int chosen = -1;
+        if (part->tried[i] == pair->n_changes)
+            continue;
         for (int way = 0; way < 12; way++) {
             const double found = try_shift(pair, which, i, way < 8 ? 1 : 2, WAYS[way][0] * amplitude, WAYS[way][1] * amplitude, *cost);
             if (found < *cost) {
@@ -399,13 +403,16 @@ static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
                 chosen = way;
             }
         }
-        if (chosen < 0)
+        if (chosen < 0) {
+            part->tried[i] = pair->n_changes;
             continue;
+        }
         for (int64_t k = 0; k < (chosen < 8 ? 1 : 2); k++) {
             part->node[(i + k) % part->n][0] += WAYS[chosen][0] * amplitude;
             part->node[(i + k) % part->n][1] += WAYS[chosen][1] * amplitude;
         }
         *cost = refresh(pair, which);
+        pair->n_changes++;
         n_moved++;
     }
     return n_moved;
@@ -509,6 +516,7 @@ static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *mo
         }
     for (int64_t stage = 0; stage < n_stages; stage++) {
         const double *now = schedule + 3 * stage;
+        pair->n_changes++;
         for (int k = 0; k < 2; k++) {
             polygon *part = &pair->part[ORDER[k]];
             if (part->n == 0)

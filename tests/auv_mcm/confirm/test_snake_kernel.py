@@ -369,3 +369,20 @@ def test_a_start_that_cannot_move_is_refused_on_the_way_down() -> None:
     for function in (descend, descend_numpy):
         with pytest.raises(ValueError, match="shadow covers fewer than 9 pixels"):
             function(table, known, Course(COARSE, FINE, ()), NONE, box(9, 11, 11, 13), 4.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_settled_nodes_would_not_have_moved(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, known = window(seed)
+    start = box(7, 5, 15, 9), box(9, 11, 15, 16 + seed)
+    schedule = np.array([(4, 2.0, 20), (6, 1.0, 20)])
+    with_skips = snake_twin.move_pair(table, known, schedule, *start)
+
+    class Unsettled(set[tuple[int, int]]):
+        def add(self, item: tuple[int, int]) -> None:
+            """Keep every node in doubt."""
+
+    monkeypatch.setattr(snake_twin, "set", Unsettled, raising=False)
+    without = snake_twin.move_pair(table, known, schedule, *start)
+    assert without.n_proposed > with_skips.n_proposed
+    assert_same(without._replace(n_proposed=with_skips.n_proposed), with_skips)
