@@ -8,7 +8,8 @@ Each step costs about ten times the one before it, and a detection whose odds ha
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import msgspec
@@ -37,6 +38,8 @@ _POOR_QUALITY: Final = 0.6
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
 _LEAST_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
+ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
+
 _NONE: Final = np.empty((0, 2))
 _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
@@ -128,29 +131,45 @@ def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: 
     )
 
 
-def examine(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Examination:
-    """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None."""
+def examine(
+    detection: Detection,
+    region: Region,
+    odds: MineOdds | None,
+    min_p_mine: float,
+    done: Callable[[ExaminationStep], None] = lambda step: None,
+) -> Examination:
+    """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
+
+    done: called after each step, for who measures what they cost.
+    """
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
+    done("survey")
     contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
+    done("first contours")
     before = detector_features(detection)
     first = before | contour_features(contours) | outline_features(contours, region)
     seen = detection_details(detection)
     p_contours = math.nan if odds is None else odds.p_mine(_ratio("contours", first | seen, contours, odds))
+    done("features")
     if p_contours < min_p_mine:
         return Examination(region, contours, None, None, first, first, seen, p_contours)
     segmentation = segment(region)
+    done("field")
     own = labels_near(segmentation.labels, region)
     if own is not None and not isinstance(ground, Contours):
         again = converge_on(ground, start_from_labels(region, own))
         # Whichever start led to the better contours; a criterion that is not a number is no contour.
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
+    done("second contours")
     image = row_sums(region, area)
     fits = fit_to(image, region, contour_cost(image, region, contours, area), Effort())
+    done("solids")
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
     details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
+    done("features")
     return Examination(region, contours, segmentation, fits, first, features, details, p_contours)
 
 

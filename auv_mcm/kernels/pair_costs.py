@@ -28,9 +28,7 @@ class Lack(NamedTuple):
     share: float
 
 
-def pair_costs(
-    labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack
-) -> Plane:
+def pair_costs(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
     """Weigh labels by what stands in the rows of a field, (3, n_rows, n_columns) float64; 0 for background.
 
     labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights bear out a shadow.
@@ -48,9 +46,7 @@ def pair_costs(
     return cost
 
 
-def pair_costs_numpy(
-    labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack
-) -> Plane:
+def pair_costs_numpy(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
     """pair_costs in numpy alone."""
     n_columns = labels.shape[1]
     columns = np.arange(n_columns)

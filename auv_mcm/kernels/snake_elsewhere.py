@@ -50,9 +50,7 @@ def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, fl
     sides, offset, room = np.empty(2 * n_rows, dtype=np.int64), np.empty(n_room, dtype=np.int64), np.empty(3 * n_room)
     found = np.empty(2)
     at = [array.ctypes.data for array in (table, numbers, nodes, steps, sides, offset, room, found)]
-    function(
-        n_rows, n_columns, at[0], len(polygons), at[1], at[1] + 8 * len(polygons), *at[2:6], at[6], at[6] + 16 * n_room, at[7]
-    )
+    function(n_rows, n_columns, at[0], len(polygons), at[1], at[1] + 8 * len(polygons), *at[2:6], at[6], at[6] + 16 * n_room, at[7])
     best, common = found.tolist()
     return best, common
 
