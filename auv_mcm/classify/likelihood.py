@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
+from auv_mcm.kernels.order import median
 from auv_mcm.kernels.shape import LEAST_MEAN, PENCIL, Array, Beam, RowSums
 
 _CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is as strong
@@ -38,10 +39,10 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
     counted = counted_pixels(region)
     if not (region.intensity[counted] > 0.0).any():
         return None
-    floor = float(np.median(region.intensity[counted])) * (1.0 - 1.0 / (9.0 * looks)) ** -3.0
+    floor = median(region.intensity[counted]) * (1.0 - 1.0 / (9.0 * looks)) ** -3.0
     if floor == 0.0:
         positive = region.intensity[counted]
-        floor = float(np.median(positive[positive > 0.0]))
+        floor = median(positive[positive > 0.0])
     # The quotient of a spike and a faint floor has no number: cut first.
     capped = np.minimum(np.where(counted, region.intensity, 0.0), _CAP * floor)
     intensity = np.minimum(capped / floor, _CAP)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.order import quantile
 from auv_mcm.kernels.snake_descent import LEAST_SIDE_PX, Course, Schedule, box, descend, is_measured
 from auv_mcm.kernels.snake_elsewhere import evidences
 from auv_mcm.kernels.snake_twin import Moved, Settings
@@ -145,8 +146,8 @@ def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
         if len(rows) == 0:
             boxes.append(_NONE)
             continue
-        top, bottom = np.quantile(rows, (0.05, 0.95)).tolist()
-        near, far = np.quantile(columns, (0.05, 0.95)).tolist()
+        columns = np.sort(columns)  # rows rise as they are
+        top, bottom, near, far = (quantile(places, share) for places in (rows, columns) for share in (0.05, 0.95))
         boxes.append(_box(top, near, bottom + 1.0, far + 1.0, region))
     return Start(*boxes)
 

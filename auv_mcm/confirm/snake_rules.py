@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.order import median
 from auv_mcm.kernels.snake_descent import row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
@@ -132,7 +133,7 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
         highlight_depth_m=highlight.area / highlight.rows * region.column_spacing_m if len(moved.highlight) else math.nan,
         shadow_m2=shadow.area * pixel_m2,
         largest_shadow_m2=_largest_shadow_m2(region),
-        height_m=float(np.median(heights_m)),
+        height_m=median(heights_m),
         peak_height_m=float(heights_m.max()),
         flank=_flank(table, moved.shadow) if len(moved.shadow) else math.nan,
         front=_front(region, table, moved),

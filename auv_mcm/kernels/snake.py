@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.order import median
 from auv_mcm.kernels.snake_twin import Moved, Settings, Sums
 
 MAX_NODES: Final = 64
@@ -65,7 +66,7 @@ def row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> RowSum
     counted = valid & (intensity >= 0.0) & (intensity < np.inf)
     measured = np.where(counted, intensity, 0.0)
     n_counted = int(counted.sum())
-    level = float(np.median(measured[counted])) if n_counted else 0.0
+    level = median(measured[counted]) if n_counted else 0.0
     if level > 0.0:
         measured = np.minimum(measured, _SPIKE * level)
     highest = float(measured.max(initial=0.0))

@@ -23,7 +23,7 @@ def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int
     plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first of the two is
     from one row to those after it. Raises ValueError if the shapes differ.
     """
-    return half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, least_pairs)[0]
+    return np.asarray(half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, least_pairs)[0], dtype=np.float64)
 
 
 def half_differences_in(
