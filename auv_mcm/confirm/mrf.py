@@ -135,7 +135,7 @@ def segment(
         labels = minimum.labels
     assert minimum is not None
     labels = without_odd_clusters(labels, region.row_spacing_m * factors[0], region.column_spacing_m * factors[1])
-    labels = np.kron(labels, np.ones(factors, dtype=np.uint8))[: usable.shape[0], : usable.shape[1]]
+    labels = labels.repeat(factors[0], axis=0).repeat(factors[1], axis=1)[: usable.shape[0], : usable.shape[1]]
     level = _core_means(labels, intensity, usable, means, correlation)
     labels = soft_edges(
         np.minimum(intensity, SPIKE * level.max()),

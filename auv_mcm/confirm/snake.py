@@ -310,7 +310,7 @@ def _box_around(region: Region, nodes: Nodes) -> Nodes | None:
 
 def _area(nodes: Nodes) -> float:
     """Signed area in pixels, positive for nodes running down the far side."""
-    after = np.roll(nodes, -1, axis=0)
+    after = np.concatenate((nodes[1:], nodes[:1]))
     return 0.5 * float((nodes[:, 1] * after[:, 0] - nodes[:, 0] * after[:, 1]).sum())
 
 

@@ -224,7 +224,7 @@ def border_fraction(nodes: Nodes, shape: tuple[int, ...]) -> float:
     """Fraction of a contour's length within BORDER_PX of the window's edge."""
     lowest, highest = np.full(2, BORDER_PX), np.array(shape, dtype=np.float64) - BORDER_PX
     total = near = 0.0
-    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
+    for a, b in zip(nodes, np.concatenate((nodes[1:], nodes[:1])), strict=True):
         length = float(np.hypot(*(b - a)))
         total += length
         near += length * (1.0 - _inner_fraction(a, b, lowest, highest))

@@ -91,13 +91,17 @@ def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int
     plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64; the last blocks
     may reach over the edge.
     """
-    rows, columns = factors
-    short_rows, short_columns = -plane.shape[0] % rows, -plane.shape[1] % columns
-    padding = ((0, short_rows), (0, short_columns))
-    shape = ((plane.shape[0] + short_rows) // rows, rows, (plane.shape[1] + short_columns) // columns, columns)
-    number = np.pad(usable.astype(np.float64), padding).reshape(shape).sum(axis=(1, 3))
-    total = np.pad(np.where(usable, plane, 0.0), padding).reshape(shape).sum(axis=(1, 3))
-    return np.where(number > 0.0, total / np.maximum(number, 1.0), 1.0), number / (rows * columns)
+    number = _block_sums(usable.astype(np.float64), factors)
+    total = _block_sums(np.where(usable, plane, 0.0), factors)
+    return np.where(number > 0.0, total / np.maximum(number, 1.0), 1.0), number / math.prod(factors)
+
+
+def _block_sums(plane: Plane, factors: tuple[int, int]) -> Plane:
+    n_rows, n_columns = plane.shape
+    high, wide = (-(-size // factor) for size, factor in zip(plane.shape, factors, strict=True))
+    padded = np.zeros((high * factors[0], wide * factors[1]))
+    padded[:n_rows, :n_columns] = plane
+    return np.asarray(padded.reshape(high, factors[0], wide, factors[1]).sum(axis=(1, 3)), dtype=np.float64)
 
 
 def looks_of_blocks(correlation: Correlation, factors: tuple[int, int]) -> float:
