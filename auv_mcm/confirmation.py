@@ -40,6 +40,7 @@ _LEAST_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
 
+_EFFORT: Final = Effort()
 _NONE: Final = np.empty((0, 2))
 _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
@@ -79,9 +80,7 @@ def confirm_detection(detection: Detection, beam_width_rad: float, odds: MineOdd
         return without_confirmation(detection, odds, "geometry_unknown")
     examination = examine(detection, region, odds, config.min_p_mine)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
-    log_ratio = _ratio(
-        "contours" if examination.fits is None else "shape", examination.features | examination.details, examination.contours, odds
-    )
+    log_ratio = evidence_of(examination, odds)
     if examination.fits is not None:
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
@@ -108,6 +107,12 @@ def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> D
 
 def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
     return odds.log_ratio("detector", detector_features(detection) | detection_details(detection))
+
+
+def evidence_of(examination: Examination, odds: MineOdds) -> float:
+    """Weigh the last step that was taken, in nats for a mine."""
+    step: LookStep = "contours" if examination.fits is None else "shape"
+    return _ratio(step, examination.features | examination.details, examination.contours, odds)
 
 
 def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
@@ -137,10 +142,11 @@ def examine(
     odds: MineOdds | None,
     min_p_mine: float,
     done: Callable[[ExaminationStep], None] = lambda step: None,
+    effort: Effort = _EFFORT,
 ) -> Examination:
     """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
 
-    done: called after each step, for who measures what they cost.
+    done: called after each step. effort: of the search for solids. Both are for benches: the odds are fitted with the default effort.
     """
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
@@ -164,7 +170,7 @@ def examine(
             contours = again
     done("second contours")
     image = row_sums(region, area)
-    fits = fit_to(image, region, contour_cost(image, region, contours, area), Effort())
+    fits = fit_to(image, region, contour_cost(image, region, contours, area), effort)
     done("solids")
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
