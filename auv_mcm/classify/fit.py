@@ -78,7 +78,7 @@ class Highlight(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
-    """The best of one class. What follows `refined` is known of the best of all classes alone; of others it is empty, or NaN.
+    """The best of one class. What follows `refined` is known of the best of all classes alone; of others it is empty, or 0.
 
     plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
@@ -97,8 +97,8 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
     second: Optimum | None = None
     sigma: dict[str, float] = msgspec.field(default_factory=dict)
     ends: tuple[tuple[float, float, float], ...] = ()
-    contrast: tuple[float, float] = (math.nan, math.nan)
-    highlight: Highlight = Highlight(model_across_m=math.nan, observed_across_m=math.nan, n_samples=0.0)
+    contrast: tuple[float, float] = (0.0, 0.0)
+    highlight: Highlight = Highlight(model_across_m=0.0, observed_across_m=0.0, n_samples=0.0)
     flags: tuple[str, ...] = ()
 
 
