@@ -70,16 +70,16 @@ class _Forest(NamedTuple):
             np.array([tree.nats for tree in trees]).reshape(-1, 2**DEPTH),
         )
 
-    def answers(self, features: Mapping[str, float]) -> list[float]:
-        """Return what each tree adds. Raises KeyError for a feature that is missing."""
+    def added_to(self, start: float, features: Mapping[str, float]) -> float:
+        """Add what each tree says, one after the other. Raises KeyError for a feature that is missing."""
         values = np.array([features[name] for name in self.names])
         is_above = (values[self.feature] > self.threshold).astype(np.intp)
         tree = np.arange(len(self.nats))
         place = np.zeros(len(self.nats), dtype=np.intp)
         for _ in range(DEPTH):
             place = 2 * place + 1 + is_above[tree, place]
-        answers: list[float] = self.nats[tree, place - (2**DEPTH - 1)].tolist()
-        return answers
+        terms = np.concatenate(([start], self.nats[tree, place - (2**DEPTH - 1)]))
+        return float(np.add.accumulate(terms)[-1])  # in order: numpy's own sum pairs its terms
 
 
 class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True):
@@ -96,10 +96,7 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def log_odds(self, features: Mapping[str, float]) -> float:
         """Add up the log-odds, tree after tree. Raises KeyError for a feature that is missing."""
         total = self.offset + sum(weight * features[name] for name, weight in self.weights.items())
-        if self.trees:
-            for nats in self._forest.answers(features):
-                total += nats
-        return total
+        return self._forest.added_to(total, features) if self.trees else total
 
 
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
