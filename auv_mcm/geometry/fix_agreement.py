@@ -114,7 +114,7 @@ class FixAgreement(Generic[F]):
         believed = self._believed
         if believed is not None and not self._candidates and self._reaches(believed.last, fix):
             self._extend(believed, fix)
-            return Decision((fix,))
+            return FixDecision((fix,))
         candidate = self._nearest_candidate(fix)
         if believed is not None and self._continues(believed, candidate, fix):
             self._extend(believed, fix)
