@@ -8,7 +8,8 @@ Each step costs about ten times the one before it, and a detection whose odds ha
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import msgspec
@@ -19,14 +20,15 @@ from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
-from auv_mcm.classify.fit import ShapeFit, ShapeFits, fit_shapes
-from auv_mcm.classify.likelihood import labels_cost
+from auv_mcm.classify.fit import Effort, ShapeFit, ShapeFits, fit_to
+from auv_mcm.classify.likelihood import labels_cost_of, row_sums
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
+from auv_mcm.kernels.shape import RowSums
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import unpack_snippet
@@ -36,6 +38,9 @@ _POOR_QUALITY: Final = 0.6
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
 _LEAST_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
+ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
+
+_EFFORT: Final = Effort()
 _NONE: Final = np.empty((0, 2))
 _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
@@ -75,9 +80,7 @@ def confirm_detection(detection: Detection, beam_width_rad: float, odds: MineOdd
         return without_confirmation(detection, odds, "geometry_unknown")
     examination = examine(detection, region, odds, config.min_p_mine)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
-    log_ratio = _ratio(
-        "contours" if examination.fits is None else "shape", examination.features | examination.details, examination.contours, odds
-    )
+    log_ratio = evidence_of(examination, odds)
     if examination.fits is not None:
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
@@ -106,6 +109,12 @@ def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
     return odds.log_ratio("detector", detector_features(detection) | detection_details(detection))
 
 
+def evidence_of(examination: Examination, odds: MineOdds) -> float:
+    """Weigh the last step that was taken, in nats for a mine."""
+    step: LookStep = "contours" if examination.fits is None else "shape"
+    return _ratio(step, examination.features | examination.details, examination.contours, odds)
+
+
 def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
     """Compute the evidence in nats; in the shadow of another object there is none for a mine, since nothing can be seen."""
     ratio = odds.log_ratio(step, features)
@@ -127,28 +136,46 @@ def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: 
     )
 
 
-def examine(detection: Detection, region: Region, odds: MineOdds | None, min_p_mine: float) -> Examination:
-    """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None."""
+def examine(
+    detection: Detection,
+    region: Region,
+    odds: MineOdds | None,
+    min_p_mine: float,
+    done: Callable[[ExaminationStep], None] = lambda step: None,
+    effort: Effort = _EFFORT,
+) -> Examination:
+    """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
+
+    done: called after each step. effort: of the search for solids. Both are for benches: the odds are fitted with the default effort.
+    """
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
+    done("survey")
     contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
+    done("first contours")
     before = detector_features(detection)
     first = before | contour_features(contours) | outline_features(contours, region)
     seen = detection_details(detection)
     p_contours = math.nan if odds is None else odds.p_mine(_ratio("contours", first | seen, contours, odds))
+    done("features")
     if p_contours < min_p_mine:
         return Examination(region, contours, None, None, first, first, seen, p_contours)
     segmentation = segment(region)
+    done("field")
     own = labels_near(segmentation.labels, region)
     if own is not None and not isinstance(ground, Contours):
         again = converge_on(ground, start_from_labels(region, own))
         # Whichever start led to the better contours; a criterion that is not a number is no contour.
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
-    fits = fit_shapes(region, contour_cost(region, contours, area), area)
+    done("second contours")
+    image = row_sums(region, area)
+    fits = fit_to(image, region, contour_cost(image, region, contours, area), effort)
+    done("solids")
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
     details = seen | contour_details(contours, region) | solid_details(fits, segmentation.labels, region)
+    done("features")
     return Examination(region, contours, segmentation, fits, first, features, details, p_contours)
 
 
@@ -172,14 +199,17 @@ def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] 
     return np.where(parts == int(counts.argmax()), labels, np.uint8(BACKGROUND)).astype(np.uint8)
 
 
-def contour_cost(region: Region, contours: Contours, correlation_area: float) -> float:
-    """What the free contours cost in nats, with the code length of their nodes, to weigh against what solids cost."""
+def contour_cost(image: RowSums | None, region: Region, contours: Contours, correlation_area: float) -> float:
+    """Weigh the free contours in nats, with the code length of their nodes, to compare with what solids cost.
+
+    image: the region's `likelihood.row_sums`.
+    """
     labels = np.zeros(region.intensity.shape, dtype=np.uint8)
     for nodes, label in ((contours.shadow, SHADOW), (contours.highlight, HIGHLIGHT)):
         labels[contour_mask(nodes, labels.shape)] = label
     n_nodes = len(contours.highlight) + len(contours.shadow)
     n_samples = float(region.valid.sum()) / correlation_area
-    return labels_cost(region, labels, correlation_area) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
+    return labels_cost_of(image, region, labels) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
 
 
 def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.navigation import NavBuffer
+from auv_mcm.geometry.navigation import NavBuffer, slice_pose
 from auv_mcm.geometry.navigation_checks import AltitudeCheck
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack, Transfer
 from auv_mcm.settings.config import Config
@@ -42,7 +42,7 @@ class PingBlock(NamedTuple):
         if (first, stop) == (0, len(self.pings)):
             return self
         rows = slice(first, stop)
-        poses = PoseTrack(**{name: getattr(self.poses, name)[rows] for name in self.poses.__struct_fields__})
+        poses = slice_pose(self.poses, rows)
         return PingBlock(self.pings[rows], poses, self.along_m[rows], self.yaw_rate_rad_s[rows], self.pitch_rate_rad_s[rows])
 
 
@@ -159,9 +159,7 @@ class Intake:
             run = self._next_run(everything=everything)
             if not run:
                 break
-            last_s = run[-1].time_s
-            ready = self._navigation.ready_until_s >= last_s + _RATE_HALF_SPAN_S or self._newest_s >= last_s + self._max_wait_s
-            if not (ready or everything):
+            if not (everything or self._is_ready(run[-1].time_s)):
                 break
             for _ in run:
                 self._pending.popleft()
@@ -169,13 +167,26 @@ class Intake:
             released += self._blocks(run)
         return released
 
+    def _is_ready(self, last_s: float) -> bool:
+        """Check whether navigation around a ping is final, or has been waited for long enough."""
+        if self._newest_s >= last_s + self._max_wait_s:
+            return True
+        final_s = last_s + _RATE_HALF_SPAN_S
+        # Nothing is final beyond the newest sample, which takes less to find out.
+        return self._navigation.span_s[1] >= final_s and self._navigation.ready_until_s >= final_s
+
     def _next_run(self, *, everything: bool) -> list[Ping]:
         """The next block's pings; empty while later pings may still join them, unless `everything` has to go."""
         if self._run or (len(self._pending) < BLOCK_PINGS and not everything):
             return self._run
         run: list[Ping] = []
+        layout: tuple[object, ...] = ()
         for item in self._pending:
-            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS or (run and _layout(item) != _layout(run[0])):
+            if isinstance(item, SegmentEnd) or len(run) == BLOCK_PINGS:
+                break
+            if not run:
+                layout = _layout(item)
+            elif _layout(item) != layout:
                 break
             run.append(item)
         self._run = run
@@ -195,25 +206,27 @@ class Intake:
 
     def _block(self, pings: list[Ping]) -> PingBlock:
         times = np.array([ping.time_s for ping in pings])
-        poses = self._navigation.interpolate(times)
-        unknown = ~(np.isfinite(poses.speed_mps) & (poses.speed_mps >= 0.0))
-        self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
-        poses = structs.replace(poses, speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, poses.speed_mps))
         # Beyond its ends navigation has a heading, but no turning.
         oldest_s, newest_s = self._navigation.span_s
         before_s = np.maximum(times - _RATE_HALF_SPAN_S, oldest_s)
         after_s = np.minimum(times + _RATE_HALF_SPAN_S, newest_s)
         span_s = after_s - before_s
-        before, after = self._navigation.interpolate(before_s), self._navigation.interpolate(after_s)
+        n_pings = len(pings)
+        poses = self._navigation.interpolate(np.concatenate([times, before_s, after_s]))
+        heading_rad, pitch_rad = (angle.reshape(3, n_pings) for angle in (poses.heading_rad, poses.pitch_rad))
+        poses = slice_pose(poses, slice(n_pings))
+        unknown = ~(np.isfinite(poses.speed_mps) & (poses.speed_mps >= 0.0))
+        self._counters["navigation.speed_unknown"] += int(np.count_nonzero(unknown))
+        poses = structs.replace(poses, speed_mps=np.where(unknown, _UNKNOWN_SPEED_MPS, poses.speed_mps))
         self._navigation.forget_before(float(times[-1]) - 2.0 * _RATE_HALF_SPAN_S)
         self._compare_altitude(pings, poses)
         self._counters["navigation.ping_stale"] += int(np.count_nonzero(poses.stale))
         return PingBlock(
             pings,
             poses,
-            np.zeros(len(pings)),
-            _rate(after.heading_rad - before.heading_rad, span_s),
-            _rate(after.pitch_rad - before.pitch_rad, span_s),
+            np.zeros(n_pings),
+            _rate(heading_rad[2] - heading_rad[1], span_s),
+            _rate(pitch_rad[2] - pitch_rad[1], span_s),
         )
 
     def _compare_altitude(self, pings: list[Ping], poses: PoseTrack) -> None:

@@ -12,12 +12,18 @@ say() {
 say "ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
-say "mypy"
-.venv/bin/mypy
-say "pytest, two files at a time"
-.venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 2 --dist loadfile
-say "pytest of the loop in hardware, which needs the computer to itself"
-.venv/bin/python -m pytest tests/hil
+say "mypy, beside the tests"
+types=$(mktemp)
+.venv/bin/mypy >"$types" 2>&1 &
+mypy=$!
+trap 'kill "$mypy" 2>/dev/null || true; rm -f "$types"' EXIT
+say "pytest, three files at a time: two cores, and tests that wait for a port"
+.venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 3 --dist loadfile
+say "pytest of the hardware in the loop, four scenarios at a time: they mostly wait"
+.venv/bin/python -m pytest tests/hil --numprocesses 4 --dist load --maxschedchunk 1
+say "mypy has found"
+wait "$mypy" || { cat "$types"; exit 1; }
+cat "$types"
 say "auv-mcm check"
 .venv/bin/auv-mcm check
 

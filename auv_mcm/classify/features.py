@@ -17,6 +17,7 @@ from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, Region
 from auv_mcm.confirm.snake import Contours
 from auv_mcm.detect.belief import odds_of
+from auv_mcm.kernels.snake_descent import row_intervals
 from auv_mcm.records import Detection
 
 Features: TypeAlias = dict[str, float]
@@ -106,7 +107,7 @@ class _Edges(NamedTuple):
     def of(cls, nodes: NDArray[np.float64], region: Region) -> _Edges:
         if not len(nodes):
             return cls(np.empty(0), np.empty(0), 0.0)
-        rows, near, far = snake_rules.row_intervals(nodes, region.intensity.shape)
+        rows, near, far = row_intervals(nodes, region.intensity.shape)
         near_m, far_m = (side.astype(np.float64) * region.column_spacing_m for side in (near, far))
         return cls(near_m, far_m, float(np.ptp(rows) + 1) * region.row_spacing_m if len(rows) else 0.0)
 

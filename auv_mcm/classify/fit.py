@@ -25,8 +25,8 @@ from auv_mcm.kernels.shape import (
     top_m,
     up_to,
 )
-from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, WalkSpace, costs_at, hypotheses_at, walk_shapes
-from auv_mcm.solids.box_search import Array, Optima, SearchBox, apart, curvature_covariance, look_around
+from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Walk, WalkSpace, costs_at, hypotheses_at, refine_shapes, search_shapes
+from auv_mcm.solids.box_search import Array, Optima, SearchBox, apart, curvature_covariance
 from auv_mcm.solids.shapes import Shape
 
 SOLIDS: Final = tuple(FIELDS)
@@ -78,13 +78,13 @@ class Highlight(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
-    """The best of one class.
+    """The best of one class. What follows `refined` is known of the best of all classes alone; of others it is empty, or 0.
 
+    plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
     sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the resolution, and an
-    altitude that is wrong by 6 %. Empty unless refined and the best of all classes. ends: columns in each slice (n_rows) at which the
-    solid's highlight starts and ends and its shadow ends, 0 where it has none.
-    plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
+    altitude that is wrong by 6 %. Empty unless refined. ends: columns in each slice (n_rows) at which the solid's highlight starts and
+    ends and its shadow ends, 0 where it has none.
     contrast: mean of highlight and of shadow over the floor's, echoes cut off at three times the floor.
     flags: at_bound (a parameter at the end of what is searched), altitude (solids do fit, but for another altitude), buried (by over a
     tenth of its height), cut_off (its shadow or its rows leave the region), weak_highlight (fewer than 6 independent samples).
@@ -92,14 +92,14 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 
     solid: Solid
     best: Optimum
-    second: Optimum | None
-    sigma: dict[str, float]
-    ends: tuple[tuple[float, float, float], ...]
     plausibility: float
-    contrast: tuple[float, float]
-    highlight: Highlight
     refined: bool
-    flags: tuple[str, ...]
+    second: Optimum | None = None
+    sigma: dict[str, float] = msgspec.field(default_factory=dict)
+    ends: tuple[tuple[float, float, float], ...] = ()
+    contrast: tuple[float, float] = (0.0, 0.0)
+    highlight: Highlight = Highlight(model_across_m=0.0, observed_across_m=0.0, n_samples=0.0)
+    flags: tuple[str, ...] = ()
 
 
 class ShapeFits(msgspec.Struct, frozen=True, kw_only=True):
@@ -159,6 +159,7 @@ class _Class(NamedTuple):
 
     chart: WalkSpace
     found: Optima
+    refined: bool = False
 
     @property
     def solid(self) -> Solid:
@@ -172,14 +173,17 @@ class _Class(NamedTuple):
 def fit_shapes(
     region: Region, contour_cost: float | None, correlation_area: float, *, looks: float = 1.0, effort: Effort | None = None
 ) -> ShapeFits:
-    """Best solid of every class in a region.
+    """Find the best solid of every class in a region.
 
     contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost of what it encloses
     plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at least 1. Everything is the same in
     every run. Raises ValueError as row_sums does.
     """
-    effort = Effort() if effort is None else effort
-    image = row_sums(region, correlation_area, looks=looks)
+    return fit_to(row_sums(region, correlation_area, looks=looks), region, contour_cost, Effort() if effort is None else effort)
+
+
+def fit_to(image: RowSums | None, region: Region, contour_cost: float | None, effort: Effort) -> ShapeFits:
+    """Find the best solid of every class in a region whose `likelihood.row_sums` are known; see `fit_shapes`."""
     if image is None:
         return ShapeFits(fits=(), contour_cost=contour_cost, n_hypotheses=0, flags=("no_data",))
     beam = beam_of(region)
@@ -188,19 +192,19 @@ def fit_shapes(
     classes = [entry for entry in classes if entry.found.cost[0] < FORBIDDEN]
     lowest = min((entry.found.cost[0] for entry in classes), default=math.inf)
     clutter = contour_cost is not None and lowest > contour_cost + _CLUTTER
-    fits: list[tuple[ShapeFit, _Class]] = []
+    found: list[_Class] = []
     for entry in classes:
         refined = not clutter and bool(entry.found.cost[0] < lowest + _HOPELESS)
         final = _refine(entry, image, beam, effort) if refined else entry
         n_tried += effort.n_fine_walks * effort.n_fine_steps * effort.n_fine_tries if refined else 0
         if final.found.cost[0] < FORBIDDEN:
-            fits.append((_fit(final, region, image, beam if refined else PENCIL, refined), final))
-    fits.sort(key=lambda found: found[0].best.cost)
-    told = [fit for fit, _ in fits]
-    if told and told[0].refined:
-        told[0] = msgspec.structs.replace(told[0], sigma=_sigma(fits[0][1], beam, region, image))
+            found.append(final)
+    found.sort(key=lambda entry: float(entry.found.cost[0]))
+    fits = [_fit(entry, region, image) for entry in found]
+    if fits:
+        fits[0] = _look_closely(fits[0], found[0], region, image, beam)
     flags = ("clutter",) if clutter else ()
-    return ShapeFits(fits=tuple(told), contour_cost=contour_cost, n_hypotheses=n_tried, flags=flags)
+    return ShapeFits(fits=tuple(fits), contour_cost=contour_cost, n_hypotheses=n_tried, flags=flags)
 
 
 def plausibility(solid: Solid, sizes: Array) -> float:
@@ -226,25 +230,34 @@ def _look(solid: Solid, region: Region, image: RowSums, effort: Effort) -> _Clas
     box = SearchBox(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
     burial_sigma = math.inf if solid == "truncated_cone" else _BURIAL_SIGMA
     chart = WalkSpace(solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image))
-    starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), box, effort.n_starts, effort.n_walks)
-    return _Class(chart, walk_shapes(chart, image, PENCIL, starts, effort.n_steps, effort.n_tries, first_stride=3.0))
+    walk = Walk(effort.n_walks, effort.n_steps, effort.n_tries, first_stride=3.0)
+    return _Class(chart, search_shapes(chart, image, PENCIL, effort.n_starts, walk))
 
 
 def _refine(entry: _Class, image: RowSums, beam: Beam, effort: Effort) -> _Class:
-    starts = apart(entry.found, entry.box, effort.n_fine_walks)
-    if beam.share.size > 1:
-        starts = Optima(starts.unit, costs_at(entry.chart, entry.box.points(starts.unit), image, beam))
-    return entry._replace(found=walk_shapes(entry.chart, image, beam, starts, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2))
+    walk = Walk(effort.n_fine_walks, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2)
+    return entry._replace(found=refine_shapes(entry.chart, image, beam, entry.found, walk), refined=True)
 
 
-def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: bool) -> ShapeFit:
+def _fit(entry: _Class, region: Region, image: RowSums) -> ShapeFit:
+    point = entry.box.points(entry.found.unit[:1])
+    return ShapeFit(
+        solid=entry.solid,
+        best=_optimum(entry.solid, hypotheses_of(entry.solid, point)[0], float(entry.found.cost[0]), region, image),
+        plausibility=plausibility(entry.solid, point[0, 2:]),
+        refined=entry.refined,
+    )
+
+
+def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: RowSums, beam: Beam) -> ShapeFit:
+    """Add what is known of the best of all classes alone."""
     found = apart(entry.found, entry.box, 2)
     points = entry.box.points(found.unit)
     hypotheses = hypotheses_of(entry.solid, points)
-    optima = [_optimum(entry.solid, row, cost, region, image) for row, cost in zip(hypotheses, found.cost.tolist(), strict=True)]
-    best = optima[0]
-    second = optima[1] if len(optima) > 1 and found.cost[1] < FORBIDDEN else None
-    mean = shape_costs(entry.solid, hypotheses[:1], image, beam).mean[0]
+    second = None
+    if len(found.cost) > 1 and found.cost[1] < FORBIDDEN:
+        second = _optimum(entry.solid, hypotheses[1], float(found.cost[1]), region, image)
+    mean = shape_costs(entry.solid, hypotheses[:1], image, beam if entry.refined else PENCIL).mean[0]
     ends = intervals(entry.solid, hypotheses[:1], image, PENCIL)[0, :, 0]
     highlight = _highlight(ends, mean, image)
     at_end = (np.abs(found.unit[0] - np.rint(found.unit[0])) < 0.01) & ~entry.box.wraps
@@ -256,21 +269,18 @@ def _fit(entry: _Class, region: Region, image: RowSums, beam: Beam, refined: boo
     last = image.echoes.shape[1] - 1
     flags = {
         "at_bound": bool(at_end.any()),
-        "altitude": abs(best.altitude_ratio - 1.0) > _ALTITUDE_SIGMA,
+        "altitude": abs(fit.best.altitude_ratio - 1.0) > _ALTITUDE_SIGMA,
         "buried": entry.solid != "truncated_cone" and points[0, -1] > (0.2 if entry.solid in ("sphere", "cylinder") else 0.1),
         "cut_off": rows.size == 0 or rows[0] == 0 or rows[-1] == len(ends) - 1 or bool(ends[:, 2].max() >= last),
         "weak_highlight": highlight.n_samples < _LEAST_HIGHLIGHT,
     }
-    return ShapeFit(
-        solid=entry.solid,
-        best=best,
+    return msgspec.structs.replace(
+        fit,
         second=second,
-        sigma={},
+        sigma=_sigma(entry, beam, region, image) if entry.refined else {},
         ends=tuple(map(tuple, ends.tolist())),
-        plausibility=plausibility(entry.solid, points[0, 2:]),
         contrast=(float(mean[0] / mean[2]), float(mean[1] / mean[2])),
         highlight=highlight,
-        refined=refined,
         flags=tuple(name for name, raised in flags.items() if raised),
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
+from auv_mcm.kernels.order import median
 from auv_mcm.kernels.shape import LEAST_MEAN, PENCIL, Array, Beam, RowSums
 
 _CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is as strong
@@ -38,10 +39,10 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
     counted = counted_pixels(region)
     if not (region.intensity[counted] > 0.0).any():
         return None
-    floor = float(np.median(region.intensity[counted])) * (1.0 - 1.0 / (9.0 * looks)) ** -3.0
+    floor = median(region.intensity[counted]) * (1.0 - 1.0 / (9.0 * looks)) ** -3.0
     if floor == 0.0:
         positive = region.intensity[counted]
-        floor = float(np.median(positive[positive > 0.0]))
+        floor = median(positive[positive > 0.0])
     # The quotient of a spike and a faint floor has no number: cut first.
     capped = np.minimum(np.where(counted, region.intensity, 0.0), _CAP * floor)
     intensity = np.minimum(capped / floor, _CAP)
@@ -63,12 +64,16 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
 
 
 def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: float, *, looks: float = 1.0) -> float:
-    """What labels of pixels explain, in nats against a floor without an object like the costs of solids; 0 if nothing was measured.
+    """Weigh what labels of pixels explain, in nats against a floor without an object like the costs of solids; 0 if nothing was measured.
 
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added, this is what a free
     contour costs. Raises ValueError as row_sums does, and for labels of another shape.
     """
-    image = row_sums(region, correlation_area, looks=looks)
+    return labels_cost_of(row_sums(region, correlation_area, looks=looks), region, labels)
+
+
+def labels_cost_of(image: RowSums | None, region: Region, labels: NDArray[np.uint8]) -> float:
+    """Weigh labels in a region whose `row_sums` are known; see `labels_cost`."""
     if labels.shape != region.intensity.shape:
         raise ValueError(f"labels must have the region's shape {region.intensity.shape}, not {labels.shape}")
     if image is None:
@@ -76,8 +81,10 @@ def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: flo
     if region.squint_rad != 0.0:
         labels = _deskewed(region, labels)
     cost = 0.0
+    per_pixel = [np.diff(sums, axis=1) for sums in (image.counts, image.echoes)]
     for label in (BACKGROUND, SHADOW, HIGHLIGHT):
-        count, total = (float(np.diff(sums, axis=1)[labels == label].sum()) for sums in (image.counts, image.echoes))
+        is_label = labels == label
+        count, total = (float(each[is_label].sum()) for each in per_pixel)
         if count > 0.0:
             mean = max(total / count, LEAST_MEAN)
             cost += count * math.log(mean) + total / mean - count

@@ -8,13 +8,15 @@ log-likelihood ratio that several views may add up. How rare mines are is put ba
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
@@ -49,23 +51,52 @@ class Tree(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     nats: _Leaves
 
 
-class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class _Forest(NamedTuple):
+    """Trees as arrays: feature (n_trees, 7) intp into names, threshold (n_trees, 7) and nats (n_trees, 8) float64."""
+
+    names: tuple[str, ...]
+    feature: NDArray[np.intp]
+    threshold: Array
+    nats: Array
+
+    @classmethod
+    def of(cls, trees: Sequence[Tree]) -> _Forest:
+        names = tuple(dict.fromkeys(name for tree in trees for name, _ in tree.ask))
+        place = {name: k for k, name in enumerate(names)}
+        return cls(
+            names,
+            np.array([[place[name] for name, _ in tree.ask] for tree in trees], dtype=np.intp).reshape(-1, 2**DEPTH - 1),
+            np.array([[threshold for _, threshold in tree.ask] for tree in trees]).reshape(-1, 2**DEPTH - 1),
+            np.array([tree.nats for tree in trees]).reshape(-1, 2**DEPTH),
+        )
+
+    def added_to(self, start: float, features: Mapping[str, float]) -> float:
+        """Add what each tree says, one after the other. Raises KeyError for a feature that is missing."""
+        values = np.array([features[name] for name in self.names])
+        is_above = (values[self.feature] > self.threshold).astype(np.intp)
+        tree = np.arange(len(self.nats))
+        place = np.zeros(len(self.nats), dtype=np.intp)
+        for _ in range(DEPTH):
+            place = 2 * place + 1 + is_above[tree, place]
+        terms = np.concatenate(([start], self.nats[tree, place - (2**DEPTH - 1)]))
+        return float(np.add.accumulate(terms)[-1])  # in order: numpy's own sum pairs its terms
+
+
+class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True):
     """log-odds = offset + sum of weight * feature + what each tree adds. A NaN is above no threshold."""
 
     offset: _Weight
     weights: dict[str, _Weight]
     trees: tuple[Tree, ...] = ()
 
+    @functools.cached_property
+    def _forest(self) -> _Forest:
+        return _Forest.of(self.trees)
+
     def log_odds(self, features: Mapping[str, float]) -> float:
-        """Raises KeyError for a feature that is missing."""
+        """Add up the log-odds, tree after tree. Raises KeyError for a feature that is missing."""
         total = self.offset + sum(weight * features[name] for name, weight in self.weights.items())
-        for tree in self.trees:
-            place = 0
-            for _ in range(DEPTH):
-                name, threshold = tree.ask[place]
-                place = 2 * place + (2 if features[name] > threshold else 1)
-            total += tree.nats[place - len(tree.ask)]
-        return total
+        return self._forest.added_to(total, features) if self.trees else total
 
 
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

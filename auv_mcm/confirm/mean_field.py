@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.likelihoods import BackgroundLaw, background_cost, gamma_cost
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
+from auv_mcm.kernels.mean_field import softmin, sweep
 
 Plane = NDArray[np.float64]
 
@@ -85,11 +86,10 @@ def fit_means(
     labels (n_rows, n_columns). A class with hardly any samples keeps its start.
     """
     means = start
-    probability = _softmin(data_costs(intensity, information, means, law))
+    probability = softmin(data_costs(intensity, information, means, law))
     for number_of_round in range(_ROUNDS):
         cost = data_costs(intensity, information, means, law) + prior(probability.argmax(axis=0).astype(np.uint8))
-        for _ in range(_SWEEPS):
-            probability = _softmin(cost - _heard(probability, weight))
+        probability = sweep(cost, weight, _SWEEPS, probability)
         share = probability * samples
         if number_of_round < _ROUNDS - 1:
             # A few hundredths of every cell of sea floor would outweigh a small shadow and draw its mean to theirs, round by round.
@@ -113,20 +113,3 @@ def fit_means(
 
 def _within(level: float, limits: tuple[float, float], background: float) -> float:
     return min(max(level, limits[0] * background), limits[1] * background)
-
-
-def _heard(probability: Plane, weight: Plane) -> Plane:
-    """Weighted sum of the probabilities of the eight neighbours; both diagonals count alike."""
-    beside = np.zeros_like(probability)
-    beside[:, :, 1:] += probability[:, :, :-1]
-    beside[:, :, :-1] += probability[:, :, 1:]
-    across = weight[2] * probability + weight[3] * beside
-    heard: Plane = weight[0] * beside
-    heard[:, 1:] += across[:, :-1]
-    heard[:, :-1] += across[:, 1:]
-    return heard
-
-
-def _softmin(cost: Plane) -> Plane:
-    probability = np.exp(cost.min(axis=0) - cost)
-    return np.asarray(probability / probability.sum(axis=0))

@@ -23,6 +23,7 @@ from auv_mcm.confirm.mean_field import SPIKE, ClassMeans, data_costs, fit_means,
 from auv_mcm.confirm.mrf_priors import pair_costs, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
+from auv_mcm.kernels.order import median
 from auv_mcm.kernels.soft_edges import point_spread, smeared, soft_edges
 from auv_mcm.kernels.trws import trws
 
@@ -134,7 +135,7 @@ def segment(
         labels = minimum.labels
     assert minimum is not None
     labels = without_odd_clusters(labels, region.row_spacing_m * factors[0], region.column_spacing_m * factors[1])
-    labels = np.kron(labels, np.ones(factors, dtype=np.uint8))[: usable.shape[0], : usable.shape[1]]
+    labels = labels.repeat(factors[0], axis=0).repeat(factors[1], axis=1)[: usable.shape[0], : usable.shape[1]]
     level = _core_means(labels, intensity, usable, means, correlation)
     labels = soft_edges(
         np.minimum(intensity, SPIKE * level.max()),
@@ -184,7 +185,7 @@ def _sea_floor_level(intensity: Plane, usable: NDArray[np.bool_]) -> float | Non
     if number < max(_LEAST_CELLS, _LEAST_USABLE * usable.size) or min(usable.shape) < 3:
         return None
     values = intensity[usable]
-    level = float(np.median(values)) / math.log(2.0)
+    level = median(values) / math.log(2.0)
     if level <= 0.0:
         peak = float(values.max())
         level = peak * float((values / peak).mean()) if peak > 0.0 else 0.0

@@ -12,7 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, Region
+from auv_mcm.kernels.pair_costs import Lack
+from auv_mcm.kernels.pair_costs import pair_costs as weigh_pairs
 
 Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
@@ -28,33 +30,27 @@ _CLUSTER_EXTENT_M: Final = 3.5
 
 
 def pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plane:
-    """Cost, nats, of each label of each cell given where highlights and shadows were: (3, n_rows, n_columns) float64.
+    """Weigh each label of each cell, in nats, given where highlights and shadows were: (3, n_rows, n_columns) float64.
 
     labels: (n_rows, n_columns) uint8 of cells of `factors` pixels of the region. Looks along the line of sight, one row to either
     side: behind a highlight for the near end of a shadow, before a shadow as far as the shadow of the highest object reaches.
+    By degrees, not by yes or no: behind any cell there is a dark speck somewhere.
     """
     n_rows, n_columns = labels.shape
     row_m, column_m = region.row_spacing_m * factors[0], region.column_spacing_m * factors[1]
     range_m = region.first_ground_range_m + (np.arange(n_columns) + 0.5) * column_m
     clearance_m = max(region.altitude_m - _HIGHEST_M, 0.1 * _HIGHEST_M)
     # A region's masked border may lie beyond the track.
-    reach = np.clip((_HIGHEST_M * range_m / clearance_m + _REACH_MARGIN_M) / column_m, 0, n_columns).astype(np.intp)
-    columns = np.arange(n_columns)
+    reach = np.clip((_HIGHEST_M * range_m / clearance_m + _REACH_MARGIN_M) / column_m, 0, n_columns).astype(np.int64)
     slope = math.tan(region.squint_rad) * column_m / row_m  # rows per column the line of sight moves ahead
-
-    shadow = _row_sums(_sheared(labels == SHADOW, slope))
-    attached = max(1, round(_ATTACHED_M / column_m))
-    behind = shadow[:, np.minimum(columns + 1 + attached, n_columns)] - shadow[:, columns + 1]
-    highlight = _row_sums(_sheared(labels == HIGHLIGHT, slope))
-    before = highlight[:, columns] - highlight[:, np.maximum(columns - reach, 0)]
-    n_shadow, n_highlight = (_unsheared(_three_rows(plane), slope, n_rows) for plane in (behind, before))
-
-    cost = np.zeros((3, n_rows, n_columns))
-    # By degrees, not by yes or no: behind any cell there is a dark speck somewhere.
-    support = np.minimum(1.0, n_shadow * (row_m * column_m / _WITNESS_M**2))
-    cost[HIGHLIGHT] = _UNSUPPORTED * (1.0 - support)
-    cost[SHADOW] = _ORPHAN * (1.0 - np.minimum(1.0, n_highlight * (row_m * column_m / _CLUSTER_AREA_M2[0])))
-    return cost
+    cost = weigh_pairs(
+        _sheared(labels, slope),
+        reach,
+        max(1, round(_ATTACHED_M / column_m)),
+        highlight=Lack(_UNSUPPORTED, row_m * column_m / _WITNESS_M**2),
+        shadow=Lack(_ORPHAN, row_m * column_m / _CLUSTER_AREA_M2[0]),
+    )
+    return cost if slope == 0.0 else np.array([_unsheared(plane, slope, n_rows) for plane in cost])
 
 
 def without_odd_clusters(labels: Labels, row_m: float, column_m: float) -> Labels:
@@ -72,40 +68,24 @@ def without_odd_clusters(labels: Labels, row_m: float, column_m: float) -> Label
     return np.where(odd[cluster], np.uint8(BACKGROUND), labels)
 
 
-def _row_sums(mask: NDArray[np.bool_]) -> Plane:
-    """Sums of the first 0, 1, ... n_columns of each row."""
-    sums = np.zeros((mask.shape[0], mask.shape[1] + 1))
-    np.cumsum(mask, axis=1, out=sums[:, 1:])
-    return sums
-
-
-def _three_rows(plane: Plane) -> Plane:
-    total = plane.copy()
-    total[1:] += plane[:-1]
-    total[:-1] += plane[1:]
-    return total
-
-
 def _shift(n_columns: int, slope: float) -> NDArray[np.intp]:
     shift = np.rint(slope * np.arange(n_columns)).astype(np.intp)
     return np.asarray(shift - shift.min())
 
 
-def _sheared(mask: NDArray[np.bool_], slope: float) -> NDArray[np.bool_]:
-    """Rows along the line of sight: column c moved back by slope * c rows, on as many rows as that takes."""
+def _sheared(labels: Labels, slope: float) -> Labels:
+    """Lay rows along the line of sight: column c moved back by slope * c rows, on as many rows as that takes."""
     if slope == 0.0:
-        return mask
-    shift = _shift(mask.shape[1], slope)
+        return labels
+    shift = _shift(labels.shape[1], slope)
     most = int(shift.max(initial=0))
-    sheared = np.zeros((mask.shape[0] + most, mask.shape[1]), dtype=np.bool_)
-    row = np.arange(mask.shape[0])[:, None] + (most - shift)
-    sheared[row, np.arange(mask.shape[1])] = mask
+    sheared = np.full((labels.shape[0] + most, labels.shape[1]), BACKGROUND, dtype=np.uint8)
+    row = np.arange(labels.shape[0])[:, None] + (most - shift)
+    sheared[row, np.arange(labels.shape[1])] = labels
     return sheared
 
 
 def _unsheared(plane: Plane, slope: float, n_rows: int) -> Plane:
-    if slope == 0.0:
-        return plane
     shift = _shift(plane.shape[1], slope)
     row = np.arange(n_rows)[:, None] + (int(shift.max(initial=0)) - shift)
     return np.asarray(plane[row, np.arange(plane.shape[1])])

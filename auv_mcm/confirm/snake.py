@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.order import quantile
+from auv_mcm.kernels.snake_descent import LEAST_SIDE_PX, Course, Schedule, box, descend, is_measured
+from auv_mcm.kernels.snake_elsewhere import evidences
 from auv_mcm.kernels.snake_twin import Moved, Settings
 
 Nodes = NDArray[np.float64]
-Schedule = tuple[tuple[int, float, int], ...]
 
 COARSE: Final[Schedule] = ((4, 8.0, 20), (4, 3.0, 20))
 FINE: Final[Schedule] = ((8, 3.0, 20), (8, 1.0, 20), (16, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))
 """(nodes, pixels a move goes, sweeps at most) per stage; 0 pixels is pruning. See `kernels.snake.move_pair`."""
 
 _POLISH: Final[Schedule] = ((0, 1.0, 10), (0, 0.0, 1))
-_NO_MOVES: Final[Schedule] = ()
 _NONE: Final = np.empty((0, 2))
 _MIN_AREA_PX: Final = 9.0
-_LEAST_SIDE_PX: Final = 4.0
 _NODES_PER_PX: Final = 16.0  # coarse enough that the kernel need not round what it returned before
 _FAINTEST: Final = 1e-6
 _DIMMEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.5, 0.5  # times the region's mean
@@ -129,7 +129,7 @@ def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: N
     low, high = _intervals(np.repeat(nears, len(widths)), np.add.outer(nears, widths).ravel(), n_columns)
     rows, columns = np.minimum(bottom, n_rows)[:, None], np.minimum(high, n_columns)
     total, count = (sums[rows, columns] - sums[top[:, None], columns] - sums[rows, low] + sums[top[:, None], low]).transpose(2, 0, 1)
-    row, column = divmod(int(snake_rules.evidences(which, total, count).argmax()), len(low))
+    row, column = divmod(int(evidences(which, total, count).argmax()), len(low))
     return _box(top[row], low[column], bottom[row], high[column], region)
 
 
@@ -146,8 +146,8 @@ def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
         if len(rows) == 0:
             boxes.append(_NONE)
             continue
-        top, bottom = np.quantile(rows, (0.05, 0.95)).tolist()
-        near, far = np.quantile(columns, (0.05, 0.95)).tolist()
+        columns = np.sort(columns)  # rows rise as they are
+        top, bottom, near, far = (quantile(places, share) for places in (rows, columns) for share in (0.05, 0.95))
         boxes.append(_box(top, near, bottom + 1.0, far + 1.0, region))
     return Start(*boxes)
 
@@ -167,7 +167,7 @@ def survey(region: Region, correlation_px: float) -> RegionContext | Contours:
     """What contours in a region share wherever they start, or those of nothing where nothing can be said. Raises as converge does."""
     if not 1.0 <= correlation_px < math.inf:
         raise ValueError(f"correlation_px must be a finite area of at least one pixel, not {correlation_px}")
-    if min(region.intensity.shape) < 2 * _LEAST_SIDE_PX:
+    if min(region.intensity.shape) < 2 * LEAST_SIDE_PX:
         return _nothing(("region_too_small",))
     try:
         require_sound(region)
@@ -185,39 +185,13 @@ def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARS
     region, sums, settings, boxes, spot = ground
     parts, replaced = _usable_start(region, sums.table, settings, start, boxes)
     reasons = ("start_replaced",) if replaced else ()
-    highlight, shadow = (nodes if snake_rules.is_measured(sums.table, nodes) else _NONE for nodes in parts)
+    highlight, shadow = (nodes if is_measured(sums.table, nodes) else _NONE for nodes in parts)
     if len(highlight) + len(shadow) == 0:
         return _nothing((*reasons, "not_measured"))
-    moved, n_moves = _descend(region, sums.table, settings, Start(highlight, shadow), coarse, fine)
+    strip_px = max(_STRIP_M / region.column_spacing_m, LEAST_SIDE_PX)
+    moved, n_moves = descend(sums.table, settings, Course(coarse, fine, _POLISH), highlight, shadow, strip_px)
     findings = snake_rules.find(region, sums.table, settings, moved, spot)
     return _judged(region, sums, findings, moved, n_moves, reasons)
-
-
-def _descend(
-    region: Region, table: NDArray[np.float64], settings: Settings, start: Start, coarse: Schedule, fine: Schedule
-) -> tuple[Moved, int]:
-    """The best pair from the start, and the number of moves on the way to it."""
-
-    def run(schedule: Schedule, highlight: Nodes, shadow: Nodes) -> Moved:
-        return snake.move_pair(table, settings, np.array(schedule, dtype=np.float64).reshape(-1, 3), highlight, shadow)
-
-    best = run(coarse, start.highlight, start.shadow)
-    n_moves = best.n_moves
-    if len(start.shadow):
-        # The detector may take a glint elsewhere for the highlight, which then keeps the shadow from where it is.
-        alone = run(coarse, _NONE, start.shadow)
-        strip = _in_front(region, alone.shadow)
-        if snake_rules.is_measured(table, strip):
-            other = run(coarse[-1:], strip, alone.shadow)
-            if other.criterion < best.criterion:
-                best, n_moves = other, alone.n_moves + other.n_moves
-    best = run(fine, best.highlight, best.shadow)
-    n_moves += best.n_moves
-    if len(best.highlight) and len(best.shadow):
-        for lone in (run(_POLISH, _NONE, best.shadow), run(_NO_MOVES, best.highlight, _NONE)):
-            if lone.criterion < best.criterion:
-                best, n_moves = lone, n_moves + lone.n_moves
-    return best, n_moves
 
 
 def _judged(
@@ -227,7 +201,7 @@ def _judged(
         notes = (*notes, "no_highlight")
     if len(moved.shadow) == 0:
         notes = (*notes, "no_shadow")
-    if not any(snake_rules.is_measured(sums.table, nodes) for nodes in (moved.highlight, moved.shadow)):
+    if not any(is_measured(sums.table, nodes) for nodes in (moved.highlight, moved.shadow)):
         notes = (*notes, "not_measured")
     reasons = (*notes, *snake_rules.broken(findings))
     pixel_m2 = region.row_spacing_m * region.column_spacing_m
@@ -336,35 +310,16 @@ def _box_around(region: Region, nodes: Nodes) -> Nodes | None:
 
 def _area(nodes: Nodes) -> float:
     """Signed area in pixels, positive for nodes running down the far side."""
-    after = np.roll(nodes, -1, axis=0)
+    after = np.concatenate((nodes[1:], nodes[:1]))
     return 0.5 * float((nodes[:, 1] * after[:, 0] - nodes[:, 0] * after[:, 1]).sum())
 
 
 def _box(top: float, near: float, bottom: float, far: float, region: Region) -> Nodes:
-    """A box in whole pixels within the region, at least _LEAST_SIDE_PX each way."""
-    n_rows, n_columns = region.intensity.shape
-    top, bottom = _interval(top, bottom, n_rows)
-    near, far = _interval(near, far, n_columns)
-    return np.array([(top, near), (top, far), (bottom, far), (bottom, near)])
-
-
-def _interval(low: float, high: float, size: int) -> tuple[float, float]:
-    low, high = float(round(min(max(low, 0.0), size))), float(round(min(max(high, 0.0), size)))
-    low = max(0.0, min(low, size - _LEAST_SIDE_PX))
-    return low, max(high, low + _LEAST_SIDE_PX)
+    return box(top, near, bottom, far, *region.intensity.shape)
 
 
 def _intervals(low: Nodes, high: Nodes, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """_interval for many ends, flat."""
     low, high = (np.rint(np.clip(end.ravel(), 0.0, size)) for end in (low, high))
-    low = np.maximum(np.minimum(low, size - _LEAST_SIDE_PX), 0.0)
-    return low.astype(np.intp), np.maximum(high, low + _LEAST_SIDE_PX).astype(np.intp)
-
-
-def _in_front(region: Region, shadow: Nodes) -> Nodes:
-    """A strip on the near side of a shadow; none where the region begins."""
-    near = math.floor(float(np.median(np.sort(shadow[:, 1])[: max(len(shadow) // 2, 1)])))
-    width = max(_STRIP_M / region.column_spacing_m, _LEAST_SIDE_PX)
-    if near < _LEAST_SIDE_PX:
-        return _NONE
-    return _box(float(shadow[:, 0].min()), near - width, float(shadow[:, 0].max()), near, region)
+    low = np.maximum(np.minimum(low, size - LEAST_SIDE_PX), 0.0)
+    return low.astype(np.intp), np.maximum(high, low + LEAST_SIDE_PX).astype(np.intp)

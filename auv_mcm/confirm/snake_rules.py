@@ -12,21 +12,22 @@ which cannot expand, are anything special there.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
-from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.order import median
+from auv_mcm.kernels.snake_descent import row_intervals
+from auv_mcm.kernels.snake_elsewhere import elsewhere
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
 
 Nodes = NDArray[np.float64]
 
-_ROW_STEP, _COLUMN_STEP = 2, 4  # pixels between the places where contours are tried again
 BORDER_PX: Final = 2.0
-_LEAST_ROWS: Final = 3
 _DARKEST: Final = 0.01  # times the mean of the window
 
 # What objects keep to, on simulated missions over rippled sand, seagrass and bare floor with seeds kept apart for it.
@@ -90,7 +91,7 @@ class Findings(NamedTuple):
     along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track extent.
     shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and greatest of the heights that
     the rows of the shadow imply. flank: mean beside the shadow along track. front: mean before the pair across track. repetition, common:
-    see `elsewhere`. spot: of the detection.
+    see `kernels.snake_elsewhere`. spot: of the detection.
     """
 
     gain: float
@@ -132,7 +133,7 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
         highlight_depth_m=highlight.area / highlight.rows * region.column_spacing_m if len(moved.highlight) else math.nan,
         shadow_m2=shadow.area * pixel_m2,
         largest_shadow_m2=_largest_shadow_m2(region),
-        height_m=float(np.median(heights_m)),
+        height_m=median(heights_m),
         peak_height_m=float(heights_m.max()),
         flank=_flank(table, moved.shadow) if len(moved.shadow) else math.nan,
         front=_front(region, table, moved),
@@ -223,7 +224,7 @@ def border_fraction(nodes: Nodes, shape: tuple[int, ...]) -> float:
     """Fraction of a contour's length within BORDER_PX of the window's edge."""
     lowest, highest = np.full(2, BORDER_PX), np.array(shape, dtype=np.float64) - BORDER_PX
     total = near = 0.0
-    for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
+    for a, b in zip(nodes, np.concatenate((nodes[1:], nodes[:1])), strict=True):
         length = float(np.hypot(*(b - a)))
         total += length
         near += length * (1.0 - _inner_fraction(a, b, lowest, highest))
@@ -243,13 +244,6 @@ def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
     return max(stop - start, 0.0)
 
 
-def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Rows a polygon reaches, and its columns [near, far) in each; three (n,) int64."""
-    near, far = snake.sides(nodes, shape[0], shape[1])
-    rows = np.flatnonzero((near >= 0) & (far > near))
-    return rows, near[rows], far[rows]
-
-
 def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Pixels of a region of this shape (n_rows, n_columns) inside a contour (n, 2); none for no nodes."""
     inside = np.zeros(shape, dtype=np.bool_)
@@ -257,13 +251,6 @@ def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     column = np.arange(shape[1])
     inside[rows] = (column >= near[:, None]) & (column < far[:, None])
     return inside
-
-
-def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
-    """Whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are fewer."""
-    rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))
-    n_measured = int((table[rows, far, 1] - table[rows, near, 1] >= 1.0).sum())
-    return n_measured >= max(min(_LEAST_ROWS, len(rows)), 1)
 
 
 def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:
@@ -318,51 +305,3 @@ def _mean(table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.
     inside = (rows >= 0) & (rows < table.shape[0])
     total, count = (table[rows[inside], far[inside]] - table[rows[inside], near[inside]]).sum(axis=0).tolist()
     return float(total / count) if count >= 1.0 else 1.0
-
-
-def elsewhere(table: NDArray[np.float64], polygons: Sequence[tuple[int, Nodes]]) -> tuple[float, float]:
-    """Evidence that the same polygons, shifted clear of themselves, find in the window, over that in place: the best, and what one
-    shift in twenty exceeds. 0 where there is no room to shift, infinite where there is no evidence in place.
-
-    polygons: HIGHLIGHT or SHADOW with (n, 2) nodes, (0, 2) for none."""
-    n_rows, n_columns = table.shape[0], table.shape[1] - 1
-    here = 0.0
-    shifts = _shifts(np.concatenate([nodes for _, nodes in polygons]), n_rows, n_columns)
-    there = np.zeros(len(shifts))
-    for which, nodes in polygons:
-        if len(nodes) == 0:
-            continue
-        rows, near, far = row_intervals(nodes, (n_rows, n_columns))
-        here += evidence(which, *(table[rows, far] - table[rows, near]).sum(axis=0).tolist())
-        there += evidences(which, *snake.shifted_sums(table, rows, near, far, shifts).T)
-    if here <= 0.0:
-        return math.inf, math.inf
-    if len(there) == 0:
-        return 0.0, 0.0
-    return float(there.max()) / here, float(np.quantile(there, 0.95)) / here
-
-
-def _shifts(nodes: Nodes, n_rows: int, n_columns: int) -> NDArray[np.int64]:
-    """Shifts (row, column) that keep all nodes in the window and clear of where they are, (n, 2) int64."""
-    (top, near), (bottom, far) = np.floor(nodes.min(axis=0)), np.ceil(nodes.max(axis=0))
-    rows = np.arange(-int(top), n_rows - int(bottom) + 1, _ROW_STEP)
-    columns = np.arange(-int(near), n_columns - int(far) + 1, _COLUMN_STEP)
-    row, column = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
-    clear = (np.abs(row) >= bottom - top) | (np.abs(column) >= far - near)
-    return np.stack([row[clear], column[clear]], axis=1)
-
-
-def evidence(which: int, total: float, count: float) -> float:
-    """N (m - 1 - ln m) for a region of `count` pixels of mean m over the window's; 0 on the wrong side of 1."""
-    if count < 1.0:
-        return 0.0
-    mean = max(total / count, 1e-6)
-    right = mean > 1.0 if which == HIGHLIGHT else mean < 1.0
-    return count * (mean - 1.0 - math.log(mean)) if right else 0.0
-
-
-def evidences(which: int, total: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """evidence for many regions at once; three arrays of one shape."""
-    mean = np.maximum(total / np.maximum(count, 1.0), 1e-6)
-    right = (mean > 1.0) if which == HIGHLIGHT else (mean < 1.0)
-    return np.where(right, count * (mean - 1.0 - np.log(mean)), 0.0)

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.speckle import half_differences
+from auv_mcm.kernels.speckle import half_differences, half_differences_in
 
 Plane = NDArray[np.float64]
 
@@ -63,12 +63,17 @@ def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
     of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be measured.
     """
     rows, columns = (np.linspace(0, size, _PARTS + 1).astype(int).tolist() for size in intensity.shape)
-    areas = sorted(
-        math.prod(measure_correlation(np.ascontiguousarray(intensity[part]), np.ascontiguousarray(usable[part])))
-        for part in ((slice(top, bottom), slice(near, far)) for top, bottom in pairwise(rows) for near, far in pairwise(columns))
-        if usable[part].size and usable[part].mean() > _MOSTLY_USABLE
-    )
-    return areas[min(1, len(areas) - 1)] if areas else 1.0
+    boxes = [
+        (top, near, bottom, far)
+        for top, bottom in pairwise(rows)
+        for near, far in pairwise(columns)
+        if np.count_nonzero(usable[top:bottom, near:far]) > _MOSTLY_USABLE * ((bottom - top) * (far - near))
+    ]
+    if not boxes:
+        return 1.0
+    halves = half_differences_in(np.minimum(intensity, _CLIP), usable, boxes, (*_NEAR_LAGS, *_PLATEAU_LAGS), _LEAST_PAIRS)
+    areas = sorted(math.prod(_grain(along) for along in part) for part in halves.tolist())
+    return areas[min(1, len(areas) - 1)]
 
 
 def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
@@ -86,13 +91,17 @@ def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int
     plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64; the last blocks
     may reach over the edge.
     """
-    rows, columns = factors
-    short_rows, short_columns = -plane.shape[0] % rows, -plane.shape[1] % columns
-    padding = ((0, short_rows), (0, short_columns))
-    shape = ((plane.shape[0] + short_rows) // rows, rows, (plane.shape[1] + short_columns) // columns, columns)
-    number = np.pad(usable.astype(np.float64), padding).reshape(shape).sum(axis=(1, 3))
-    total = np.pad(np.where(usable, plane, 0.0), padding).reshape(shape).sum(axis=(1, 3))
-    return np.where(number > 0.0, total / np.maximum(number, 1.0), 1.0), number / (rows * columns)
+    number = _block_sums(usable.astype(np.float64), factors)
+    total = _block_sums(np.where(usable, plane, 0.0), factors)
+    return np.where(number > 0.0, total / np.maximum(number, 1.0), 1.0), number / math.prod(factors)
+
+
+def _block_sums(plane: Plane, factors: tuple[int, int]) -> Plane:
+    n_rows, n_columns = plane.shape
+    high, wide = (-(-size // factor) for size, factor in zip(plane.shape, factors, strict=True))
+    padded = np.zeros((high * factors[0], wide * factors[1]))
+    padded[:n_rows, :n_columns] = plane
+    return np.asarray(padded.reshape(high, factors[0], wide, factors[1]).sum(axis=(1, 3)), dtype=np.float64)
 
 
 def looks_of_blocks(correlation: Correlation, factors: tuple[int, int]) -> float:

@@ -112,11 +112,12 @@ class FixAgreement(Generic[F]):
     def add(self, fix: F) -> FixDecision[F]:
         """Take the next fix."""
         believed = self._believed
+        if believed is not None and not self._candidates and self._reaches(believed.last, fix):
+            self._extend(believed, fix)
+            return FixDecision((fix,))
         candidate = self._nearest_candidate(fix)
         if believed is not None and self._continues(believed, candidate, fix):
-            believed.last = fix
-            believed.n_since_settled += 1
-            self._recent.append(believed)
+            self._extend(believed, fix)
             n_rejected = self._reject_waiting()
             if self._candidates:
                 recent = set(map(id, self._recent))
@@ -148,6 +149,11 @@ class FixAgreement(Generic[F]):
     def decide(self) -> FixDecision[F]:
         """Believe the track that most fixes support so far, because somebody cannot wait."""
         return FixDecision() if self.is_decided else self._settle(self._best_rival())
+
+    def _extend(self, believed: _Track[F], fix: F) -> None:
+        believed.last = fix
+        believed.n_since_settled += 1
+        self._recent.append(believed)
 
     def _reaches(self, before: F, after: F) -> bool:
         return self._apart_m(before, after) <= self._reach_m(before, after)

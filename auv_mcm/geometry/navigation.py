@@ -37,6 +37,7 @@ MAX_TIME_LEAP_S: Final = 60.0  # a time stamp farther ahead waits for a second o
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
 CHORD_MAX_S: Final = 4.0  # who does not get CHORD_M far in this time has a speed but no course
+_ROOM: Final = 128  # values a channel has room for at first, and gathers at once
 _CLOCK_S: Final = 1e-6  # float64 UTC seconds resolve 0.24 microseconds: limits hold to this
 
 _FIELDS: Final = attrgetter("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
@@ -49,6 +50,10 @@ _RANGES: Final = (
     ("altitude", 1e-3, 12_000.0),  # zero: no bottom lock
     ("speed", -MAX_SPEED_MPS, MAX_SPEED_MPS),
 )
+
+
+# What lies between two rows of a track besides the position, and whether it is stale.
+_BLENDED: Final = ("time_s", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m", "position_sigma_m")
 
 
 class _Limits(NamedTuple):
@@ -134,6 +139,8 @@ class NavBuffer:
 
     def n_steps_before(self, times_s: NDArray[np.float64]) -> NDArray[np.intp]:
         """How often the track has stepped to another place before each instant, (n,)."""
+        if not self._steps_s:
+            return np.zeros(len(times_s), dtype=np.intp)
         before_s, after_s = np.array([*self._steps_s, (np.inf, np.inf)]).T
         n_steps = np.searchsorted(after_s, times_s, side="right")
         # As _Channel.at has it: between two fixes that are not joined an instant is at the nearer one.
@@ -276,6 +283,8 @@ class NavBuffer:
         self._decide(self._agreement.add(_fix(time_s, latitude, longitude)))
 
     def _decide(self, decision: FixDecision[_Fix]) -> None:
+        if not decision.accepted and not decision.n_rejected:
+            return
         accepted = [fix for fix in decision.accepted if fix.time_s > self._position.last_s]
         for number, fix in enumerate(accepted):
             if number == 0 and decision.step_m > 0.0:
@@ -399,25 +408,27 @@ def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTr
     above = np.minimum(below + 1, len(track) - 1)
     fraction = rows - below
 
-    def blend(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        low, high = values[below], values[above]
-        weight = fraction[:, np.newaxis] if values.ndim == 2 else fraction
-        return np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))
-
-    latitude, longitude, _ = ecef_to_geodetic(blend(geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0)))
+    # Earth-centred, so that any place will do; all in one array, (n, quantities), since each operation costs more than its numbers.
+    known = np.column_stack(
+        [
+            geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0),
+            *(getattr(track, name) for name in _BLENDED),
+        ]
+    )
+    low, high, weight = known[below], known[above], fraction[:, np.newaxis]
+    values = np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))
+    latitude, longitude, _ = ecef_to_geodetic(values[:, :3])
     return PoseTrack(
-        time_s=blend(track.time_s),
         latitude_deg=latitude,
         longitude_deg=longitude,
-        depth_m=blend(track.depth_m),
-        heading_rad=blend(track.heading_rad),
-        pitch_rad=blend(track.pitch_rad),
-        roll_rad=blend(track.roll_rad),
-        speed_mps=blend(track.speed_mps),
-        altitude_m=blend(track.altitude_m),
         stale=track.stale[below] | (track.stale[above] & (fraction > 0.0)),
-        position_sigma_m=blend(track.position_sigma_m),
+        **dict(zip(_BLENDED, np.ascontiguousarray(values[:, 3:].T), strict=True)),
     )
+
+
+def slice_pose(pose: PoseTrack, rows: slice) -> PoseTrack:
+    """Take some rows of a track."""
+    return PoseTrack(**{name: getattr(pose, name)[rows] for name in pose.__struct_fields__})
 
 
 class _Values(NamedTuple):
@@ -433,25 +444,23 @@ class _Channel:
 
     def __init__(self, limits: _Limits, width: int = 1) -> None:
         self.limits = limits
-        self._times = np.empty(64)
-        self._values = np.empty((64, width))
-        self._joined = np.empty(64, dtype=np.bool_)
+        self._times = np.empty(_ROOM)
+        self._values = np.empty((_ROOM, width))
+        self._joined = np.empty(_ROOM, dtype=np.bool_)
+        self._new: list[tuple[float, float | tuple[float, ...], bool]] = []  # values not in the arrays yet: one by one they cost more
         self.clear()
 
     def clear(self) -> None:
         self._start = self._stop = 0
+        self._new.clear()
         self.last_s = -math.inf
         self._hole_end_s = math.inf  # of the newest hole too long to bridge; the time before the first sample is one
 
     def append(self, time_s: float, value: float | tuple[float, ...], joined: bool = True) -> None:
         """Add a value later than all others; `joined` is False if no line may lead to it from its predecessor."""
-        stop = self._stop
-        if stop == self._times.shape[0]:
-            stop = self._make_room()
-        self._times[stop] = time_s
-        self._values[stop] = value
-        self._joined[stop] = joined
-        self._stop = stop + 1
+        self._new.append((time_s, value, joined))
+        if len(self._new) == _ROOM:
+            self._gather()
         if time_s - self.last_s > self.limits.bridge_s:
             self._hole_end_s = time_s
         self.last_s = time_s
@@ -465,6 +474,7 @@ class _Channel:
         return newest_s - self.last_s > self.limits.bridge_s or from_s < self._hole_end_s
 
     def at(self, times: NDArray[np.float64]) -> _Values:
+        self._gather()
         limits = self.limits
         known_s = self._times[self._start : self._stop]
         known = self._values[self._start : self._stop]
@@ -474,6 +484,13 @@ class _Channel:
         right = np.searchsorted(known_s, times, side="right")
         left = np.maximum(right - 1, 0)
         since = np.where(right > 0, times - known_s[left], np.inf)
+        if times.size and right.max() <= last and right.min() > 0:
+            # Between two values everywhere, as a rule close enough to each other.
+            span = known_s[right] - known_s[left]
+            if span.max() <= limits.bridge_s + _CLOCK_S and self._joined[self._start + right].all():
+                since = times - known_s[left]
+                values = known[left] + (since / span)[:, np.newaxis] * (known[right] - known[left])
+                return _Values(values, np.ones(times.size, dtype=np.bool_), np.minimum(since, known_s[right] - times))
         has_right = right <= last
         right = np.minimum(right, last)
         until = np.where(has_right, known_s[right] - times, np.inf)
@@ -489,19 +506,33 @@ class _Channel:
 
     def forget_before(self, time_s: float) -> None:
         """Keep the last sample at or before `time_s`, as left neighbour, and all later ones."""
+        self._gather()
         known_s = self._times[self._start : self._stop]
         self._start += max(0, int(np.searchsorted(known_s, time_s, side="right")) - 1)
 
-    def _make_room(self) -> int:
-        """Drop the forgotten, double the room if the rest needs it; the new end."""
+    def _gather(self) -> None:
+        """Put new values into the arrays."""
+        if not self._new:
+            return
+        times, values, joined = zip(*self._new, strict=True)
+        n_new = len(times)
+        if self._stop + n_new > self._times.shape[0]:
+            self._make_room(n_new)
+        rows = slice(self._stop, self._stop + n_new)
+        self._times[rows], self._joined[rows] = times, joined
+        self._values[rows] = np.array(values).reshape(n_new, -1)
+        self._stop += n_new
+        self._new.clear()
+
+    def _make_room(self, n_new: int) -> None:
+        """Drop the forgotten; double the room if the rest needs it."""
         kept = slice(self._start, self._stop)
         count = self._stop - self._start
-        room = max(64, 2 * count)
+        room = max(_ROOM, 2 * (count + n_new))
         times, values, joined = np.empty(room), np.empty((room, self._values.shape[1])), np.empty(room, dtype=np.bool_)
         times[:count], values[:count], joined[:count] = self._times[kept], self._values[kept], self._joined[kept]
         self._times, self._values, self._joined = times, values, joined
         self._start, self._stop = 0, count
-        return count
 
 
 class _Fix(NamedTuple):

@@ -1,4 +1,4 @@
-"""Walks downhill over the parameters of a class of solids, as `auv_mcm.solids.box_search.walk` does over any cost.
+"""Search the parameters of a class of solids for the lowest costs, as `auv_mcm.solids.box_search` does over any cost.
 
 A point holds a place along the slices, a ground range (m) and the class's own parameters. Each of the eight columns of the hypothesis it
 stands for is a product: a coefficient and two factors, out of 1, the point's values, and what its last value is above and below 0.
@@ -12,19 +12,22 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, RowSums, Solid, kind_of, shape_costs
-from auv_mcm.solids.box_search import GROWTH, LEAST_STRIDE, SHRINKAGE, Optima, SearchBox, best_first, directions, walk
+from auv_mcm.solids.box_search import APART, GROWTH, LEAST_STRIDE, SHRINKAGE, Optima, SearchBox, apart, directions, look_around, spread
+from auv_mcm.solids.box_search import walk as walk_down
 
 ONE: Final = 0  # numbers of the factors; value k of a point is factor k + 1
 SUNK: Final = 7
 RATIO: Final = 8
 
 _N_FACTORS: Final = 9
+_UNKNOWN, _OF_ONE_SLICE, _KNOWN = range(3)  # what C is told of the costs of starts
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
@@ -43,7 +46,7 @@ class WalkSpace(NamedTuple):
 
 
 def hypotheses_at(terms: Array, points: Array) -> Array:
-    """Hypotheses (n, 8) for `shape_costs` from points (n, d); terms: of a Chart."""
+    """Hypotheses (n, 8) for `shape_costs` from points (n, d); terms: of a WalkSpace."""
     factors = np.ones((len(points), _N_FACTORS))
     factors[:, 1 : points.shape[1] + 1] = points
     factors[:, SUNK] = np.maximum(points[:, -1], 0.0)
@@ -60,39 +63,117 @@ def costs_at(chart: WalkSpace, points: Array, image: RowSums, beam: Beam) -> Arr
     return shape_costs(chart.solid, hypotheses, image, beam).cost + 0.5 * (altitude * altitude + burial * burial) + chart.fixed_cost
 
 
-def walk_shapes(chart: WalkSpace, image: RowSums, beam: Beam, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
-    """`search.walk` over costs_at. The box must hold only points that stand for solids that can be."""
+class Walk(NamedTuple):
+    """How far a search goes: places that walk, steps of each, tries per step, and the first stride in grains."""
+
+    n_walks: int
+    n_steps: int
+    n_tries: int
+    first_stride: float
+
+
+def search_shapes(chart: WalkSpace, image: RowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
+    """Find the lowest costs from n_starts places spread over the box: the best of those that lie apart walk downhill.
+
+    The box must hold only points that stand for solids that can be.
+    """
     function = _function()
     if function is None:
-        return walk_shapes_numpy(chart, image, beam, optima, n_steps, n_tries, first_stride=first_stride)
+        return search_shapes_numpy(chart, image, beam, n_starts, walk)
+    starts = spread(n_starts, chart.box.low.size)
+    return _run(function, chart, image, beam, Optima(starts, np.empty(n_starts)), _UNKNOWN, walk)
+
+
+def search_shapes_numpy(chart: WalkSpace, image: RowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
+    """search_shapes in numpy, but for the costs."""
+    starts = look_around(lambda points: costs_at(chart, points, image, beam), chart.box, n_starts, walk.n_walks)
+    return _walked(chart, image, beam, starts, walk)
+
+
+def refine_shapes(chart: WalkSpace, image: RowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
+    """Walk on from the best of those found that lie apart, which a single slice was weighed for, with the costs of this beam."""
+    function = _function()
+    if function is None:
+        return refine_shapes_numpy(chart, image, beam, found, walk)
+    return _run(function, chart, image, beam, found, _OF_ONE_SLICE if beam.share.size > 1 else _KNOWN, walk)
+
+
+def refine_shapes_numpy(chart: WalkSpace, image: RowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
+    """refine_shapes in numpy, but for the costs."""
+    starts = apart(found, chart.box, walk.n_walks)
+    if beam.share.size > 1:
+        starts = Optima(starts.unit, costs_at(chart, chart.box.points(starts.unit), image, beam))
+    return _walked(chart, image, beam, starts, walk)
+
+
+def _walked(chart: WalkSpace, image: RowSums, beam: Beam, starts: Optima, walk: Walk) -> Optima:
+    return walk_down(
+        lambda points: costs_at(chart, points, image, beam),
+        chart.box,
+        starts,
+        walk.n_steps,
+        walk.n_tries,
+        first_stride=walk.first_stride,
+    )
+
+
+def _run(function: Callable[..., None], chart: WalkSpace, image: RowSums, beam: Beam, starts: Optima, known: int, walk: Walk) -> Optima:
     box = chart.box
-    n, d = optima.unit.shape
+    n, d = starts.unit.shape
     span = box.high - box.low
     sides = np.array([box.low, span, box.wraps, box.grain / span])
     scalars = np.array([*image[2:], *chart.sigma, chart.fixed_cost])
-    strides = np.array([first_stride, GROWTH, SHRINKAGE, LEAST_STRIDE])
-    ways = directions(n_steps, n_tries, d)
-    unit, best = np.array(optima.unit, order="C"), optima.cost.copy()
-    terms = np.ascontiguousarray(chart.terms)
-    echoes, counts = np.ascontiguousarray(image.echoes), np.ascontiguousarray(image.counts)
-    bearing, share = np.ascontiguousarray(beam.bearing_rad), np.ascontiguousarray(beam.share)
-    n_rows, n_edges = echoes.shape
-    image_at = (n_rows, n_edges - 1, scalars.ctypes.data, echoes.ctypes.data, counts.ctypes.data)
-    beam_at = (share.size, bearing.ctypes.data, share.ctypes.data, SCORING_STEPS)
-    ways_at = (strides.ctypes.data, n_steps, n_tries, ways.ctypes.data)
+    strides = np.array([walk.first_stride, GROWTH, SHRINKAGE, LEAST_STRIDE, APART])
+    ways = _directions(walk.n_steps, walk.n_tries, d)
+    n_kept = min(n, walk.n_walks)
+    unit, best, n_found = np.empty((n_kept, d)), np.empty(n_kept), np.empty(1, dtype=np.int64)
+    echoes, counts, bearing, share = (np.ascontiguousarray(each) for each in (*image[:2], *beam))
     function(
-        kind_of(chart.solid), n, d, sides.ctypes.data, terms.ctypes.data, *image_at, *beam_at, *ways_at, unit.ctypes.data, best.ctypes.data
+        kind_of(chart.solid),
+        n,
+        d,
+        address(sides),
+        address(chart.terms),
+        echoes.shape[0],
+        echoes.shape[1] - 1,
+        address(scalars),
+        address(echoes),
+        address(counts),
+        share.size,
+        address(bearing),
+        address(share),
+        SCORING_STEPS,
+        address(starts.unit),
+        address(starts.cost),
+        known,
+        n_kept,
+        address(strides),
+        walk.n_steps,
+        walk.n_tries,
+        address(ways),
+        address(unit),
+        address(best),
+        address(n_found),
     )
-    return best_first(box, unit, best)
+    found = int(n_found[0])
+    return Optima(unit[:found], best[:found])
 
 
-def walk_shapes_numpy(
-    chart: WalkSpace, image: RowSums, beam: Beam, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float
-) -> Optima:
-    """walk_shapes in numpy, but for the costs."""
-    return walk(lambda points: costs_at(chart, points, image, beam), chart.box, optima, n_steps, n_tries, first_stride=first_stride)
+def address(array: NDArray[Any]) -> int:
+    """Return where an array's data lie; faster than `array.ctypes.data`."""
+    where: int = array.__array_interface__["data"][0]
+    return where
+
+
+@functools.lru_cache(maxsize=32)
+def _directions(n_steps: int, n_tries: int, n_dimensions: int) -> Array:
+    ways = directions(n_steps, n_tries, n_dimensions)
+    ways.flags.writeable = False
+    return ways
 
 
 @functools.cache
 def _function() -> Callable[..., None] | None:
-    return kernels.c_function("shape_walk", _I, _I, _I, _P, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _I, _I, _P, _P, _P)
+    return kernels.c_function(
+        "shape_search", _I, _I, _I, _P, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _P, _I, _I, _P, _I, _I, _P, _P, _P, _P
+    )

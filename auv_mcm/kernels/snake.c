@@ -6,6 +6,7 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 #define MAX_NODES 64
@@ -13,6 +14,8 @@
 #define HIGHLIGHT 0
 #define SHADOW 1
 #define BACKGROUND 2
+#define LEAST_SIDE 4.0 /* pixels, of a box */
+#define LEAST_ROWS 3   /* in which pixels must have been measured */
 
 /* What an edge, and by summation a polygon, adds up over the rows it crosses; the order is that of snake.py. */
 enum { SUM, COUNT, AREA, FAR, ROWS, GAP, SHARED, OVERLAP };
@@ -33,6 +36,7 @@ typedef struct {
     double step[2]; /* summed |difference| of rows and of columns between adjacent nodes */
     double own;     /* its part of the criterion */
     double top, bottom, near;
+    int64_t tried[MAX_NODES]; /* the pair's n_changes when no way of a node was better: as long as nothing changes none will be */
 } polygon;
 
 typedef struct {
@@ -43,6 +47,7 @@ typedef struct {
     polygon part[2];
     int64_t n_evaluated;
     int64_t n_accepted;
+    int64_t n_changes; /* of nodes or of the length of moves, from 1 */
 } pair;
 
 static inline int64_t ceil_of(double value)
@@ -377,7 +382,7 @@ static double try_shift(pair *pair, int which, int64_t first, int64_t n_moved, d
 /* Directions of a node, then of an edge: (row, column). */
 static const double WAYS[12][2] = {{-1, 0}, {1, 0}, {0, -1}, {0, 1}, {-1, -1}, {-1, 1}, {1, -1}, {1, 1}, {-1, 0}, {1, 0}, {0, -1}, {0, 1}};
 
-/* Each node, and the edge after it, goes the best way of all; returns how many moved. */
+/* Each node, and the edge after it, goes the best way of all unless it is settled; returns how many moved. */
 static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
 {
     polygon *part = &pair->part[which];
@@ -389,6 +394,8 @@ static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
     *cost = refresh(pair, which);
     for (int64_t i = 0; i < part->n; i++) {
         int chosen = -1;
+        if (part->tried[i] == pair->n_changes)
+            continue;
         for (int way = 0; way < 12; way++) {
             const double found = try_shift(pair, which, i, way < 8 ? 1 : 2, WAYS[way][0] * amplitude, WAYS[way][1] * amplitude, *cost);
             if (found < *cost) {
@@ -396,13 +403,16 @@ static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
                 chosen = way;
             }
         }
-        if (chosen < 0)
+        if (chosen < 0) {
+            part->tried[i] = pair->n_changes;
             continue;
+        }
         for (int64_t k = 0; k < (chosen < 8 ? 1 : 2); k++) {
             part->node[(i + k) % part->n][0] += WAYS[chosen][0] * amplitude;
             part->node[(i + k) % part->n][1] += WAYS[chosen][1] * amplitude;
         }
         *cost = refresh(pair, which);
+        pair->n_changes++;
         n_moved++;
     }
     return n_moved;
@@ -466,6 +476,97 @@ static int64_t prune(pair *pair, int which, double *cost)
     }
 }
 
+/* Nodes of a highlight and a shadow, and what is known of them once they have been moved. */
+typedef struct {
+    int64_t n[2];
+    double node[2][MAX_NODES][2];
+    double cost, total[2][N_FIELDS];
+    int64_t n_accepted, n_evaluated;
+} Moved;
+
+/* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) says what, see below. */
+static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *moved, int64_t *fault)
+{
+    static const int ORDER[2] = {SHADOW, HIGHLIGHT};
+    double cost = 0.0;
+
+    pair->n_evaluated = pair->n_accepted = 0;
+    for (int which = 0; which < 2; which++) {
+        pair->part[which].n = moved->n[which];
+        fault[which] = 0;
+        memcpy(pair->part[which].node, moved->node[which], (size_t)moved->n[which] * sizeof moved->node[which][0]);
+        memset(pair->part[which].total, 0, sizeof pair->part[which].total);
+    }
+    for (int which = 0; which < 2; which++)
+        if (pair->part[which].n > 0) {
+            const polygon *part = &pair->part[which];
+            find_bound(pair, which);
+            measure(pair, which);
+            if (!(part->total[COUNT] >= 1.0 && part->total[AREA] >= pair->set->min_area_px))
+                fault[which] = 1;
+            else if (!sound(part->node, part->n, 0, part->n))
+                fault[which] = 2;
+        }
+    if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
+        return;
+    for (int which = 0; which < 2; which++)
+        if (pair->part[which].n > 0) {
+            find_bound(pair, which);
+            cost = refresh(pair, which);
+        }
+    for (int64_t stage = 0; stage < n_stages; stage++) {
+        const double *now = schedule + 3 * stage;
+        pair->n_changes++;
+        for (int k = 0; k < 2; k++) {
+            polygon *part = &pair->part[ORDER[k]];
+            if (part->n == 0)
+                continue;
+            if (now[1] == 0.0) {
+                pair->n_accepted += prune(pair, ORDER[k], &cost);
+            } else {
+                subdivide(part, (int64_t)now[0]);
+                find_bound(pair, ORDER[k]);
+                cost = refresh(pair, ORDER[k]);
+            }
+        }
+        for (int64_t k = 0; now[1] > 0.0 && k < (int64_t)now[2]; k++) {
+            int64_t n_moved = sweep(pair, SHADOW, now[1], &cost);
+            n_moved += sweep(pair, HIGHLIGHT, now[1], &cost);
+            pair->n_accepted += n_moved;
+            if (n_moved == 0)
+                break;
+        }
+    }
+    for (int which = 0; which < 2; which++) {
+        moved->n[which] = pair->part[which].n;
+        memcpy(moved->node[which], pair->part[which].node, (size_t)moved->n[which] * sizeof moved->node[which][0]);
+        memcpy(moved->total[which], pair->part[which].total, sizeof moved->total[which]);
+    }
+    moved->cost = cost;
+    moved->n_accepted = pair->n_accepted;
+    moved->n_evaluated = pair->n_evaluated;
+}
+
+/* highlight, shadow (MAX_NODES, 2), n_nodes (2): nodes and their numbers, in and out. */
+static void take_in(Moved *moved, const double *highlight, const double *shadow, const int64_t *n_nodes)
+{
+    memset(moved, 0, sizeof *moved);
+    memcpy(moved->n, n_nodes, sizeof moved->n);
+    memcpy(moved->node[HIGHLIGHT], highlight, sizeof moved->node[HIGHLIGHT]);
+    memcpy(moved->node[SHADOW], shadow, sizeof moved->node[SHADOW]);
+}
+
+static void give_out(const Moved *moved, double *highlight, double *shadow, int64_t *n_nodes, double *out)
+{
+    memcpy(n_nodes, moved->n, sizeof moved->n);
+    memcpy(highlight, moved->node[HIGHLIGHT], sizeof moved->node[HIGHLIGHT]);
+    memcpy(shadow, moved->node[SHADOW], sizeof moved->node[SHADOW]);
+    out[0] = moved->cost;
+    out[1] = (double)moved->n_accepted;
+    out[2] = (double)moved->n_evaluated;
+    memcpy(out + 3, moved->total, sizeof moved->total);
+}
+
 /* Moves the pair through all stages of the schedule.
  *
  * table (n_rows, n_columns + 1, 2): row cumulative sums and counts. set: see `settings`. schedule (n_stages, 3): nodes, amplitude in
@@ -476,63 +577,105 @@ static int64_t prune(pair *pair, int which, double *cost)
 void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const double *set, int64_t n_stages, const double *schedule,
                    double *highlight, double *shadow, int64_t *n_nodes, double *bound, double *out, int64_t *fault)
 {
-    static const int ORDER[2] = {SHADOW, HIGHLIGHT};
-    double *const node[2] = {highlight, shadow};
-    double cost = 0.0;
     pair pair = {.n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
+    Moved moved;
 
-    for (int which = 0; which < 2; which++) {
-        pair.part[which].n = n_nodes[which];
-        fault[which] = 0;
-        memcpy(pair.part[which].node, node[which], sizeof pair.part[which].node);
+    take_in(&moved, highlight, shadow, n_nodes);
+    move(&pair, n_stages, schedule, &moved, fault);
+    if (fault[HIGHLIGHT] == 0 && fault[SHADOW] == 0)
+        give_out(&moved, highlight, shadow, n_nodes, out);
+}
+
+/* Whole pixels from low to high within the window, LEAST_SIDE or more of them. */
+static void whole_side(double low, double high, double size, double *from, double *to)
+{
+    low = rint(fmin(fmax(low, 0.0), size));
+    high = rint(fmin(fmax(high, 0.0), size));
+    *from = fmax(0.0, fmin(low, size - LEAST_SIDE));
+    *to = fmax(high, *from + LEAST_SIDE);
+}
+
+/* A strip on the near side of a shadow, `width` pixels wide; returns whether there is room for one in which enough was measured. */
+static int strip_before(const pair *pair, double width, const Moved *shadow, Moved *strip)
+{
+    const double (*const node)[2] = shadow->node[SHADOW];
+    const int64_t n = shadow->n[SHADOW], half = n / 2 > 1 ? n / 2 : 1;
+    double column[MAX_NODES], top, bottom, nearest, low_row, high_row, low_column, high_column;
+    int64_t n_reached = 0, n_measured = 0;
+
+    for (int64_t i = 0; i < n; i++) {
+        int64_t k = i;
+        for (; k > 0 && column[k - 1] > node[i][1]; k--)
+            column[k] = column[k - 1];
+        column[k] = node[i][1];
     }
-    for (int which = 0; which < 2; which++)
-        if (pair.part[which].n > 0) {
-            const polygon *part = &pair.part[which];
-            find_bound(&pair, which);
-            measure(&pair, which);
-            if (!(part->total[COUNT] >= 1.0 && part->total[AREA] >= pair.set->min_area_px))
-                fault[which] = 1;
-            else if (!sound(part->node, part->n, 0, part->n))
-                fault[which] = 2;
-        }
+    const double near = floor(half % 2 ? column[half / 2] : (column[half / 2 - 1] + column[half / 2]) / 2.0);
+    if (near < LEAST_SIDE)
+        return 0;
+    extents(node, n, &top, &bottom, &nearest);
+    whole_side(top, bottom, (double)pair->n_rows, &low_row, &high_row);
+    whole_side(near - width, near, (double)pair->n_columns, &low_column, &high_column);
+    const double corner[4][2] = {{low_row, low_column}, {low_row, high_column}, {high_row, high_column}, {high_row, low_column}};
+    strip->n[HIGHLIGHT] = 4;
+    memcpy(strip->node[HIGHLIGHT], corner, sizeof corner);
+    for (int64_t row = (int64_t)low_row; row < (int64_t)high_row && row < pair->n_rows; row++) {
+        const double *cell = pair->table + 2 * row * (pair->n_columns + 1);
+        const int64_t far = high_column < (double)pair->n_columns ? (int64_t)high_column : pair->n_columns;
+        n_reached++;
+        n_measured += cell[2 * far + 1] - cell[2 * (int64_t)low_column + 1] >= 1.0;
+    }
+    const int64_t enough = n_reached < LEAST_ROWS ? n_reached : LEAST_ROWS;
+    return n_measured >= (enough > 1 ? enough : 1);
+}
+
+/* The best pair from a start, as snake_descent.py has it. schedule (n_stages[0] + n_stages[1] + n_stages[2], 3): coarse, fine, polish.
+ * strip_px: width of the strip before a shadow. moves (1): out, those on the way to the pair. The rest as above.
+ */
+void auv_mcm_snake_descend(int64_t n_rows, int64_t n_columns, const double *table, const double *set, const int64_t *n_stages,
+                           const double *schedule, double strip_px, double *highlight, double *shadow, int64_t *n_nodes, double *bound,
+                           double *out, int64_t *fault, int64_t *moves)
+{
+    pair pair = {.n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
+    const double *fine = schedule + 3 * n_stages[0], *polish = fine + 3 * n_stages[1];
+    Moved best, start;
+
+    take_in(&best, highlight, shadow, n_nodes);
+    start = best;
+    move(&pair, n_stages[0], schedule, &best, fault);
     if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
         return;
-    for (int which = 0; which < 2; which++)
-        if (pair.part[which].n > 0) {
-            find_bound(&pair, which);
-            cost = refresh(&pair, which);
-        }
-    for (int64_t stage = 0; stage < n_stages; stage++) {
-        const double *now = schedule + 3 * stage;
-        for (int k = 0; k < 2; k++) {
-            polygon *part = &pair.part[ORDER[k]];
-            if (part->n == 0)
-                continue;
-            if (now[1] == 0.0) {
-                pair.n_accepted += prune(&pair, ORDER[k], &cost);
-            } else {
-                subdivide(part, (int64_t)now[0]);
-                find_bound(&pair, ORDER[k]);
-                cost = refresh(&pair, ORDER[k]);
+    *moves = best.n_accepted;
+    if (start.n[SHADOW] > 0) {
+        Moved alone = start, other;
+        alone.n[HIGHLIGHT] = 0;
+        move(&pair, n_stages[0], schedule, &alone, fault);
+        other = alone;
+        if (fault[SHADOW] == 0 && strip_before(&pair, strip_px, &alone, &other)) {
+            const int64_t last = n_stages[0] > 0 ? 1 : 0;
+            move(&pair, last, fine - 3 * last, &other, fault);
+            if (fault[HIGHLIGHT] != 0 || fault[SHADOW] != 0)
+                return;
+            if (other.cost < best.cost) {
+                best = other;
+                *moves = alone.n_accepted + other.n_accepted;
             }
         }
-        for (int64_t k = 0; now[1] > 0.0 && k < (int64_t)now[2]; k++) {
-            int64_t n_moved = sweep(&pair, SHADOW, now[1], &cost);
-            n_moved += sweep(&pair, HIGHLIGHT, now[1], &cost);
-            pair.n_accepted += n_moved;
-            if (n_moved == 0)
-                break;
+    }
+    move(&pair, n_stages[1], fine, &best, fault);
+    *moves += best.n_accepted;
+    if (best.n[HIGHLIGHT] > 0 && best.n[SHADOW] > 0) {
+        const Moved both = best;
+        for (int which = SHADOW; which >= HIGHLIGHT; which--) {
+            Moved lone = both;
+            lone.n[1 - which] = 0;
+            move(&pair, which == SHADOW ? n_stages[2] : 0, polish, &lone, fault);
+            if (lone.cost < best.cost) {
+                best = lone;
+                *moves += lone.n_accepted;
+            }
         }
     }
-    for (int which = 0; which < 2; which++) {
-        n_nodes[which] = pair.part[which].n;
-        memcpy(node[which], pair.part[which].node, sizeof pair.part[which].node);
-        memcpy(out + 3 + which * N_FIELDS, pair.part[which].total, sizeof pair.part[which].total);
-    }
-    out[0] = cost;
-    out[1] = (double)pair.n_accepted;
-    out[2] = (double)pair.n_evaluated;
+    give_out(&best, highlight, shadow, n_nodes, out);
 }
 
 /* The columns at which a polygon's edges that run up, and those that run down, cross each row; the last one counts.
@@ -554,18 +697,109 @@ void auv_mcm_snake_sides(int64_t n_rows, int64_t n_columns, int64_t n, const dou
     }
 }
 
-/* Sums of the table over intervals of rows, shifted. rows, near, far (n); shifts (n_shifts, 2) by rows and columns, all within the table.
- * sums (n_shifts, 2): in, zeros.
- */
-void auv_mcm_snake_shifted_sums(int64_t n_columns, const double *restrict table, int64_t n, const int64_t *restrict rows,
-                                const int64_t *restrict near, const int64_t *restrict far, int64_t n_shifts,
-                                const int64_t *restrict shifts, double *restrict sums)
+/* N (m - 1 - ln m) for `count` pixels of mean m over the window's; 0 on the wrong side of 1. */
+static double evidence(int64_t which, double total, double count)
 {
-    for (int64_t i = 0; i < n; i++) {
-        for (int64_t k = 0; k < n_shifts; k++) {
-            const double *row = table + 2 * ((rows[i] + shifts[2 * k]) * (n_columns + 1) + shifts[2 * k + 1]);
-            sums[2 * k] += row[2 * far[i]] - row[2 * near[i]];
-            sums[2 * k + 1] += row[2 * far[i] + 1] - row[2 * near[i] + 1];
+    if (count < 1.0)
+        return 0.0;
+    const double mean = total / count > 1e-6 ? total / count : 1e-6;
+    return (which == HIGHLIGHT ? mean > 1.0 : mean < 1.0) ? count * (mean - 1.0 - log(mean)) : 0.0;
+}
+
+/* Puts the element that would be at `place` in order there, none after it being smaller (C. A. R. Hoare's Find). */
+static void select_place(double *value, int64_t n, int64_t place)
+{
+    int64_t first = 0, last = n - 1;
+    while (first < last) {
+        const double pivot = value[first + (last - first) / 2];
+        int64_t low = first, high = last;
+        while (low <= high) {
+            while (value[low] < pivot)
+                low++;
+            while (value[high] > pivot)
+                high--;
+            if (low <= high) {
+                const double held = value[low];
+                value[low++] = value[high];
+                value[high--] = held;
+            }
         }
+        if (place <= high)
+            last = high;
+        else if (place >= low)
+            first = low;
+        else
+            return;
     }
+}
+
+/* Evidence of polygons shifted clear of themselves over that in place, see snake_elsewhere.py: the best, and what one in twenty exceeds.
+ *
+ * which, n_nodes (n_polygons); node (sum of n_nodes, 2). step (2): rows and columns between shifts. sides (2, n_rows), offset (n_room),
+ * sums (n_room, 2), there (n_room): overwritten; n_room: no fewer than there are shifts. out (2).
+ */
+void auv_mcm_snake_elsewhere(int64_t n_rows, int64_t n_columns, const double *restrict table, int64_t n_polygons,
+                             const int64_t *restrict which, const int64_t *restrict n_nodes, const double *restrict node,
+                             const int64_t *restrict step, int64_t *restrict sides, int64_t *restrict offset, double *restrict sums,
+                             double *restrict there, double *restrict out)
+{
+    int64_t n_all = 0, n = 0;
+    double top = INFINITY, bottom = -INFINITY, near = INFINITY, far = -INFINITY, here = 0.0;
+
+    for (int64_t i = 0; i < n_polygons; i++)
+        n_all += n_nodes[i];
+    for (int64_t i = 0; i < n_all; i++) {
+        top = fmin(top, node[2 * i]);
+        bottom = fmax(bottom, node[2 * i]);
+        near = fmin(near, node[2 * i + 1]);
+        far = fmax(far, node[2 * i + 1]);
+    }
+    const int64_t first_row = (int64_t)floor(top), last_row = (int64_t)ceil(bottom);
+    const int64_t first_column = (int64_t)floor(near), last_column = (int64_t)ceil(far);
+    for (int64_t row = -first_row; row <= n_rows - last_row; row += step[0])
+        for (int64_t column = -first_column; column <= n_columns - last_column; column += step[1])
+            if (llabs(row) >= last_row - first_row || llabs(column) >= last_column - first_column)
+                offset[n++] = 2 * (row * (n_columns + 1) + column);
+    for (int64_t k = 0; k < n; k++)
+        there[k] = 0.0;
+    for (int64_t i = 0; i < n_polygons; i++) {
+        double total = 0.0, count = 0.0;
+        if (n_nodes[i] == 0)
+            continue;
+        auv_mcm_snake_sides(n_rows, n_columns, n_nodes[i], node, sides);
+        node += 2 * n_nodes[i];
+        for (int64_t k = 0; k < 2 * n; k++)
+            sums[k] = 0.0;
+        for (int64_t row = 0; row < n_rows; row++) {
+            if (sides[row] < 0 || sides[n_rows + row] <= sides[row])
+                continue;
+            const double *low = table + 2 * (row * (n_columns + 1) + sides[row]);
+            const double *high = table + 2 * (row * (n_columns + 1) + sides[n_rows + row]);
+            total += high[0] - low[0];
+            count += high[1] - low[1];
+            for (int64_t k = 0; k < n; k++) {
+                sums[2 * k] += high[offset[k]] - low[offset[k]];
+                sums[2 * k + 1] += high[offset[k] + 1] - low[offset[k] + 1];
+            }
+        }
+        here += evidence(which[i], total, count);
+        for (int64_t k = 0; k < n; k++)
+            there[k] += evidence(which[i], sums[2 * k], sums[2 * k + 1]);
+    }
+    out[0] = out[1] = here > 0.0 ? 0.0 : INFINITY;
+    if (here <= 0.0 || n == 0)
+        return;
+    const double place = 0.95 * (double)(n - 1), part = place - floor(place);
+    const int64_t before = (int64_t)place;
+    double best = there[0];
+    for (int64_t k = 1; k < n; k++)
+        best = there[k] > best ? there[k] : best;
+    select_place(there, n, before);
+    double after = there[before];
+    for (int64_t k = before + 1; k < n; k++)
+        after = k == before + 1 || there[k] < after ? there[k] : after;
+    /* As numpy's quantile rounds. */
+    const double common = part < 0.5 ? there[before] + (after - there[before]) * part : after - (after - there[before]) * (1.0 - part);
+    out[0] = best / here;
+    out[1] = common / here;
 }

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.kernels import snake_twin
+from auv_mcm.kernels.order import median
 from auv_mcm.kernels.snake_twin import Moved, Settings, Sums
 
 MAX_NODES: Final = 64
@@ -65,7 +66,7 @@ def row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> RowSum
     counted = valid & (intensity >= 0.0) & (intensity < np.inf)
     measured = np.where(counted, intensity, 0.0)
     n_counted = int(counted.sum())
-    level = float(np.median(measured[counted])) if n_counted else 0.0
+    level = median(measured[counted]) if n_counted else 0.0
     if level > 0.0:
         measured = np.minimum(measured, _SPIKE * level)
     highest = float(measured.max(initial=0.0))
@@ -96,25 +97,38 @@ def move_pair(
     """
     table = np.ascontiguousarray(table, dtype=np.float64)
     schedule = np.ascontiguousarray(schedule, dtype=np.float64)
+    parts = checked(table, schedule, highlight, shadow)
+    c_snake = c_kernel()
+    if c_snake is None:
+        refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
+        return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
+    ran = _run(c_snake, table, settings, schedule, parts)
+    refuse(ran.faults, settings)
+    return moved_of(ran.nodes, ran.n_nodes, ran.out)
+
+
+def checked(
+    table: NDArray[np.float64], schedule: NDArray[np.float64], highlight: NDArray[np.float64], shadow: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Round the nodes of both polygons to 2^-20 pixel. Raises ValueError as move_pair does, but for polygons that cannot be moved."""
     parts = [np.rint(np.asarray(nodes, dtype=np.float64) * _NODES_PER_PX) / _NODES_PER_PX for nodes in (highlight, shadow)]
     _check(table, schedule, parts)
     if len(parts[0]) + len(parts[1]) == 0:
         raise ValueError("there is neither a highlight nor a shadow to move")
-    c_snake = c_kernel()
-    if c_snake is None:
-        _refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
-        return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
-    ran = _run(c_snake, table, settings, schedule, parts)
-    _refuse(ran.faults, settings)
+    return parts
+
+
+def moved_of(nodes: NDArray[np.float64], n_nodes: list[int], out: list[float]) -> Moved:
+    """Take apart what C leaves: nodes (2, MAX_NODES, 2), their numbers, and criterion, moves, proposals and both sums."""
     n_sums = len(Sums._fields)
     return Moved(
-        ran.nodes[0, : ran.n_nodes[0]].copy(),
-        ran.nodes[1, : ran.n_nodes[1]].copy(),
-        ran.out[0],
-        int(ran.out[1]),
-        int(ran.out[2]),
-        Sums(*ran.out[3 : 3 + n_sums]),
-        Sums(*ran.out[3 + n_sums :]),
+        nodes[0, : n_nodes[0]].copy(),
+        nodes[1, : n_nodes[1]].copy(),
+        out[0],
+        int(out[1]),
+        int(out[2]),
+        Sums(*out[3 : 3 + n_sums]),
+        Sums(*out[3 + n_sums :]),
     )
 
 
@@ -157,47 +171,6 @@ def sides_numpy(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDAr
         rows, columns = snake_twin.crossings(a, b, n_rows, n_columns)
         found[int(b[0] > a[0]), rows] = columns
     return found
-
-
-def shifted_sums(
-    table: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    near: NDArray[np.int64],
-    far: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Intensity and measured pixels of the columns [near, far) in rows (n,), shifted: (n_shifts, 2) float64.
-
-    table: of row_sums. shifts: (n_shifts, 2) int64 rows and columns. Raises ValueError if any shift leaves the table.
-    """
-    if len(rows) == 0 or len(shifts) == 0:
-        return np.zeros((len(shifts), 2))
-    lowest, highest = shifts.min(axis=0), shifts.max(axis=0)
-    first, last = np.array([rows.min(), near.min()]) + lowest, np.array([rows.max(), far.max()]) + highest
-    if (first < 0).any() or (last >= table.shape[:2]).any():
-        raise ValueError(f"shifts from {lowest} to {highest} leave the window of {table.shape[0]} rows and {table.shape[1] - 1} columns")
-    function = _c_shifted_sums()
-    if function is None:
-        return shifted_sums_numpy(table, rows, near, far, shifts)
-    sums = np.zeros((len(shifts), 2))
-    table = np.ascontiguousarray(table, dtype=np.float64)
-    places = [np.ascontiguousarray(each, dtype=np.int64) for each in (rows, near, far, shifts)]
-    at = [place.ctypes.data for place in places]
-    function(table.shape[1] - 1, table.ctypes.data, len(rows), *at[:3], len(shifts), at[3], sums.ctypes.data)
-    return sums
-
-
-def shifted_sums_numpy(
-    table: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    near: NDArray[np.int64],
-    far: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """shifted_sums in numpy alone."""
-    there = rows[:, None] + shifts[:, 0]
-    inside = table[there, far[:, None] + shifts[:, 1]] - table[there, near[:, None] + shifts[:, 1]]
-    return np.asarray(inside.sum(axis=0), dtype=np.float64)
 
 
 class _Ran(NamedTuple):
@@ -246,12 +219,6 @@ def _c_sides() -> Callable[..., None] | None:
 
 
 @functools.cache
-def _c_shifted_sums() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("snake_shifted_sums", integer, pointer, integer, *[pointer] * 3, integer, *[pointer] * 2)
-
-
-@functools.cache
 def c_kernel() -> Callable[..., None] | None:
     """The C function, None where the twin serves."""
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
@@ -269,11 +236,12 @@ def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: lis
     for name, nodes in zip(NAMES, parts, strict=False):
         if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) in (1, 2) or len(nodes) > MAX_NODES:
             raise ValueError(f"{name} must have shape (n, 2) with 3 to {MAX_NODES} nodes or none, not {nodes.shape}")
-        if not ((nodes >= 0.0) & (nodes <= window)).all():
+        if len(nodes) and not (nodes.min() >= 0.0 and nodes[:, 0].max() <= window[0] and nodes[:, 1].max() <= window[1]):
             raise ValueError(f"{name} has nodes outside the window of {window[0]} rows and {window[1]} columns")
 
 
-def _refuse(faults: list[int], settings: Settings) -> None:
+def refuse(faults: list[int], settings: Settings) -> None:
+    """Raise ValueError for polygons that cannot be moved. faults: of highlight and shadow, as fault_of has them."""
     why = {
         1: f"covers fewer than {settings.min_area_px:g} pixels, none that was measured, or runs up its far side",
         2: "crosses itself, has coinciding nodes, or is crossed more than twice by a row",

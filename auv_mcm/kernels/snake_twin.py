@@ -300,6 +300,7 @@ class _Pair:
         self.sums = [_NOTHING, _NOTHING]
         self.n_moves = self.n_proposed = 0
         self.criterion = 0.0
+        self.settled: set[tuple[int, int]] = set()  # polygon and node that nothing has moved since no way of theirs was better
         for which in (HIGHLIGHT, SHADOW):
             if len(self.nodes[which]):
                 self.face(which)
@@ -325,7 +326,7 @@ class _Pair:
         return criterion(self.settings, (both_nodes[0], both_nodes[1]), (both_sums[0], both_sums[1]), which)
 
     def sweep(self, which: int, amplitude: float) -> int:
-        """Each node, and the edge after it, goes the best way of all; returns how many moved."""
+        """Move each node, and the edge after it, the best way of all unless it is settled; return how many moved."""
         n = len(self.nodes[which])
         if n == 0:
             return 0
@@ -333,6 +334,8 @@ class _Pair:
         self.criterion = self.refreshed(which)
         moved = 0
         for i in range(n):
+            if (which, i) in self.settled:
+                continue
             best: Nodes | None = None
             edges = sums_of(self.table, self.bound, which, self.nodes[which])
             for n_shifted, ways in ((1, _NODE_WAYS), (2, _EDGE_WAYS)):
@@ -342,9 +345,12 @@ class _Pair:
                     found = self.tried(which, nodes, edges, range(i - 1, i + n_shifted))
                     if found < self.criterion:
                         self.criterion, best = found, nodes
-            if best is not None:
+            if best is None:
+                self.settled.add((which, i))
+            else:
                 self.nodes[which] = best
                 self.criterion = self.refreshed(which)
+                self.settled.clear()
                 moved += 1
         return moved
 
@@ -405,6 +411,7 @@ def move_pair(table: NDArray[np.float64], settings: Settings, schedule: NDArray[
     """As kernels.snake.move_pair, of float64 nodes that have been checked."""
     pair = _Pair(table, settings, (highlight, shadow))
     for n_nodes, amplitude, n_sweeps in schedule.tolist():
+        pair.settled.clear()
         for which in (SHADOW, HIGHLIGHT):
             if len(pair.nodes[which]) == 0:
                 continue

@@ -44,7 +44,22 @@ def point_spread(sigma: float) -> Plane:
 
 
 def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
-    """plane (n_rows, n_columns) smeared along both axes; beyond its edges it goes on as at the edge."""
+    """Smear a plane (n_rows, n_columns) along both axes; beyond its edges it goes on as at the edge.
+
+    spread_rows, spread_columns: (n,) float64 with odd n, the share of each neighbour.
+    """
+    function = _c_smear()
+    if function is None or plane.size == 0:
+        return smeared_numpy(plane, spread_rows, spread_columns)
+    plane, rows, columns = (np.ascontiguousarray(each, dtype=np.float64) for each in (plane, spread_rows, spread_columns))
+    between, edge, found = np.empty_like(plane), np.empty(plane.shape[1] + len(columns)), np.empty_like(plane)
+    at = [array.ctypes.data for array in (plane, rows, columns, between, edge, found)]
+    function(*plane.shape, at[0], len(rows), at[1], len(columns), *at[2:])
+    return found
+
+
+def smeared_numpy(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
+    """smeared in numpy alone."""
     n_rows, n_columns = plane.shape
     rows, columns = (
         np.arange(-(len(spread) // 2), n + len(spread) // 2) for n, spread in ((n_rows, spread_rows), (n_columns, spread_columns))
@@ -86,9 +101,10 @@ def soft_edges(
     function = _c_soft_edges()
     if function is None:
         return _soft_edges_in_place(start, level, weight, information, n_sweeps)
-    scratch, done = np.empty((len(spread_rows) + 2, len(spread_columns))), np.zeros(1, dtype=np.int64)
+    scratch, done = np.empty((6, len(spread_rows), len(spread_columns))), np.zeros(1, dtype=np.int64)
+    settled = np.zeros(labels.shape, dtype=np.uint8)
     level, weight = np.ascontiguousarray(level), np.ascontiguousarray(weight)
-    planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, done)
+    planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, settled, done)
     reach = len(spread_rows) // 2, len(spread_columns) // 2
     function(*labels.shape, *reach, n_sweeps, information, *(plane.ctypes.data for plane in planes))
     return start.labels
@@ -137,18 +153,24 @@ def _prepared(
     if len(spread_rows) % 2 == 0 or len(spread_columns) % 2 == 0 or weight.shape != (4,):
         raise ValueError("a point spread must have an odd number of values, and weight four")
     reach_rows, reach_columns = len(spread_rows) // 2, len(spread_columns) // 2
-    padding = ((reach_rows, reach_rows), (reach_columns, reach_columns))
-    data = np.pad(np.where(usable, intensity, 0.0), padding)
-    measured = np.pad(usable.astype(np.float64), padding)
-    mean = np.pad(smeared(level[labels], spread_rows, spread_columns), padding, constant_values=1.0)
-    mean = np.where(measured > 0.0, mean, 1.0)
+    shape = labels.shape[0] + 2 * reach_rows, labels.shape[1] + 2 * reach_columns
+    inner = slice(reach_rows, reach_rows + labels.shape[0]), slice(reach_columns, reach_columns + labels.shape[1])
+    data, measured, mean = np.zeros(shape), np.zeros(shape), np.ones(shape)
+    data[inner] = np.where(usable, intensity, 0.0)
+    measured[inner] = usable
+    mean[inner] = np.where(usable, smeared(level[labels], spread_rows, spread_columns), 1.0)
     spread = np.outer(spread_rows, spread_columns)
     return _Start(data, measured, mean, spread, np.array(labels, dtype=np.uint8, order="C"))
 
 
 @functools.cache
+def _c_smear() -> Callable[..., None] | None:
+    return kernels.c_function("smear", _I, _I, _P, _I, _P, _I, *[_P] * 4)
+
+
+@functools.cache
 def _c_soft_edges() -> Callable[..., None] | None:
-    return kernels.c_function("soft_edges", *[_I] * 5, _R, *[_P] * 9)
+    return kernels.c_function("soft_edges", *[_I] * 5, _R, *[_P] * 10)
 
 
 def _soft_edges_in_place(start: _Start, level: Plane, weight: Plane, information: float, n_sweeps: int) -> Labels:

@@ -29,20 +29,24 @@ static void add_pairs(const double *a, const uint8_t *usable_a, const double *b,
     *number += both;
 }
 
-/* plane, usable (n_rows, n_columns), usable 0 or 1. lags (n_lags). squares, numbers (2, n_lags): in, zeros; out, sums over pairs of rows
- * and of columns so far apart.
+/* plane, usable (n_rows, n_columns), usable 0 or 1. box (n_boxes, 4): first row, first column, and one past the last of each, of a part of
+ * the plane. lags (n_lags). squares, numbers (n_boxes, 2, n_lags): in, zeros; out, sums over pairs of rows and of columns so far apart.
  */
-void auv_mcm_speckle_lags(int64_t n_rows, int64_t n_columns, const double *plane, const uint8_t *usable, int64_t n_lags,
-                          const int64_t *lags, double *squares, int64_t *numbers)
+void auv_mcm_speckle_lags(int64_t n_columns, const double *plane, const uint8_t *usable, int64_t n_boxes, const int64_t *box,
+                          int64_t n_lags, const int64_t *lags, double *squares, int64_t *numbers)
 {
-    for (int64_t row = 0; row < n_rows; row++) {
-        const int64_t at = row * n_columns;
-        for (int64_t k = 0; k < n_lags; k++) {
-            const int64_t lag = lags[k], down = at + lag * n_columns;
-            if (row + lag < n_rows)
-                add_pairs(plane + at, usable + at, plane + down, usable + down, n_columns, squares + k, numbers + k);
-            if (lag < n_columns)
-                add_pairs(plane + at, usable + at, plane + at + lag, usable + at + lag, n_columns - lag, squares + n_lags + k, numbers + n_lags + k);
+    for (int64_t i = 0; i < n_boxes; i++, box += 4, squares += 2 * n_lags, numbers += 2 * n_lags) {
+        const int64_t wide = box[3] - box[1];
+        for (int64_t row = box[0]; row < box[2]; row++) {
+            const int64_t at = row * n_columns + box[1];
+            for (int64_t k = 0; k < n_lags; k++) {
+                const int64_t lag = lags[k], down = at + lag * n_columns;
+                if (row + lag < box[2])
+                    add_pairs(plane + at, usable + at, plane + down, usable + down, wide, squares + k, numbers + k);
+                if (lag < wide)
+                    add_pairs(plane + at, usable + at, plane + at + lag, usable + at + lag, wide - lag, squares + n_lags + k,
+                              numbers + n_lags + k);
+            }
         }
     }
 }

@@ -18,21 +18,36 @@ Plane = NDArray[np.float64]
 
 
 def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], least_pairs: int) -> Plane:
-    """Along rows and along columns, (2, n_lags) float64; NaN where there are fewer than least_pairs pairs (>= 1).
+    """Average along rows and along columns, (2, n_lags) float64; NaN where there are fewer than least_pairs pairs (>= 1).
 
     plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first of the two is
     from one row to those after it. Raises ValueError if the shapes differ.
     """
+    return np.asarray(half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, least_pairs)[0], dtype=np.float64)
+
+
+def half_differences_in(
+    plane: Plane, usable: NDArray[np.bool_], boxes: Sequence[tuple[int, ...]], lags: Sequence[int], least_pairs: int
+) -> Plane:
+    """Average in each of several parts of a plane, (n_boxes, 2, n_lags) float64; see half_differences.
+
+    boxes: first row, first column, and one past the last of each. Raises ValueError if the shapes differ or a box leaves the plane.
+    """
     if plane.ndim != 2 or plane.shape != usable.shape:
         raise ValueError(f"plane and usable must have one 2-d shape, not {plane.shape} and {usable.shape}")
+    n_rows, n_columns = plane.shape
+    if not all(0 <= top <= bottom <= n_rows and 0 <= near <= far <= n_columns for top, near, bottom, far in boxes):
+        raise ValueError(f"boxes must lie in a plane of {n_rows} rows and {n_columns} columns, not {boxes}")
     function = _function()
     if function is None:
-        return half_differences_numpy(plane, usable, lags, least_pairs)
+        parts = [(slice(top, bottom), slice(near, far)) for top, near, bottom, far in boxes]
+        return np.array([half_differences_numpy(plane[part], usable[part], lags, least_pairs) for part in parts])
     plane, usable = np.ascontiguousarray(plane, dtype=np.float64), np.ascontiguousarray(usable, dtype=np.bool_)
-    wanted = np.array(lags, dtype=np.int64)
-    squares, numbers = np.zeros((2, len(lags))), np.zeros((2, len(lags)), dtype=np.int64)
-    at = [array.ctypes.data for array in (plane, usable, wanted, squares, numbers)]
-    function(*plane.shape, *at[:2], len(lags), *at[2:])
+    wanted, places = np.array(lags, dtype=np.int64), np.array(boxes, dtype=np.int64)
+    shape = len(boxes), 2, len(lags)
+    squares, numbers = np.zeros(shape), np.zeros(shape, dtype=np.int64)
+    at = [array.ctypes.data for array in (plane, usable, places, wanted, squares, numbers)]
+    function(n_columns, *at[:2], len(boxes), at[2], len(lags), *at[3:])
     return np.where(numbers >= least_pairs, 0.5 * squares / np.maximum(numbers, 1), np.nan)
 
 
@@ -52,4 +67,4 @@ def half_differences_numpy(plane: Plane, usable: NDArray[np.bool_], lags: Sequen
 @functools.cache
 def _function() -> Callable[..., None] | None:
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("speckle_lags", integer, integer, pointer, pointer, integer, pointer, pointer, pointer)
+    return kernels.c_function("speckle_lags", integer, pointer, pointer, integer, pointer, integer, *[pointer] * 3)

@@ -46,7 +46,7 @@ def viterbi_forward(
     if library is None:
         return viterbi_forward_numpy(cost, score, max_step, step_cost)
     n_pings, n_bins = score.shape
-    scratch = np.empty(n_bins)
+    scratch = np.empty((2, n_bins))
     back = np.empty((n_pings, n_bins), dtype=np.int32)
     library.auv_mcm_viterbi_forward(
         n_pings, n_bins, max_step, step_cost, score.ctypes.data, cost.ctypes.data, scratch.ctypes.data, back.ctypes.data

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,20 @@ Plane = NDArray[np.float32]
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Masks = NDArray[np.uint8]
+Rows = NDArray[np.int64]
 
+_ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.c
+_USUAL_SHARE_OF_BRIGHT: Final = 16  # one pixel in so many has room at first: large arrays that are hardly used cost page faults
+_NOTHING: Final = ctypes.c_char * 0
 _P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 class Sampled(NamedTuple):
-    """Traces as cumulative sums: intensity, weight and clipped (n_pings, n_samples + 1) float64, up to each sample's near edge; weight None
-    where every sample is valid, clipped None where none is. first_m: slant range of the middle of sample 0; spacing_m: between samples."""
+    """Traces as cumulative sums (n_pings, n_samples + 1) float64, up to each sample's near edge.
+
+    intensity: of valid samples. weight: of validity, None where every sample is valid. clipped: of clipping, None where no sample is; may
+    end after fewer samples where none beyond is clipped. first_m: slant range of the middle of sample 0; spacing_m: between samples.
+    """
 
     intensity: Values
     weight: Values | None
@@ -38,9 +45,8 @@ class Sampled(NamedTuple):
 
 
 class Turning(NamedTuple):
-    """Per ping, (n_pings,): altitude m, pitch rate times altitude and yaw rate over speed, float64, and whether turning too fast, bool."""
+    """Rotation per ping, (n_pings,): pitch rate times altitude and yaw rate, over speed, float64; whether turning too fast, bool."""
 
-    level_m: Values
     pitch: Values
     yaw: Values
     fast: Flags
@@ -65,51 +71,124 @@ def sums_to_the_end_numpy(values: Plane | Flags) -> Values:
     return np.negative(total, out=total)
 
 
-def means(traces: Sampled, edges_m: Values) -> tuple[Values, Flags, Flags]:
-    """Between neighbouring slant ranges: mean intensity, 0 where not valid; whether valid samples cover half; whether clipped ones are a
-    quarter of those. edges_m: (n_pings, n_edges) or (1, n_edges), rising along rows. Each (n_pings, n_edges - 1)."""
-    function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _D, _D, _P, _I, *[_P] * 5)
+def sums_of_counts(counts: NDArray[Any], intensity: Plane) -> Values:
+    """sums_to_the_end of intensity[counts].
+
+    counts: (n_rows, n_columns) uint8 or uint16; intensity: (256,) or (65536,) float32, of every count.
+    """
+    function = _c(f"waterfall_sums_of_{'bytes' if counts.itemsize == 1 else 'words'}", _I, _I, _P, _P, _P)
+    if function is None:
+        return sums_to_the_end_numpy(intensity[counts])
+    counts = np.ascontiguousarray(counts)
+    sums = np.empty((counts.shape[0], counts.shape[1] + 1))
+    function(*counts.shape, *_pointers(counts, intensity, sums))
+    return sums
+
+
+def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Flags, Flags]:
+    """Average intensity between neighbouring slant ranges.
+
+    edges_m: (n, n_edges), rising along rows; edge_row: (n_pings,) int64, the row each ping takes. Returns three planes
+    (n_pings, n_edges - 1): mean intensity, 0 where not valid; whether valid samples cover half; whether clipped samples are a quarter
+    of those.
+    """
+    function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _I, _D, _D, *[_P] * 8)
     if function is None or traces.intensity.shape[1] < 2:  # without samples there is nothing to point at
-        return means_numpy(traces, edges_m)
-    edges_m = np.ascontiguousarray(edges_m)
+        return means_numpy(traces, edges_m, edge_row)
+    edges_m, edge_row = np.ascontiguousarray(edges_m), np.ascontiguousarray(edge_row)
     n_pings, n_edges = traces.intensity.shape[0], edges_m.shape[1]
-    whole, scratch = np.empty(n_edges, dtype=np.int32), np.empty((6, n_edges))
+    scratch = np.empty(n_edges, dtype=np.int32), np.empty((6, n_edges)), np.empty(n_edges, dtype=np.uint8)
     shape = (n_pings, n_edges - 1)
     found = np.empty(shape), np.empty(shape, dtype=np.bool_), np.empty(shape, dtype=np.bool_)
     function(
         n_pings,
         traces.intensity.shape[1] - 1,
         n_edges,
-        *(None if sums is None else sums.ctypes.data for sums in traces[:3]),
+        *(None if sums is None else _address(sums) for sums in traces[:3]),
+        0 if traces.clipped is None else traces.clipped.shape[1] - 1,
         traces.first_m,
         1.0 / traces.spacing_m,
-        *_pointers(edges_m),
-        0 if edges_m.shape[0] == 1 else n_edges,
-        *_pointers(whole, scratch, *found),
+        *_pointers(edges_m, edge_row, *scratch, *found),
     )
     return found
 
 
-def means_numpy(traces: Sampled, edges_m: Values) -> tuple[Values, Flags, Flags]:
+def means_numpy(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Flags, Flags]:
     """means in numpy alone."""
     n_pings, n_samples = traces.intensity.shape[0], traces.intensity.shape[1] - 1
     position = (edges_m - traces.first_m) * (1.0 / traces.spacing_m) + 0.5
-    width = np.diff(position, axis=1)
+    width = np.diff(position, axis=1)[edge_row]
     np.clip(position, 0.0, float(n_samples), out=position)
     sample = np.minimum(position.astype(np.intp), n_samples - 1)
     fraction = position - sample
+    sampled = np.diff(fraction + sample, axis=1)[edge_row]
+    sample, fraction = sample[edge_row], fraction[edge_row]
     ping = np.arange(n_pings)[:, np.newaxis]
 
     def difference(sums: Values) -> Values:
-        low = sums[ping, sample]
-        return np.diff(low + fraction * (sums[ping, sample + 1] - low), axis=1)
+        last = sums.shape[1] - 1
+        low, high = sums[ping, np.minimum(sample, last)], sums[ping, np.minimum(sample + 1, last)]
+        return np.diff(low + fraction * (high - low), axis=1)
 
-    sampled = np.broadcast_to(np.diff(fraction + sample, axis=1), (n_pings, edges_m.shape[1] - 1))
     weight = sampled if traces.weight is None else difference(traces.weight)
     valid = (weight >= 0.5 * width) & (weight > 1e-9)
     intensity = np.divide(difference(traces.intensity), weight, out=np.zeros(valid.shape), where=valid)
     saturated = np.zeros(valid.shape, dtype=np.bool_) if traces.clipped is None else difference(traces.clipped) > 0.25 * weight
     return intensity, valid, saturated & valid
+
+
+def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
+    """Median of the usable values of each row, (n_rows,) float64; NaN where fewer than `minimum`, or none, are usable.
+
+    values: (n_rows, n_columns) finite; usable: the same shape, None where all are.
+    """
+    function = _c("waterfall_medians", _I, _I, _P, _P, _I, _P, _P)
+    if function is None:
+        return row_medians_numpy(values, usable, minimum)
+    values = np.ascontiguousarray(values)
+    usable = None if usable is None else np.ascontiguousarray(usable)
+    room, medians = np.empty(2 * values.shape[1] + 2), np.empty(values.shape[0])
+    function(
+        *values.shape,
+        _address(values),
+        None if usable is None else _address(usable),
+        minimum,
+        *_pointers(room, medians),
+    )
+    return medians
+
+
+def row_medians_numpy(values: Values, usable: Flags | None, minimum: int) -> Values:
+    """row_medians in numpy alone."""
+    n_rows, n_columns = values.shape
+    if n_columns == 0:
+        return np.full(n_rows, np.nan)
+    if usable is None:
+        middle = (n_columns - 1) // 2, n_columns // 2
+        parted = np.partition(values, middle, axis=1)
+        return 0.5 * (parted[:, middle[0]] + parted[:, middle[1]]) if n_columns >= minimum else np.full(n_rows, np.nan)
+    count = usable.sum(axis=1)
+    filled = np.where(usable, values, np.inf)
+    filled.sort(axis=1)
+    rows = np.arange(n_rows)
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, n_columns - 1)
+    return np.where(count >= max(minimum, 1), 0.5 * (filled[rows, low] + filled[rows, high]), np.nan)
+
+
+def scale_rows(values: Values, factor: Values, factor_row: Rows) -> Plane:
+    """values times factor[factor_row], (n_rows, n_columns) float32. factor: (n, n_columns)."""
+    function = _c("waterfall_scale", _I, _I, *[_P] * 4)
+    if function is None:
+        return scale_rows_numpy(values, factor, factor_row)
+    arrays = [np.ascontiguousarray(array) for array in (values, factor, factor_row)]
+    product = np.empty(values.shape, dtype=np.float32)
+    function(*values.shape, *_pointers(*arrays, product))
+    return product
+
+
+def scale_rows_numpy(values: Values, factor: Values, factor_row: Rows) -> Plane:
+    """scale_rows in numpy alone."""
+    return (values * factor[factor_row]).astype(np.float32)
 
 
 def step_ratios(values: Values, valid: Flags, blank: int, window: int, least_step: float, twice_variance: float) -> Values:
@@ -155,6 +234,25 @@ def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, lea
     return score
 
 
+def add_votes(score: Values, ratios: Values, share: float, vote: float, evidence: float) -> None:
+    """Add each ping's ratios times share to its score, both (n_pings, n_bins), with `vote` for the highest of a ping.
+
+    Where that is less than `evidence`, `vote` is what `evidence` would get.
+    """
+    function = _c("waterfall_votes", _I, _I, _P, _D, _D, _D, _P)
+    if function is None or not score.flags.c_contiguous:
+        add_votes_numpy(score, ratios, share, vote, evidence)
+        return
+    ratios = np.ascontiguousarray(ratios)
+    function(*score.shape, *_pointers(ratios), share, vote, evidence, *_pointers(score))
+
+
+def add_votes_numpy(score: Values, ratios: Values, share: float, vote: float, evidence: float) -> None:
+    """add_votes in numpy alone."""
+    side = share * ratios
+    score += side * (vote / np.maximum(side.max(axis=1, keepdims=True), evidence))
+
+
 def average_rows(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, least: float) -> tuple[Plane, Masks]:
     """Rows as means of the pings that they overlap, weighted by overlap: intensity float32 and mask uint8, (n_rows, n_columns) each.
 
@@ -197,15 +295,20 @@ def bright_spots(
     A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where not usable. Pixels
     are indices, row times n_columns plus column, int32, and rise; limits float64.
     """
-    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 7)
+    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 4, _I, *[_P] * 3)
     if function is None:
         return bright_spots_numpy(logarithms, usable, half, above, highest, slack)
     logarithms, usable = np.ascontiguousarray(logarithms), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
-    room = np.empty(n_columns), np.empty(n_columns, dtype=np.int32), *_box_room(n_columns, half[1])
-    places, limits, n_places = np.empty(usable.size + 1, dtype=np.int32), np.empty(usable.size + 1), np.empty(1, dtype=np.int64)
-    function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room, places, limits, n_places))
-    return places[: n_places[0]].copy(), limits[: n_places[0]].copy()
+    room = np.empty(n_columns), np.empty(n_columns, dtype=np.uint8), *_box_room(n_columns, half[1])
+    n_places, n_at_most = np.empty(1, dtype=np.int64), usable.size // _USUAL_SHARE_OF_BRIGHT + 1
+    while True:
+        places, limits = np.empty(n_at_most, dtype=np.int32), np.empty(n_at_most)
+        found = _pointers(places, limits, n_places)
+        function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room), n_at_most, *found)
+        if n_places[0] <= n_at_most:
+            return places[: n_places[0]], limits[: n_places[0]]
+        n_at_most = int(n_places[0])
 
 
 def bright_spots_numpy(
@@ -218,17 +321,28 @@ def bright_spots_numpy(
     return found.astype(np.int32), limit.ravel()[found]
 
 
+class Levelled(NamedTuple):
+    """intensity: (n_rows, n_columns) float32, over its mean, 0 where that is not known or the pixel not VALID; mask: the same shape, uint8,
+    VALID only where the mean is known. mean, float64, and known, bool: of some columns, (n_rows, n)."""
+
+    intensity: Plane
+    mask: Masks
+    mean: Values
+    known: Flags
+
+
 def box_level(level: Plane, usable: Flags, half: tuple[int, int], least_share: float) -> tuple[Values, Flags]:
     """Mean of the usable pixels within `half` rows and columns of each pixel, float64, and whether it is known: of the box, clipped at the
     image's edge, least_share and one pixel at least must be usable, and the mean above 0. level: 0 where not usable."""
-    function = _c("waterfall_level", *[_I] * 4, _P, _P, _D, *[_P] * 5)
+    function = _level_function()
     if function is None:
         return box_level_numpy(level, usable, half, least_share)
     level, usable = np.ascontiguousarray(level), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
-    room = np.empty(n_columns, dtype=np.int32), *_box_room(n_columns, half[1])
+    room = _level_room(n_columns, half[1])
     mean, known = np.empty(usable.shape), np.empty(usable.shape, dtype=np.bool_)
-    function(*usable.shape, *half, *_pointers(level, usable), least_share, *_pointers(*room, mean, known))
+    pointers = _pointers(level, usable, *room, mean, known)
+    function(*usable.shape, *half, least_share, *pointers, n_columns, *[None] * 4, 0, *[None] * 3)
     return mean, known
 
 
@@ -239,75 +353,105 @@ def box_level_numpy(level: Plane, usable: Flags, half: tuple[int, int], least_sh
     return mean, (count >= np.maximum(least_share * np.outer(rows, columns), 1.0)) & (mean > 0.0)
 
 
-def normalise(intensity: Plane, mean: Values, known: Flags, mask: Masks) -> tuple[Plane, Masks]:
-    """Intensity over its mean, float32, 0 where that is not known or the pixel not VALID; and the mask, VALID only where it is known."""
-    function = _c("waterfall_normalise", _I, *[_P] * 6)
+def divide_by_level(
+    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], least_share: float, columns: NDArray[np.int64]
+) -> Levelled:
+    """Divide an image by the box_level around each pixel, which is written out for some `columns` only.
+
+    intensity, mask, level, usable: (n_rows, n_columns).
+    """
+    function = _level_function()
     if function is None:
-        return normalise_numpy(intensity, mean, known, mask)
-    arrays = [np.ascontiguousarray(array) for array in (intensity, mean, known, mask)]
-    ratio, masked = np.empty(mask.shape, dtype=np.float32), np.empty(mask.shape, dtype=np.uint8)
-    function(mask.size, *_pointers(*arrays, ratio, masked))
-    return ratio, masked
+        return divide_by_level_numpy(intensity, mask, level, usable, half, least_share, columns)
+    arrays = np.ascontiguousarray(intensity), np.ascontiguousarray(mask)
+    level, usable, columns = np.ascontiguousarray(level), np.ascontiguousarray(usable), np.ascontiguousarray(columns)
+    n_rows, n_columns = usable.shape
+    room, row = _level_room(n_columns, half[1]), (np.empty(n_columns), np.empty(n_columns, dtype=np.bool_))
+    ratio, masked = np.empty(usable.shape, dtype=np.float32), np.empty(usable.shape, dtype=np.uint8)
+    mean, known = np.empty((n_rows, columns.size)), np.empty((n_rows, columns.size), dtype=np.bool_)
+    pointers = _pointers(level, usable, *room, *row)
+    divided, some = _pointers(*arrays, ratio, masked), _pointers(columns, mean, known)
+    function(n_rows, n_columns, *half, least_share, *pointers, 0, *divided, columns.size, *some)
+    return Levelled(ratio, masked, mean, known)
 
 
-def normalise_numpy(intensity: Plane, mean: Values, known: Flags, mask: Masks) -> tuple[Plane, Masks]:
-    """normalise in numpy alone."""
-    valid = (mask & VALID) != 0
-    ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & valid)
-    return ratio.astype(np.float32), np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
+def divide_by_level_numpy(
+    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], least_share: float, columns: NDArray[np.int64]
+) -> Levelled:
+    """divide_by_level in numpy alone."""
+    mean, known = box_level_numpy(level, usable, half, least_share)
+    ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & ((mask & VALID) != 0))
+    masked = np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
+    return Levelled(ratio.astype(np.float32), masked, mean[:, columns], known[:, columns])
+
+
+def _level_function() -> Callable[..., None] | None:
+    return _c("waterfall_level", *[_I] * 4, _D, *[_P] * 7, _I, *[_P] * 4, _I, *[_P] * 3)
+
+
+def _level_room(n_columns: int, half_columns: int) -> tuple[NDArray[Any], ...]:
+    return np.empty(n_columns), *_box_room(n_columns, half_columns)
 
 
 def ping_masks(
-    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, slopes: tuple[float, float], max_ratio: float
-) -> tuple[Values, Masks]:
-    """Tangent of the grazing angle, float64, and masks, uint8, (n_pings, n_columns) each.
+    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, coarse: Masks, coarse_row: Rows, max_ratio: float
+) -> Masks:
+    """Join what is known of each pixel to its mask, (n_pings, n_columns) uint8.
 
-    LOW_RESOLUTION where the tangent is outside slopes, TURN where spacing over its straight-line value, 1 + pitch + yaw y, is more than
-    max_ratio either way or the ping turns too fast. ground_m: (n_columns,) ground range y.
+    TURN where spacing over its straight-line value, 1 + pitch + yaw y, is more than max_ratio either way or the ping turns too fast.
+    ground_m: (n_columns,) ground range y, rising. coarse: (n, n_columns), LOW_RESOLUTION or 0; coarse_row: (n_pings,) the row each ping
+    takes.
     """
-    function = _c("waterfall_masks", _I, _I, *[_P] * 7, *[_D] * 3, _P, _P)
+    function = _c("waterfall_masks", _I, _I, *[_P] * 8, _D, _P)
     if function is None:
-        return ping_masks_numpy(valid, saturated, turning, ground_m, slopes, max_ratio)
-    arrays = [np.ascontiguousarray(array) for array in (*turning, ground_m, valid, saturated)]
-    tangent, mask = np.empty(valid.shape), np.empty(valid.shape, dtype=np.uint8)
-    function(*valid.shape, *_pointers(*arrays), slopes[1], slopes[0], max_ratio, *_pointers(tangent, mask))
-    return tangent, mask
+        return ping_masks_numpy(valid, saturated, turning, ground_m, coarse, coarse_row, max_ratio)
+    arrays = [np.ascontiguousarray(array) for array in (*turning, ground_m, coarse, coarse_row, valid, saturated)]
+    mask = np.empty(valid.shape, dtype=np.uint8)
+    function(*valid.shape, *_pointers(*arrays), max_ratio, *_pointers(mask))
+    return mask
 
 
 def ping_masks_numpy(
-    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, slopes: tuple[float, float], max_ratio: float
-) -> tuple[Values, Masks]:
+    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, coarse: Masks, coarse_row: Rows, max_ratio: float
+) -> Masks:
     """ping_masks in numpy alone."""
-    tangent = turning.level_m[:, np.newaxis] / ground_m[np.newaxis, :]
-    ratio = 1.0 + turning.pitch[:, np.newaxis] + turning.yaw[:, np.newaxis] * ground_m[np.newaxis, :]
-    mask = np.where(valid, np.uint8(VALID), np.uint8(0))
-    mask |= np.where(saturated, np.uint8(SATURATED), np.uint8(0))
-    mask |= np.where((tangent > slopes[1]) | (tangent < slopes[0]), np.uint8(LOW_RESOLUTION), np.uint8(0))
-    mask |= np.where((ratio > max_ratio) | (ratio * max_ratio < 1.0) | turning.fast[:, np.newaxis], np.uint8(TURN), np.uint8(0))
-    return tangent, mask
+    mask = valid * np.uint8(VALID)
+    mask |= saturated * np.uint8(SATURATED)
+    mask |= coarse[coarse_row]
+    ratio = 1.0 + turning.pitch[:, np.newaxis] + turning.yaw[:, np.newaxis] * ground_m[np.newaxis, [0, -1]]
+    # The ratio rises or falls along the row: its ends bound all of it.
+    turned = np.flatnonzero(((ratio > max_ratio) | (ratio * max_ratio < 1.0)).any(axis=1) | turning.fast)
+    ratio = 1.0 + turning.pitch[turned, np.newaxis] + turning.yaw[turned, np.newaxis] * ground_m[np.newaxis, :]
+    bent = (ratio > max_ratio) | (ratio * max_ratio < 1.0) | turning.fast[turned, np.newaxis]
+    mask[turned] |= bent * np.uint8(TURN)
+    return mask
 
 
 def angle_sums(
-    angle: Values, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
+    angle: Values, angle_row: Rows, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
 ) -> tuple[NDArray[np.int64], Values]:
-    """Number and sum of the usable values in each of n_bins bins of angle, (n_bins,) each; the last takes all beyond.
+    """Count and sum the usable values in each of n_bins bins of angle, (n_bins,) each; the last takes all beyond.
 
-    centre: (n_bins,), taken off the values before they are clipped to +-clip; None for the values themselves.
+    angle: (n, n_columns); angle_row: (n_pings,) int64, the row each ping takes. values, usable: (n_pings, n_columns). centre: (n_bins,),
+    taken off the values before they are clipped to +-clip; None for the values themselves.
     """
-    function = _c("waterfall_angle_sums", _I, _I, *[_P] * 4, _D, _P, _P)
+    function = _c("waterfall_angle_sums", *[_I] * 3, *[_P] * 5, _D, *[_P] * 3)
     if function is None:
-        return angle_sums_numpy(angle, values, usable, n_bins, centre, clip)
-    arrays = [np.ascontiguousarray(array) for array in (angle, values, usable)]
+        return angle_sums_numpy(angle, angle_row, values, usable, n_bins, centre, clip)
+    arrays = [np.ascontiguousarray(array) for array in (angle, angle_row, values, usable)]
+    scratch = np.empty(angle.shape[1], dtype=np.int32)
     count, total = np.empty(n_bins, dtype=np.int64), np.empty(n_bins)
-    function(angle.size, n_bins, *_pointers(*arrays), None if centre is None else centre.ctypes.data, clip, *_pointers(count, total))
+    function(
+        *values.shape, n_bins, *_pointers(*arrays), None if centre is None else _address(centre), clip, *_pointers(scratch, count, total)
+    )
     return count, total
 
 
 def angle_sums_numpy(
-    angle: Values, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
+    angle: Values, angle_row: Rows, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
 ) -> tuple[NDArray[np.int64], Values]:
     """angle_sums in numpy alone."""
-    bins, chosen = np.minimum(angle[usable].astype(np.intp), n_bins - 1), values[usable]
+    bins, chosen = np.minimum(angle.astype(np.intp), n_bins - 1)[angle_row][usable], values[usable]
     if centre is not None:
         chosen = np.clip(chosen - centre[bins], -clip, clip)
     return np.bincount(bins, minlength=n_bins).astype(np.int64), np.bincount(bins, weights=chosen, minlength=n_bins).astype(np.float64)
@@ -350,7 +494,7 @@ def _box_sums(plane: NDArray[Any], dtype: type, half: tuple[int, int]) -> NDArra
 def _box_room(n_columns: int, half_columns: int) -> tuple[Values, NDArray[np.int32]]:
     """For what a box holds."""
     wide = n_columns + 1 + 2 * (half_columns + 1)
-    return np.empty(2 * (n_columns + 1) + wide), np.empty(n_columns + wide, dtype=np.int32)
+    return np.empty(2 * (n_columns + 1) + wide + (_ROWS_SUMMED + 1) * n_columns), np.empty(2 * n_columns + wide, dtype=np.int32)
 
 
 def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
@@ -359,7 +503,12 @@ def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
 
 
 def _pointers(*arrays: NDArray[Any]) -> list[int]:
-    return [array.ctypes.data for array in arrays]
+    return [_address(array) for array in arrays]
+
+
+def _address(array: NDArray[Any]) -> int:
+    """Where an array's numbers are: a quarter of the time that `array.ctypes.data` takes, which read-only arrays need."""
+    return ctypes.addressof(_NOTHING.from_buffer(array.data)) if array.flags.writeable else int(array.ctypes.data)
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_APART: Final = 0.1  # of the box in some coordinate, between starts that are kept and between optima that are two
+APART: Final = 0.1  # of the box in some coordinate, between starts that are kept and between optima that are two
 LEAST_STRIDE: Final = 0.1  # grains
 GROWTH, SHRINKAGE = 1.5, 0.7  # of strides
 _RISE: Final = 10.0  # nats
@@ -101,7 +101,7 @@ def apart(optima: Optima, box: SearchBox, n_kept: int) -> Optima:
     for index in np.argsort(optima.cost, kind="stable").tolist():
         away = np.abs(optima.unit[kept] - optima.unit[index])
         away = np.where(box.wraps, np.minimum(away, 1.0 - away), away)
-        if not kept or (away.max(axis=1) > _APART).all():
+        if not kept or (away.max(axis=1) > APART).all():
             kept.append(index)
             if len(kept) == n_kept:
                 break

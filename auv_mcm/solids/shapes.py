@@ -219,11 +219,13 @@ def _placed(vertices: Array, azimuth: Array, burial: Array) -> Array:
 
 def _require_positive(shape: Shape, *fields: str) -> None:
     for field in fields:
-        if not np.all(np.asarray(getattr(shape, field)) > 0.0):
+        value = getattr(shape, field)
+        if not (value > 0.0 if isinstance(value, float) else np.all(np.asarray(value) > 0.0)):
             raise ValueError(f"{field} of a {type(shape).__name__} must be positive, got {getattr(shape, field)}")
 
 
 def _require_not_negative(shape: Shape, *fields: str) -> None:
     for field in fields:
-        if not np.all(np.asarray(getattr(shape, field)) >= 0.0):
+        value = getattr(shape, field)
+        if not (value >= 0.0 if isinstance(value, float) else np.all(np.asarray(value) >= 0.0)):
             raise ValueError(f"{field} of a {type(shape).__name__} must not be negative, got {getattr(shape, field)}")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
-from auv_mcm.kernels.waterfall import step_ratios
+from auv_mcm.kernels.waterfall import add_votes, row_medians, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
 BIN_M: Final = 0.05
@@ -115,8 +115,7 @@ class BottomTracker:
         bins = np.concatenate([self._before.bins, path.bins, after.bins])
         evidence = np.concatenate([self._before.evidence, path.evidence, after.evidence])
         # In noise single pings look convincing, in weak contrast single pings do not: a few together tell.
-        means = [evidence[max(ping - _SEEN_PINGS, 0) : ping + _SEEN_PINGS + 1].mean() for ping in range(start, stop)]
-        seen = np.array(means) >= _EVIDENCE
+        seen = _running_means(evidence, _SEEN_PINGS, start, stop) >= _EVIDENCE
         smooth = _running_medians(bins, _SMOOTHING_PINGS, start, stop)
         level = self._levelled(_running_medians(bins, _LEVEL_PINGS, start, stop))
         self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
@@ -141,12 +140,11 @@ class BottomTracker:
             if traces is None:
                 continue
             means = mean_between(traces, edges_m)
-            # A median, because ring-down may stand a hundred decibels above everything that follows.
-            floor = 1e-6 * np.median(means.intensity, axis=1, keepdims=True) + 1e-300
             independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
-            side = independent * change_point_scores(np.log(np.maximum(means.intensity, floor)), means.valid, self._blank_bins)
+            log_intensity = np.log(_not_below_floor(means.intensity))
+            ratios = change_point_scores(log_intensity, means.valid, self._blank_bins)
             # Every side of every ping has the same say: a loud fish, on one side, must not outvote the other and its neighbours.
-            score += side * (_SIDE_VOTE / np.maximum(side.max(axis=1, keepdims=True), _EVIDENCE))
+            add_votes(score, ratios, independent, _SIDE_VOTE, _EVIDENCE)
         known = np.isfinite(altitude_m) & (altitude_m > 0.0)
         if known.any():
             centre_m = (np.arange(n_bins) * BIN_M)[None, :]
@@ -154,8 +152,24 @@ class BottomTracker:
             outside = (centre_m > _ALTITUDE_RATIO * altitude) | (centre_m * _ALTITUDE_RATIO < altitude)
             score -= _OUTSIDE_GATE * (outside & known[:, None])
             # Where no step shows, the reading is all there is.
-            score -= _ALTITUDE_PULL * np.abs(np.log(np.maximum(centre_m, BIN_M) / altitude)) * known[:, None]
+            pull = np.maximum(centre_m, BIN_M) / altitude
+            np.abs(np.log(pull, out=pull), out=pull)
+            pull *= _ALTITUDE_PULL * known[:, None]
+            score -= pull
         return score
+
+
+def _not_below_floor(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Raise what is less than a millionth of a ping's median to that; (n_pings, n_bins).
+
+    A median, because ring-down may stand a hundred decibels above everything that follows.
+    """
+    lowest = intensity.min(axis=1, keepdims=True)
+    # Where most values are below a million times the lowest, so is the median, and the floor below the lowest.
+    below = np.count_nonzero(intensity <= lowest * (1e6 * (1.0 - 1e-9)), axis=1)
+    if (2 * below > intensity.shape[1]).all() and (lowest > 1e-280).all():
+        return intensity
+    return np.maximum(intensity, 1e-6 * row_medians(intensity, None, 1)[:, np.newaxis] + 1e-300)
 
 
 def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Path:
@@ -164,6 +178,19 @@ def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Pat
     pings = np.arange(bins.shape[0])
     evidence = np.maximum.reduce([score[pings, np.clip(bins + offset, 0, score.shape[1] - 1)] for offset in (-1, 0, 1)])
     return _Path(bins, evidence)
+
+
+def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
+    """Means over `reach` pings to either side of pings [start, stop), (stop - start,) float64; at the ends over those there are."""
+    whole_start = min(max(start, reach), stop)
+    whole_stop = max(min(stop, values.shape[0] - reach), whole_start)
+    means = np.empty(stop - start)
+    if whole_stop > whole_start:
+        windows = np.lib.stride_tricks.sliding_window_view(values[whole_start - reach : whole_stop + reach], 2 * reach + 1)
+        means[whole_start - start : whole_stop - start] = windows.mean(axis=1)
+    for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
+        means[ping - start] = values[max(ping - reach, 0) : ping + reach + 1].mean()
+    return means
 
 
 def _running_medians(bins: NDArray[np.int64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
@@ -178,7 +205,7 @@ def _running_medians(bins: NDArray[np.int64], reach: int, start: int, stop: int)
     medians = np.empty(stop - start)
     if whole_stop > whole_start:
         windows = np.lib.stride_tricks.sliding_window_view(bins[whole_start - reach : whole_stop + reach], 2 * reach + 1)
-        medians[whole_start - start : whole_stop - start] = np.median(windows, axis=1)
+        medians[whole_start - start : whole_stop - start] = np.partition(windows, reach, axis=1)[:, reach]
     for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
         half = min(reach, ping, last - ping)
         medians[ping - start] = np.median(bins[ping - half : ping + half + 1])

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.navigation import interpolate_track, slice_pose
 from auv_mcm.kernels.waterfall import average_rows
 from auv_mcm.records import PoseTrack, Side
 
@@ -55,10 +55,6 @@ class Swath(NamedTuple):
     @property
     def n_rows(self) -> int:
         return int(self.along_m.shape[0])
-
-
-def slice_pose(pose: PoseTrack, rows: slice) -> PoseTrack:
-    return PoseTrack(**{name: getattr(pose, name)[rows] for name in pose.__struct_fields__})
 
 
 def concatenate_poses(poses: list[PoseTrack]) -> PoseTrack:

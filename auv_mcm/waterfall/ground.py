@@ -18,7 +18,8 @@ class Traces(NamedTuple):
     """Cumulative sums of one side of n pings that share sample count and spacing.
 
     sum_intensity: (n_pings, n_samples + 1) float64, sum of valid intensity before each sample edge.
-    sum_weight: the same of validity (0 or 1), or None when every sample is valid; sum_saturated: of clipping, or None.
+    sum_weight: the same of validity (0 or 1), or None when every sample is valid. sum_saturated: of clipping, or None; ends after the last
+    sample that is clipped in any ping.
     first_range_m: slant range of the centre of sample 0; spacing_m: between samples.
     """
 
@@ -44,13 +45,14 @@ def make_traces(
 
     Added up from the far end, so that ring-down, a hundred decibels above the sea floor, does not take its last digits.
     """
-    return Traces(
-        sums_to_the_end(intensity),
-        None if valid.all() else sums_to_the_end(valid.astype(np.float32)),
-        sums_to_the_end(saturated.astype(np.float32)) if saturated.any() else None,
-        first_range_m,
-        spacing_m,
-    )
+    weight = None if valid.all() else sums_to_the_end(valid.astype(np.float32))
+    return Traces(sums_to_the_end(intensity), weight, sum_of_clipped(saturated), first_range_m, spacing_m)
+
+
+def sum_of_clipped(saturated: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+    """Add up clipping as far out as there is any: ring-down clips the first few samples of most pings, and no others."""
+    clipped = np.flatnonzero(saturated.any(axis=0))
+    return sums_to_the_end(saturated[:, : clipped[-1] + 1].astype(np.float32)) if clipped.size else None
 
 
 class RangeMeans(NamedTuple):
@@ -61,14 +63,18 @@ class RangeMeans(NamedTuple):
     saturated: NDArray[np.bool_]
 
 
-def mean_between(traces: Traces, edges_m: NDArray[np.float64]) -> RangeMeans:
+def mean_between(traces: Traces, edges_m: NDArray[np.float64], edge_row: NDArray[np.int64] | None = None) -> RangeMeans:
     """Mean intensity between neighbouring slant ranges.
 
-    edges_m: (n_pings, n_columns + 1) or (1, n_columns + 1) float64 slant range, non-decreasing along columns.
-    A column is valid when valid samples cover at least half of it, and saturated when clipped ones are a quarter of those.
+    edges_m: (n_pings, n_columns + 1) or (1, n_columns + 1) float64 slant range, non-decreasing along columns; or (n, n_columns + 1) with
+    edge_row: (n_pings,) int64, the row each ping takes. A column is valid when valid samples cover at least half of it, and saturated
+    when clipped ones are a quarter of those.
     """
+    if edge_row is None:
+        n_pings = len(traces.sum_intensity)
+        edge_row = np.zeros(n_pings, dtype=np.int64) if len(edges_m) == 1 else np.arange(n_pings)
     sums = Sampled(traces.sum_intensity, traces.sum_weight, traces.sum_saturated, traces.first_range_m, traces.spacing_m)
-    return RangeMeans(*means(sums, edges_m))
+    return RangeMeans(*means(sums, edges_m, edge_row))
 
 
 def ground_edges_m(first_return_m: NDArray[np.float64], n_columns: int, column_spacing_m: float) -> NDArray[np.float64]:

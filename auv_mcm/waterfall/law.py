@@ -8,7 +8,7 @@ log-Gamma distribution. So each law predicts, as a function of L alone, how stan
     logarithm   std 10 / ln 10 sqrt(psi'(L)) dB (5.57 dB for L = 1), skewness psi''(L) / psi'(L)^1.5 (-1.14 for L = 1, -0.36 for L = 8)
 
 Besides, the standard deviation follows the mean from range to range unless the samples are logarithms. Bayes' rule turns this into
-odds, and for logarithms into looks and decibels per count together: skewness gives L, and L the decibels of the standard deviation.
+odds. What logarithms mean in decibels, `decibels` estimates.
 
 Recorders that detect, smooth or decimate in their own way keep to no such law. Each law has therefore a wide part, too, which grants it
 other shapes; where only the wide parts are left, the prior decides, which for linear samples is amplitude.
@@ -23,19 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, polygamma
 
-from auv_mcm.records import NAN
-from auv_mcm.waterfall.speckle import Shape, Speckle
+from auv_mcm.waterfall.decibels import estimate_decibels, grid_interval
+from auv_mcm.waterfall.log_gamma import LOOKS, LOOKS_PRIOR
+from auv_mcm.waterfall.shape import Shape
+from auv_mcm.waterfall.speckle import Speckle
 
 Law = Literal["amplitude", "intensity", "log"]
 LAWS: Final[tuple[Law, ...]] = ("amplitude", "intensity", "log")
 
-_DB_PER_NAT: Final = 10.0 / math.log(10.0)
-_LOOKS: Final = np.geomspace(1.0, 32.0, 96)
-_MANY_LOOKS: Final = 10.0  # recorders average a few: each look costs resolution
-_ONE_LOOK: Final = 0.25  # of all recorders average none
-_FEW_LOOKS: Final = np.exp(-((_LOOKS / _MANY_LOOKS) ** 2))
-_LOOKS_PRIOR: Final = (1.0 - _ONE_LOOK) * _FEW_LOOKS / _FEW_LOOKS.sum()
-_LOOKS_PRIOR[0] += _ONE_LOOK
 _TEXTURE_NATS: Final = 0.1  # of ln intensity, left in the most even regions of simulated floors
 # Intensity is rare in records, and the sonars that send it mostly say so. A recorded amplitude of odd statistics (an Iver2's) must not pass
 # for it: that sets how rare.
@@ -48,17 +43,6 @@ _LINEAR_SKEWNESS_SHIFT: Final = 0.03  # of skewness / (std / mean)
 _SKEWNESS_SIGMA: Final = 0.045
 _RELATIVE_SKEWNESS_SIGMA: Final = 0.15  # of skewness / (std / mean)
 _LOG_STD_SIGMA: Final = 0.05
-USUAL_DB_PER_COUNT: Final = 0.33  # of 8 bits over 70 to 100 dB
-_DB_PER_COUNT_SIGMA: Final = 0.28  # nats
-_USUAL_SPAN_DB: Final = 45.0  # between the 1st and 99th percentile of a record, water column included; other sample formats
-_SPAN_SIGMA: Final = 0.5  # nats
-_EIGHT_BITS: Final = 255.0
-_DB_GRID_NATS: Final = np.linspace(-2.0, 2.0, 161)  # about the prior's middle
-# Logarithmic recorders that smooth or decimate what they have logged: their skewness does not tell the looks.
-_UNLAWFUL_SHARE: Final = 0.12
-_UNLAWFUL_SKEWNESS: Final = -0.05
-_UNLAWFUL_SIGMA: Final = 0.12
-_INTERVAL: Final = (0.05, 0.95)
 
 
 class LawOdds(NamedTuple):
@@ -86,12 +70,12 @@ class LawOdds(NamedTuple):
 def weigh_laws(speckle: Speckle) -> LawOdds:
     """Posterior odds of the laws, given what speckle shows; the prior where it shows nothing."""
     evidence = dict.fromkeys(LAWS, 0.0)
-    looks = dict.fromkeys(LAWS, _LOOKS_PRIOR)
+    looks = dict.fromkeys(LAWS, LOOKS_PRIOR)
     if speckle.relative is not None:
         for law in LAWS:
             tight, wide = _relative_likelihood(law, speckle.relative)
             evidence[law] = math.log(_WIDE_SHARE * wide + (1.0 - _WIDE_SHARE) * float(tight.sum()) + 1e-300)
-            looks[law] = tight + _WIDE_SHARE / (1.0 - _WIDE_SHARE) * wide * _LOOKS_PRIOR + 1e-300
+            looks[law] = tight + _WIDE_SHARE / (1.0 - _WIDE_SHARE) * wide * LOOKS_PRIOR + 1e-300
             evidence[law] += _slope_evidence(law, speckle)
     if speckle.negative:
         evidence["amplitude"] += _LOG_NEVER
@@ -99,15 +83,15 @@ def weigh_laws(speckle: Speckle) -> LawOdds:
     score = np.array([evidence[law] + math.log(_PRIOR[law]) for law in LAWS])
     probability = np.exp(score - score.max())
     probability /= probability.sum()
-    db_per_count, db_interval, log_looks = _decibels(speckle)
-    looks["log"] = log_looks
+    decibels = estimate_decibels(speckle)
+    looks["log"] = decibels.by_looks
     likeliest = LAWS[int(probability.argmax())]
     amplitude, intensity, log = (float(p) for p in probability)
     return LawOdds(
         (amplitude, intensity, log),
-        db_per_count,
-        db_interval,
-        _interval(_LOOKS, looks[likeliest]),
+        decibels.per_count,
+        decibels.interval,
+        grid_interval(LOOKS, looks[likeliest]),
         0 if speckle.relative is None and speckle.absolute is None else speckle.n_regions,
     )
 
@@ -123,13 +107,13 @@ def _relative_likelihood(law: Law, shape: Shape) -> tuple[NDArray[np.float64], f
         # Where zero is does not follow from the law: std over mean may be anything.
         cv_density = _normal((log_cv - math.log(0.07)) / 0.8) / 0.8
         sigma = np.hypot(_SKEWNESS_SIGMA + 0.1 * np.abs(_LOG_SKEWNESS), shape.skewness_sigma)
-        tight = _LOOKS_PRIOR * cv_density * _student((skewness - _LOG_SKEWNESS) / sigma) / sigma
+        tight = LOOKS_PRIOR * cv_density * _student((skewness - _LOG_SKEWNESS) / sigma) / sigma
         wide = cv_density * _normal((skewness + 0.2) / 0.4) / 0.4
         return tight, float(wide)
     cv, ratio = (_NAKAGAMI_CV, _NAKAGAMI_RATIO) if law == "amplitude" else (_GAMMA_CV, _GAMMA_RATIO)
     expected = (ratio + _LINEAR_SKEWNESS_SHIFT) * shape.std
     sigma = np.hypot(_RELATIVE_SKEWNESS_SIGMA * shape.std, shape.skewness_sigma)
-    tight = _LOOKS_PRIOR * _student((log_cv - np.log(cv)) / cv_sigma) / cv_sigma * _normal((skewness - expected) / sigma) / sigma
+    tight = LOOKS_PRIOR * _student((log_cv - np.log(cv)) / cv_sigma) / cv_sigma * _normal((skewness - expected) / sigma) / sigma
     middle = math.log(0.4 if law == "amplitude" else 0.7)
     wide_sigma = math.hypot(1.0 * shape.std, shape.skewness_sigma)
     wide = _normal((log_cv - middle) / 0.4) / 0.4 * _normal((skewness - 1.8 * shape.std) / wide_sigma) / wide_sigma
@@ -144,42 +128,6 @@ def _slope_evidence(law: Law, speckle: Speckle) -> float:
     return math.log(float(_student((speckle.slope - middle) / sigma)) / sigma)
 
 
-def _decibels(speckle: Speckle) -> tuple[float, tuple[float, float], NDArray[np.float64]]:
-    """Decibels per count if the samples are logarithms: posterior median, interval, and posterior of the looks."""
-    shape = speckle.absolute
-    if shape is None:
-        return NAN, (NAN, NAN), _LOOKS_PRIOR
-    if 1.0 < speckle.highest <= _EIGHT_BITS and not speckle.negative:
-        middle, spread = math.log(USUAL_DB_PER_COUNT), _DB_PER_COUNT_SIGMA
-    else:
-        middle, spread = math.log(_USUAL_SPAN_DB / max(speckle.span_counts, 1e-6)), _SPAN_SIGMA
-    log_db = middle + _DB_GRID_NATS
-    std_sigma = math.hypot(_LOG_STD_SIGMA, shape.log_std_sigma)
-    skewness_sigma = np.hypot(_SKEWNESS_SIGMA, shape.skewness_sigma)
-    unlawful = _normal((shape.skewness - _UNLAWFUL_SKEWNESS) / _UNLAWFUL_SIGMA) / _UNLAWFUL_SIGMA
-    lawful = _normal((shape.skewness - _LOG_SKEWNESS) / skewness_sigma) / skewness_sigma
-    by_looks = _LOOKS_PRIOR * ((1.0 - _UNLAWFUL_SHARE) * lawful + _UNLAWFUL_SHARE * unlawful)
-    # Rows are decibels per count, columns looks.
-    residual = (math.log(shape.std) + log_db[:, None] - np.log(_LOG_STD_DB)) / std_sigma
-    posterior = _normal((log_db - middle) / spread)[:, None] * _normal(residual) * by_looks
-    by_db, by_looks = posterior.sum(axis=1), posterior.sum(axis=0)
-    if not by_db.sum() > 0.0:
-        return NAN, (NAN, NAN), _LOOKS_PRIOR
-    db = np.exp(log_db)
-    low, high = _interval(db, by_db)
-    return _quantile(db, by_db, 0.5), (low, high), by_looks
-
-
-def _interval(grid: NDArray[np.float64], weight: NDArray[np.float64]) -> tuple[float, float]:
-    low, high = (_quantile(grid, weight, probability) for probability in _INTERVAL)
-    return low, high
-
-
-def _quantile(grid: NDArray[np.float64], weight: NDArray[np.float64], probability: float) -> float:
-    cumulative = np.cumsum(weight) - 0.5 * weight
-    return float(np.exp(np.interp(probability * weight.sum(), cumulative, np.log(grid))))
-
-
 def _normal(deviate: Any) -> Any:
     return np.exp(-0.5 * np.square(deviate))
 
@@ -191,7 +139,7 @@ def _student(deviate: Any) -> Any:
 
 def _nakagami() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """std / mean of amplitude by looks, and its skewness over that."""
-    first, third = (np.exp(gammaln(_LOOKS + 0.5 * k) - gammaln(_LOOKS)) * _LOOKS ** (-0.5 * k) for k in (1, 3))
+    first, third = (np.exp(gammaln(LOOKS + 0.5 * k) - gammaln(LOOKS)) * LOOKS ** (-0.5 * k) for k in (1, 3))
     variance = 1.0 - first**2
     skewness = (third - 3.0 * first * variance - first**3) / variance**1.5
     cv = np.sqrt(variance) / first
@@ -199,8 +147,7 @@ def _nakagami() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 _NAKAGAMI_CV, _NAKAGAMI_RATIO = _nakagami()
-_GAMMA_CV: Final = np.hypot(_LOOKS**-0.5, _TEXTURE_NATS)
-_GAMMA_RATIO: Final = np.full(len(_LOOKS), 2.0)
-_LOG_VARIANCE: Final = polygamma(1, _LOOKS) + _TEXTURE_NATS**2
-_LOG_STD_DB: Final = _DB_PER_NAT * np.sqrt(_LOG_VARIANCE)
-_LOG_SKEWNESS: Final = _LOG_SKEWNESS_KEPT * polygamma(2, _LOOKS) / _LOG_VARIANCE**1.5
+_GAMMA_CV: Final = np.hypot(LOOKS**-0.5, _TEXTURE_NATS)
+_GAMMA_RATIO: Final = np.full(len(LOOKS), 2.0)
+_LOG_VARIANCE: Final = polygamma(1, LOOKS) + _TEXTURE_NATS**2
+_LOG_SKEWNESS: Final = _LOG_SKEWNESS_KEPT * polygamma(2, LOOKS) / _LOG_VARIANCE**1.5

@@ -16,15 +16,19 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import NAN, EchoTrace, Notice, Ping, Transfer, TransferKind
 from auv_mcm.settings.config import SonarConfig
-from auv_mcm.waterfall.law import LAWS, USUAL_DB_PER_COUNT, Law, LawOdds, weigh_laws
-from auv_mcm.waterfall.speckle import BLOCK_PINGS, Regions, measure_regions, summarise
+from auv_mcm.waterfall.decibels import USUAL_DB_PER_COUNT
+from auv_mcm.waterfall.law import LAWS, Law, LawOdds, weigh_laws
+from auv_mcm.waterfall.regions import BLOCK_PINGS, Regions, measure_regions
+from auv_mcm.waterfall.speckle import summarise
 
 DECIDE_PINGS: Final = 256
 _MAX_PINGS: Final = 512  # where the first do not decide
 _MIN_PINGS: Final = 64
+_LOOK_AGAIN_PINGS: Final = 128  # after the first look: each costs 12 ms of processor time
 _DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that contacts do not wait for minutes
 _MAX_S: Final = 60.0
 _DECISIVE: Final = 0.99
+_NARROW_NATS: Final = 0.35  # between the ends of the interval of decibels per count; wider, more pings are awaited
 _STRONG: Final = 1e-3  # probability below which a law is contradicted: a notice, or a turn, must not come of an odd stretch of sea floor
 _TURN_NATS: Final = 0.2  # decibels per count that differ by less are not worth starting anew for
 _DOUBT_RATIO: Final = 1.6  # beyond the interval of decibels per count: fields of boulders bring the estimate down by a third
@@ -107,7 +111,16 @@ class LawWatch:
             return True
         if self._n_pings % BLOCK_PINGS or self._n_pings < _MIN_PINGS:
             return False
-        return (self._n_pings >= DECIDE_PINGS or lasted_s >= _DECIDE_S) and max(self._odds().probability) >= _DECISIVE
+        if self._n_pings < DECIDE_PINGS and lasted_s < _DECIDE_S:
+            return False
+        if self._n_pings > DECIDE_PINGS and self._n_pings % _LOOK_AGAIN_PINGS:
+            return False
+        odds = self._odds()
+        return max(odds.probability) >= _DECISIVE and (odds.likeliest != "log" or self._are_decibels_known(odds))
+
+    def _are_decibels_known(self, odds: LawOdds) -> bool:
+        low, high = odds.db_interval
+        return self._sonar.db_per_count is not None or math.log(high / low) <= _NARROW_NATS
 
     def _odds(self) -> LawOdds:
         return weigh_laws(summarise(self._blocks))
@@ -143,7 +156,12 @@ class LawWatch:
                 return None
         elif not self._decibels_turned(odds):
             return None
-        self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
+        if likeliest == "log" and held.kind != "log" and not self._are_decibels_known(odds):
+            # Reading on by the wrong law is worse than usual decibels until more pings have come.
+            self._transfer = Transfer(likeliest, USUAL_DB_PER_COUNT)
+            self._next_decibels = self._next_check
+        else:
+            self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
         # What is older may speak of another recorder.
         while len(self._blocks) > DECIDE_PINGS // BLOCK_PINGS:
             self._blocks.popleft()

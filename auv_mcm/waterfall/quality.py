@@ -9,7 +9,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.kernels.waterfall import sums_of_counts
 from auv_mcm.records import EchoTrace, Side, Transfer
+from auv_mcm.waterfall.ground import Traces, make_traces, sum_of_clipped
 from auv_mcm.waterfall.transfer import to_intensity
 
 _SATURATION_FRACTION: Final = 0.98
@@ -54,11 +56,45 @@ class TraceChecker:
         self._counters = counters
         self._highest = 0
         self._previous: NDArray[Any] | None = None
+        self._tables: dict[np.dtype[Any], NDArray[np.float32]] = {}  # intensity by count, per sample type
+        self._rising: dict[np.dtype[Any], bool] = {}
 
     def check(self, trace: EchoTrace) -> CheckedTrace:
         """Linear intensity with validity and saturation of one recorded trace."""
         checked = self.check_all([trace])
         return CheckedTrace(checked.intensity[0], checked.valid[0], checked.saturated[0])
+
+    def cumulate(self, traces: Sequence[EchoTrace]) -> Traces:
+        """Check traces of one layout, which follow each other, and add them up along range.
+
+        Samples of one or two bytes without a sign, which nearly all recorders store, have few values: what each stands for is looked up
+        as it is added up, and only what `check_all` would refuse is checked one by one.
+        """
+        layout = traces[0].first_range_m, traces[0].spacing_m
+        kind = traces[0].samples.dtype
+        if traces[0].samples.size and self._rises(kind) and all(trace.samples.dtype == kind for trace in traces):
+            samples, table = _stacked(traces), self._tables[kind]
+            highest_count = samples.max(axis=1, initial=0)
+            highest = table[highest_count]
+            step = max(samples.shape[1] // _SOME, 1)
+            sparse, n_samples = table[samples[:, ::_SPARSE]], samples.shape[1]
+            unsure = _may_be_absurd(sparse if step == _SPARSE else table[samples[:, ::step]], highest)
+            if not (unsure.any() or _may_be_dead(sparse, n_samples, highest).any() or self._stuck(samples).any()):
+                saturated = self._saturated(samples, highest_count)
+                self._count_saturation(traces[0], saturated)
+                self._previous = traces[-1].samples
+                return Traces(sums_of_counts(samples, table), None, sum_of_clipped(saturated), *layout)
+        checked = self.check_all(traces)
+        return make_traces(checked.intensity, checked.valid, checked.saturated, *layout)
+
+    def _rises(self, kind: np.dtype[Any]) -> bool:
+        """Check whether samples of a type are few enough to look up, and higher ones never stand for less."""
+        if kind.kind != "u" or kind.itemsize > 2:
+            return False
+        if kind not in self._tables:
+            self._tables[kind] = to_intensity(np.arange(256**kind.itemsize).astype(kind), self._transfer)[0]
+            self._rising[kind] = bool((np.diff(self._tables[kind]) >= 0.0).all())
+        return self._rising[kind]
 
     def check_all(self, traces: Sequence[EchoTrace]) -> CheckedTrace:
         """The same of several traces of one layout, which follow each other; arrays (n_traces, n_samples)."""
@@ -66,22 +102,22 @@ class TraceChecker:
             apart = [self.check(trace) for trace in traces]
             intensities, valids, saturateds = zip(*apart, strict=True)
             return CheckedTrace(np.stack(intensities), np.stack(valids), np.stack(saturateds))
-        samples = np.stack([trace.samples for trace in traces])
+        samples = _stacked(traces)
         intensity, valid = to_intensity(samples, self._transfer)
         n_bad = samples.size - int(np.count_nonzero(valid))
         if n_bad:
             self._counters["quality.sample_not_finite_or_negative"] += n_bad
         highest = intensity.max(axis=1, initial=0.0)
-        for ping in np.flatnonzero(_may_be_absurd(intensity, highest)).tolist():
+        some = intensity[:, :: max(intensity.shape[1] // _SOME, 1)]
+        for ping in np.flatnonzero(_may_be_absurd(some, highest)).tolist():
             absurd = _absurd(intensity[ping])
             if absurd is not None:
                 self._counters["quality.sample_absurd"] += int(np.count_nonzero(absurd))
                 intensity[ping][absurd] = 0.0
                 valid[ping] &= ~absurd
                 highest[ping] = intensity[ping].max(initial=0.0)
-        saturated = self._saturated(samples) & valid
-        for ping in np.flatnonzero(saturated.any(axis=1)).tolist():
-            self._count_saturation(traces[ping], saturated[ping])
+        saturated = self._saturated(samples, samples.max(axis=1, initial=0) if samples.dtype.kind in "ui" else None) & valid
+        self._count_saturation(traces[0], saturated)
         dead, stuck = _dead(intensity, highest), self._stuck(samples)
         for ping in np.flatnonzero(dead | stuck).tolist():
             reason = "no_samples" if samples.shape[1] == 0 else "dead" if dead[ping] else "stuck"
@@ -90,13 +126,13 @@ class TraceChecker:
         self._previous = traces[-1].samples
         return CheckedTrace(intensity, valid, saturated)
 
-    def _saturated(self, samples: NDArray[Any]) -> NDArray[np.bool_]:
+    def _saturated(self, samples: NDArray[Any], highest: NDArray[Any] | None) -> NDArray[np.bool_]:
+        """Find clipped samples (n_traces, n_samples). highest: of each trace, None unless samples are integers."""
         if self._full_scale is not None:
             return np.asarray(samples >= _SATURATION_FRACTION * self._full_scale)
-        if samples.dtype.kind not in "ui" or samples.size == 0:
+        if highest is None or samples.size == 0:
             return np.zeros(samples.shape, dtype=np.bool_)
         ceilings = np.empty(len(samples), dtype=np.int64)
-        highest = samples.max(axis=1)
         for ping, trace_highest in enumerate(highest.tolist()):
             # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no ceiling, three are.
             if trace_highest > self._highest:
@@ -106,14 +142,21 @@ class TraceChecker:
             ceilings[ping] = max((1 << self._highest.bit_length()) - 1, 255)
         if (highest < ceilings).all():
             return np.zeros(samples.shape, dtype=np.bool_)
+        if ceilings.max() <= np.iinfo(samples.dtype).max:
+            ceilings = ceilings.astype(samples.dtype)  # else all samples would be widened to compare them
         return np.asarray(samples >= ceilings[:, np.newaxis])
 
-    def _count_saturation(self, trace: EchoTrace, saturated: NDArray[np.bool_]) -> None:
-        self._counters["quality.sample_saturated"] += int(np.count_nonzero(saturated))
-        near = max(0, round((_NEAR_M - trace.first_range_m) / trace.spacing_m))
-        far = saturated[near:]
-        if far.size and np.count_nonzero(far) > _MANY_SATURATED * far.size:
-            self._counters[f"quality.{self._side}_ping_mostly_saturated"] += 1
+    def _count_saturation(self, first: EchoTrace, saturated: NDArray[np.bool_]) -> None:
+        """Count clipped samples (n_traces, n_samples) of the first trace's layout, and traces of which too many are."""
+        n_saturated = int(np.count_nonzero(saturated))
+        if not n_saturated:
+            return
+        self._counters["quality.sample_saturated"] += n_saturated
+        near = max(0, round((_NEAR_M - first.first_range_m) / first.spacing_m))
+        far = saturated[:, near:]
+        n_mostly = int(np.count_nonzero(np.count_nonzero(far, axis=1) > _MANY_SATURATED * far.shape[1]))
+        if n_mostly:
+            self._counters[f"quality.{self._side}_ping_mostly_saturated"] += n_mostly
 
     def _stuck(self, samples: NDArray[Any]) -> NDArray[np.bool_]:
         """Which traces (n_traces, n_samples) repeat the one before."""
@@ -128,11 +171,27 @@ class TraceChecker:
         return stuck
 
 
-def _may_be_absurd(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which traces (n_traces, n_samples) `_absurd` must look at: those whose highest is so far above the lowest of the samples it takes."""
-    some = intensity[:, :: max(intensity.shape[1] // _SOME, 1)]
+def _may_be_absurd(some: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which traces `_absurd` must look at: those whose highest sample is so far above the lowest of some, (n_traces, n)."""
     lowest = np.where(some > 0.0, some, np.float32(np.inf)).min(axis=1, initial=np.inf).astype(np.float64)
     return np.asarray(np.isfinite(lowest) & (highest > _ABSURD_RATIO * lowest))
+
+
+def _stacked(traces: Sequence[EchoTrace]) -> NDArray[Any]:
+    return np.concatenate([trace.samples for trace in traces]).reshape(len(traces), -1)
+
+
+def _may_be_dead(sparse: NDArray[np.float32], n_samples: int, highest: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which traces `_dead` must look at: all samples together vary at least as much as some of them do by themselves, times their share.
+
+    sparse: (n_traces, n) intensity of some of the n_samples.
+    """
+    is_dark = ~(highest > 0.0)
+    if is_dark.all():  # there may be no sample at all
+        return np.asarray(is_dark)
+    share = sparse.shape[1] / n_samples
+    some = np.log(np.maximum(sparse / np.where(is_dark, np.float32(1.0), highest)[:, np.newaxis], _LEAST_OF_HIGHEST))
+    return np.asarray(is_dark | ~(some.var(axis=1) * share > 2.0 * _FLAT_LOG_VARIANCE))
 
 
 def _dead(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -140,11 +199,7 @@ def _dead(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArr
     dead = ~(highest > 0.0)
     if dead.all():
         return np.asarray(dead)
-    # All samples together vary at least as much as some of them do by themselves, times their share.
-    some = intensity[:, ::_SPARSE]
-    share = some.shape[1] / max(intensity.shape[1], 1)
-    sparse = np.log(np.maximum(some / np.where(dead, np.float32(1.0), highest)[:, np.newaxis], _LEAST_OF_HIGHEST))
-    unsure = ~dead & ~(sparse.var(axis=1) * share > 2.0 * _FLAT_LOG_VARIANCE)
+    unsure = ~dead & _may_be_dead(intensity[:, ::_SPARSE], intensity.shape[1], highest)
     # Any level step across the trace clears this; only a constant or nearly constant trace does not.
     for ping in np.flatnonzero(unsure):
         dead[ping] = np.log(np.maximum(intensity[ping] / highest[ping], _LEAST_OF_HIGHEST)).var() < _FLAT_LOG_VARIANCE

@@ -8,12 +8,16 @@ depends on absolute gain.
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Collection
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall import along_curve, angle_sums, box_level, bright_spots
+from auv_mcm.kernels.waterfall import Levelled, along_curve, angle_sums, box_level, bright_spots, divide_by_level
+from auv_mcm.kernels.waterfall import row_medians as medians_of_rows
+from auv_mcm.records import SATURATED, VALID
 
 N_ANGLE_BINS: Final = 180
 _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
@@ -46,23 +50,36 @@ class AngleCurve:
         self._level = np.full(N_ANGLE_BINS, np.nan)
         self._weight = np.zeros(N_ANGLE_BINS)
 
-    def learn(self, log_intensity: NDArray[np.float64], usable: NDArray[np.bool_], tangent: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Learn from a block of pings; the curve at each of its pixels, (n_pings, n_columns) float64, nats.
+    def learn(
+        self,
+        log_intensity: NDArray[np.float64],
+        usable: NDArray[np.bool_],
+        tangent: NDArray[np.float64],
+        tangent_row: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Learn from a block of pings; returns the curve at each row of `tangent`, the same shape, float64, nats.
 
         That is the curve as it was before this block, for angles already known, so that a shadow does not brighten itself.
-        usable: pixels to learn from. tangent: of the grazing angle per pixel, same shape.
+        log_intensity, usable: (n_pings, n_columns), which pixels to learn from. tangent: of the grazing angle, the same shape; or
+        (n, n_columns) with tangent_row: (n_pings,) int64, the row each ping takes.
         """
+        if tangent_row is None:
+            tangent_row = np.arange(len(log_intensity))
         angle = np.arctan(tangent) * (1.0 / _BIN_RAD)
-        count, total = angle_sums(angle, log_intensity, usable, N_ANGLE_BINS, None, 0.0)
-        mean = total / np.maximum(count, 1)
-        # A bin's first value is its plain mean; only then is there a centre to clip around.
-        centre = np.where(np.isnan(self._level), mean, self._level)
-        innovation = angle_sums(angle, log_intensity, usable, N_ANGLE_BINS, centre, _CLIP_NATS)[1] / np.maximum(count, 1)
+        unknown = np.isnan(self._level)
+        centre = np.where(unknown, 0.0, self._level)
+        count, total = angle_sums(angle, tangent_row, log_intensity, usable, N_ANGLE_BINS, centre, _CLIP_NATS)
+        if (count[unknown] > 0).any():
+            # A bin's first value is its plain mean; only then is there a centre to clip around.
+            plain = angle_sums(angle, tangent_row, log_intensity, usable, N_ANGLE_BINS, None, 0.0)[1]
+            centre = np.where(unknown, plain / np.maximum(count, 1), self._level)
+            total = angle_sums(angle, tangent_row, log_intensity, usable, N_ANGLE_BINS, centre, _CLIP_NATS)[1]
+        innovation = total / np.maximum(count, 1)
         enough = count >= _MIN_BIN_SAMPLES
         n_pings = log_intensity.shape[0]
         share = n_pings / np.minimum(self._weight + n_pings, self._time_constant_pings)
         learnt = np.where(enough, centre + np.minimum(share, 1.0) * innovation, self._level)
-        level = np.where(np.isnan(self._level), learnt, self._level)
+        level = np.where(unknown, learnt, self._level)
         self._level = learnt
         self._weight += np.where(enough, n_pings, 0)
         known = np.flatnonzero(np.isfinite(level))
@@ -80,8 +97,8 @@ class GainStepFilter:
 
     def __init__(self) -> None:
         self._correction = 0.0
-        self._seabed: list[float] = []  # corrected levels of the last pings
-        self._water: list[float] = []
+        self._seabed: deque[float] = deque(maxlen=_GAIN_HISTORY)  # corrected levels of the last pings
+        self._water: deque[float] = deque(maxlen=_GAIN_HISTORY)
         self._baseline = math.nan  # corrected level of the sea floor before the last step
         self._since_step: list[float] = []  # its recorded levels after it
 
@@ -92,45 +109,66 @@ class GainStepFilter:
         are too few samples.
         """
         n_pings = seabed_level.shape[0]
+        if self._is_steady(seabed_level):
+            self._seabed.extend((_finite_end(seabed_level) - self._correction).tolist())
+            self._water.extend((_finite_end(water_level) - self._correction).tolist())
+            return np.full(n_pings, self._correction), 0
         out = np.empty(n_pings)
         n_steps = 0
-        for ping in range(n_pings):
-            seabed, water = seabed_level[ping] - self._correction, water_level[ping] - self._correction
-            if len(self._seabed) >= 3 and len(self._water) >= 3 and math.isfinite(seabed) and math.isfinite(water):
-                seabed_jump = seabed - float(np.median(self._seabed))
-                water_jump = water - float(np.median(self._water))
-                both = min(abs(seabed_jump), abs(water_jump))
-                if both > _GAIN_STEP_NATS and seabed_jump * water_jump > 0 and abs(seabed_jump - water_jump) < 0.5 * both:
-                    self._baseline = float(np.median(self._seabed))
-                    self._since_step = []
-                    n_steps += 1
-            if math.isfinite(self._baseline) and len(self._since_step) < _GAIN_HISTORY:
+        for ping, (seabed, water) in enumerate(zip(seabed_level.tolist(), water_level.tolist(), strict=True)):
+            if self._steps(seabed - self._correction, water - self._correction):
+                self._baseline = _median(self._seabed)
+                self._since_step = []
+                n_steps += 1
+            if len(self._since_step) < _GAIN_HISTORY and math.isfinite(self._baseline):
                 # Over the following pings too: a single ping's median is known to a tenth of a neper only.
-                self._since_step.append(float(seabed_level[ping]))
+                self._since_step.append(seabed)
                 following = seabed_level[ping + 1 : ping + 1 + _GAIN_HISTORY - len(self._since_step)]
                 levels = np.concatenate([self._since_step, following])
                 self._correction = float(levels[np.abs(levels - levels[0]) < _GAIN_STEP_NATS].mean()) - self._baseline
             out[ping] = self._correction
-            _remember(self._seabed, seabed_level[ping] - self._correction)
-            _remember(self._water, water_level[ping] - self._correction)
+            if math.isfinite(seabed):
+                self._seabed.append(seabed - self._correction)
+            if math.isfinite(water):
+                self._water.append(water - self._correction)
         return out, n_steps
 
+    def _is_steady(self, seabed_level: NDArray[np.float64]) -> bool:
+        """Check whether no ping of a block can jump: levels closer together than a step are so to any median of them."""
+        if len(self._since_step) < _GAIN_HISTORY and math.isfinite(self._baseline):
+            return False
+        levels = seabed_level[np.isfinite(seabed_level)] - self._correction
+        if levels.size == 0:
+            return True
+        low, high = float(levels.min()), float(levels.max())
+        return max(high, *self._seabed, high) - min(low, *self._seabed, low) <= _GAIN_STEP_NATS
 
-def _remember(history: list[float], value: float) -> None:
-    if math.isfinite(value):
-        history.append(value)
-        del history[:-_GAIN_HISTORY]
+    def _steps(self, seabed: float, water: float) -> bool:
+        """Check whether both corrected levels of a ping jump alike from those of the last pings."""
+        if len(self._seabed) < 3 or len(self._water) < 3 or not (math.isfinite(seabed) and math.isfinite(water)):
+            return False
+        seabed_jump = seabed - _median(self._seabed)
+        if abs(seabed_jump) <= _GAIN_STEP_NATS:
+            return False
+        water_jump = water - _median(self._water)
+        both = min(abs(seabed_jump), abs(water_jump))
+        return both > _GAIN_STEP_NATS and seabed_jump * water_jump > 0 and abs(seabed_jump - water_jump) < 0.5 * both
+
+
+def _finite_end(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take the last finite levels, as many as are remembered."""
+    return levels[np.isfinite(levels)][-_GAIN_HISTORY:]
+
+
+def _median(values: Collection[float]) -> float:
+    """Median of a few finite values, which numpy takes fifty times as long for."""
+    in_order = sorted(values)
+    return 0.5 * (in_order[(len(in_order) - 1) // 2] + in_order[len(in_order) // 2])
 
 
 def row_medians(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Median of the usable values of each row, (n_rows,) float64; NaN where fewer than 24 are usable."""
-    count = usable.sum(axis=1)
-    filled = np.where(usable, values, np.inf)
-    filled.sort(axis=1)
-    rows = np.arange(values.shape[0])
-    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
-    middle = 0.5 * (filled[rows, low] + filled[rows, high])
-    return np.where(count >= _MIN_LEVEL_SAMPLES, middle, np.nan)
+    return medians_of_rows(values, None if usable.all() else usable, _MIN_LEVEL_SAMPLES)
 
 
 def local_mean(
@@ -143,12 +181,41 @@ def local_mean(
     everything around it. A box that leaves the image is clipped there. Known where at least a quarter of the box is usable and
     not all of it is zero.
     """
-    half = max(1, round(0.5 * LOCAL_MEAN_M / row_spacing_m)), max(1, round(0.5 * LOCAL_MEAN_M / column_spacing_m))
-    # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
-    log_intensity = np.log(np.clip(intensity, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))) * usable
-    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms tells which may.
-    places, log_limits = bright_spots(log_intensity, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
+    half = _half_box(row_spacing_m, column_spacing_m)
     level = np.array(intensity, dtype=np.float32, order="C")
+    _clip_glints(level, usable, half)
+    return box_level(level, usable, half, _MIN_VALID_FRACTION)
+
+
+def level_out(
+    intensity: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    columns: NDArray[np.int64],
+    row_spacing_m: float,
+    column_spacing_m: float,
+) -> Levelled:
+    """Divide an image by the local mean of its usable pixels, which are VALID and not SATURATED; see `local_mean`.
+
+    intensity, mask: (n_rows, n_columns). columns: those of which the mean is wanted itself.
+    """
+    half = _half_box(row_spacing_m, column_spacing_m)
+    usable = (mask & (VALID | SATURATED)) == VALID
+    level = np.where(usable, intensity, np.float32(0.0))
+    _clip_glints(level, usable, half)
+    return divide_by_level(intensity, mask, level, usable, half, _MIN_VALID_FRACTION, columns)
+
+
+def _half_box(row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
+    return max(1, round(0.5 * LOCAL_MEAN_M / row_spacing_m)), max(1, round(0.5 * LOCAL_MEAN_M / column_spacing_m))
+
+
+def _clip_glints(level: NDArray[np.float32], usable: NDArray[np.bool_], half: tuple[int, int]) -> None:
+    """Bring pixels above their limit down to it, in place. level: 0 where not usable."""
+    # The angle curve has brought the sea floor to about 1, so the clip holds whatever the gain.
+    log_level = np.clip(level, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))
+    np.log(log_level, out=log_level)
+    log_level *= usable
+    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms tells which may.
+    places, log_limits = bright_spots(log_level, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
     flat = level.ravel()
     flat[places] = np.minimum(flat[places], np.exp(log_limits).astype(np.float32))
-    return box_level(level, usable, half, _MIN_VALID_FRACTION)

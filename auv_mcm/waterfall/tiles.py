@@ -7,11 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.waterfall import normalise
-from auv_mcm.records import SATURATED, SIDES, VALID, Side, Tile
+from auv_mcm.records import SIDES, Side, Tile
 from auv_mcm.settings.config import WaterfallConfig
-from auv_mcm.waterfall.grid import LEVEL_COLUMNS, SideImage, Swath, concatenate_swaths, slice_swath
-from auv_mcm.waterfall.radiometry import local_mean
+from auv_mcm.waterfall.grid import LEVEL_COLUMNS, Swath, concatenate_swaths, slice_swath
+from auv_mcm.waterfall.radiometry import level_out
 
 
 class TileCutter:
@@ -76,11 +75,10 @@ class TileCutter:
 
     def _tile(self, side: Side, index: int, first_row: int, core_start: int, core_stop: int, piece: Swath) -> Tile:
         image = piece.sides[side]
-        usable = (image.mask & (VALID | SATURATED)) == VALID
-        level = np.where(usable, image.intensity, np.float32(0.0))
         row_spacing_m, column_spacing_m = self._config.row_spacing_m, self._config.column_spacing_m
-        mean, known = local_mean(level, usable, row_spacing_m, column_spacing_m)
-        intensity, mask = normalise(image.intensity, mean, known, image.mask)
+        n_columns = image.mask.shape[1]
+        some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
+        levelled = level_out(image.intensity, image.mask, some, row_spacing_m, column_spacing_m)
         return Tile(
             side=side,
             index=index,
@@ -89,21 +87,19 @@ class TileCutter:
             core_stop=core_stop,
             row_spacing_m=row_spacing_m,
             column_spacing_m=column_spacing_m,
-            intensity=intensity,
-            mask=mask,
+            intensity=levelled.intensity,
+            mask=levelled.mask,
             pose=piece.pose,
             first_return_m=piece.first_return_m,
             first_return_sigma_m=piece.first_return_sigma_m,
             ping_number=piece.ping_number,
-            level=_level(image, mean, known),
+            level=_level(image.offset, levelled.mean, levelled.known),
         )
 
 
-def _level(image: SideImage, mean: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float32] | None:
-    """Measure the local mean against that of the mission at the same grazing angle, in the columns of the image's offset."""
-    if image.offset is None:
+def _level(offset: NDArray[np.float32] | None, mean: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    """Measure the local mean against that of the mission at the same grazing angle; all (n_rows, n), in the columns of the offset."""
+    if offset is None:
         return None
-    n_columns = mean.shape[1]
-    some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
-    log_mean = np.log(mean[:, some], out=np.full((len(mean), len(some)), np.nan), where=known[:, some] & (mean[:, some] > 0.0))
-    return np.asarray(log_mean + image.offset, dtype=np.float32)
+    log_mean = np.log(mean, out=np.full(mean.shape, np.nan), where=known & (mean > 0.0))
+    return np.asarray(log_mean + offset, dtype=np.float32)

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.intake import PingBlock
-from auv_mcm.kernels.waterfall import Turning, ping_masks
+from auv_mcm.kernels.waterfall import Turning, ping_masks, scale_rows
 from auv_mcm.records import SIDES, Ping, Side, Tile, Transfer
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swath
-from auv_mcm.waterfall.ground import Traces, ground_edges_m, make_traces, mean_between
+from auv_mcm.waterfall.ground import Traces, mean_between
+from auv_mcm.waterfall.pixel_geometry import PixelGeometry, pixel_geometry, runs
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, row_medians
 from auv_mcm.waterfall.tiles import TileCutter
@@ -79,14 +80,15 @@ class Waterfall:
         if first is None:
             return None
         traces = [ping.port if side == "port" else ping.starboard for ping in pings]
-        checked = self._checkers[side].check_all([trace for trace in traces if trace is not None])
-        return make_traces(checked.intensity, checked.valid, checked.saturated, first.first_range_m, first.spacing_m)
+        return self._checkers[side].cumulate([trace for trace in traces if trace is not None])
 
     def _finish_block(self, track: BottomTrack) -> list[Tile]:
         assert self._held is not None
         block, traces = self._held
         self._counters["bottom.not_seen"] += int(np.count_nonzero(~track.seen))
-        images = {side: self._side_image(side, traces[side], block, track) for side in traces}
+        columns = {side: self._n_columns(traces[side]) for side in traces}
+        geometry = {n: pixel_geometry(track, n, self._config.waterfall) for n in set(columns.values())}
+        images = {side: self._side_image(side, traces[side], block, geometry[columns[side]]) for side in traces}
         swath = Swath(
             block.along_m,
             block.poses,
@@ -98,33 +100,39 @@ class Waterfall:
         rows = self._grid.add(swath)
         return [] if rows is None else self._cutter.add(*rows)
 
-    def _side_image(self, side: Side, traces: Traces, block: PingBlock, track: BottomTrack) -> SideImage:
-        waterfall = self._config.waterfall
+    def _n_columns(self, traces: Traces) -> int:
         max_range_m = min(traces.first_range_m + traces.n_samples * traces.spacing_m, self._config.sonar.max_range_m)
-        n_columns = max(1, math.ceil(max_range_m / waterfall.column_spacing_m))
-        first_return_m = np.maximum(track.first_return_m, 0.05)
-        ground = mean_between(traces, ground_edges_m(first_return_m, n_columns, waterfall.column_spacing_m))
-        ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * waterfall.column_spacing_m
-        # The angle response must not jump with every rock below the array; geometry follows the smoothed first return itself.
-        level_m = np.maximum(track.level_return_m, 0.05)
-        slopes = math.tan(math.radians(waterfall.min_grazing_deg)), math.tan(math.radians(waterfall.max_grazing_deg))
-        turning = self._turning(side, block, level_m, first_return_m)
-        tangent, mask = ping_masks(ground.valid, ground.saturated, turning, ground_m, slopes, waterfall.max_spacing_ratio)
+        return max(1, math.ceil(max_range_m / self._config.waterfall.column_spacing_m))
+
+    def _side_image(self, side: Side, traces: Traces, block: PingBlock, geometry: PixelGeometry) -> SideImage:
+        first_return_m = geometry.return_m.values[geometry.return_m.row]
+        ground = mean_between(traces, geometry.edges_m, geometry.return_m.row)
+        turning = self._turning(side, block, first_return_m)
+        max_ratio = self._config.waterfall.max_spacing_ratio
+        level_row = geometry.level_m.row
+        mask = ping_masks(ground.valid, ground.saturated, turning, geometry.ground_m, geometry.coarse, level_row, max_ratio)
         positive = ground.valid & (ground.intensity > 0.0)
-        log_intensity = np.log(ground.intensity, out=np.zeros_like(ground.intensity), where=positive)
+        log_intensity = _logarithms(ground.intensity, positive)
         learnable = positive & ~ground.saturated
         seabed_level = row_medians(log_intensity, learnable)
         gain, n_steps = self._gains[side].corrections(seabed_level, self._water_level(traces, first_return_m))
         self._counters[f"radiometry.{side}_gain_step"] += n_steps
-        log_intensity -= gain[:, None]
-        curve = self._curves[side].learn(log_intensity, learnable, tangent)
-        intensity = ground.intensity * np.exp(-gain[:, None] - curve)
+        if gain.any():
+            log_intensity -= gain[:, None]
+        curve = self._curves[side].learn(log_intensity, learnable, geometry.tangent, level_row)
+        # What is taken off, once for pings in a row that share their height and gain.
+        gains = runs(gain)
+        both = runs(level_row * len(gains.values) + gains.row)
+        level, corrected = np.divmod(both.values, len(gains.values))
+        intensity = scale_rows(ground.intensity, np.exp(-gains.values[corrected, None] - curve[level]), both.row)
         # A few columns are enough for what changes as slowly as the angle response.
+        n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
-        reference = self._references[side].learn(log_intensity[:, some], learnable[:, some], tangent[:, some])
-        return SideImage(intensity.astype(np.float32), mask, (curve[:, some] - reference).astype(np.float32))
+        log_few, learnable_few = np.take(log_intensity, some, axis=1), np.take(learnable, some, axis=1)
+        reference = self._references[side].learn(log_few, learnable_few, np.take(geometry.tangent, some, axis=1), level_row)
+        return SideImage(intensity, mask, (curve[:, some] - reference).astype(np.float32)[level_row])
 
-    def _turning(self, side: Side, block: PingBlock, level_m: NDArray[np.float64], first_return_m: NDArray[np.float64]) -> Turning:
+    def _turning(self, side: Side, block: PingBlock, first_return_m: NDArray[np.float64]) -> Turning:
         """Rotation that spreads or squeezes the pings on the bottom.
 
         Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate / v.
@@ -133,7 +141,7 @@ class Waterfall:
         yaw = _TURN_SIGN[side] * block.yaw_rate_rad_s / speed
         pitch = first_return_m * block.pitch_rate_rad_s / speed
         fast = np.abs(block.yaw_rate_rad_s) > math.radians(self._config.waterfall.max_turn_rate_deg_s)
-        return Turning(level_m, pitch, yaw, fast)
+        return Turning(pitch, yaw, fast)
 
     def _water_level(self, traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Median ln I of the water column between ring-down and bottom per ping, (n_pings,) float64; NaN where too short."""
@@ -142,4 +150,9 @@ class Waterfall:
         edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * spacing_m
         means = mean_between(traces, edges[None, :])
         usable = means.valid & (means.intensity > 0.0) & (edges[None, 1:] < _WATER_FRACTION * first_return_m[:, None])
-        return row_medians(np.log(means.intensity, out=np.zeros_like(means.intensity), where=usable), usable)
+        return row_medians(_logarithms(means.intensity, usable), usable)
+
+
+def _logarithms(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Natural logarithms of usable values, which are positive; 0 elsewhere."""
+    return np.asarray(np.log(values if usable.all() else np.where(usable, values, 1.0)))

@@ -17,9 +17,9 @@ from scipy.ndimage import uniform_filter1d
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.georeference import EchoGeometry, locate
+from auv_mcm.geometry.navigation import slice_pose
 from auv_mcm.records import Side
 from auv_mcm.settings.config import Config
-from auv_mcm.waterfall.grid import slice_pose
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.augment.background_log import SamplePlace, Stretch, Survey, overwrite, sample_places, to_samples

@@ -12,6 +12,7 @@ from auv_mcm.errors import UsageError
 BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
     "waterfall": ("benches.chain", "the whole chain, cost per stage"),
     "detect": ("benches.detect", "the detector's cost per tile"),
+    "confirmation": ("benches.confirmation", "a close look's cost, step by step"),
     "simulate": ("benches.simulate", "the simulator's cost"),
     "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "froc": ("benches.froc", "every detector and each step after it, on missions held out from all training"),

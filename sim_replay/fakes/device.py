@@ -43,6 +43,7 @@ from sim_replay.fakes.worst_bytes import WORST_BYTES
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
 
 _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
+_HELD_S: Final = 0.02  # 0.12 m at 6 m/s: a vehicle that is told of later waits
 _TICK_S: Final = 0.1  # of a controller
 _LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
 _GARBAGE_BYTES: Final = 256
@@ -53,6 +54,7 @@ _FLOOD_BYTES: Final = 1400  # a datagram that fits an Ethernet frame
 class FakeDevice:
     """One device of one run. events: its mission; a sonar plays its pings, every other device its navigation samples. controller: of a
     vehicle, to which each sample is a tick; standing: where that is before the start. report(what, details): what happens, as it happens.
+    wait(late_s): lets the whole mission wait for a device that is late; None: the device leaves out what is too late.
 
     Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and `mended` (do),
     `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters: device.messages, .skipped (events
@@ -67,8 +69,10 @@ class FakeDevice:
         report: Report,
         controller: ReportingController | None = None,
         standing: NavSample | None = None,
+        wait: Callable[[float], None] | None = None,
     ) -> None:
         self._job = job
+        self._wait = wait
         self._events = events
         self._report = report
         self._own: Counter[str] = Counter()
@@ -118,6 +122,10 @@ class FakeDevice:
             welcoming.cancel()
             self._report("done", {})
 
+    def hold(self, for_s: float) -> None:
+        """Move everything that is still due, events and faults, to so much later."""
+        self._start_s += for_s
+
     async def _welcome(self) -> None:
         """Tell the controller of every host that opens the wire."""
         while self._controller is not None:
@@ -143,7 +151,10 @@ class FakeDevice:
         await self._sleep_until(due_s)
         if not self._has_power:
             return
-        if self._elapsed_s() - due_s > _LATE_S:
+        late_s = self._elapsed_s() - due_s
+        if self._wait is not None and late_s > _HELD_S:
+            self._wait(late_s)
+        elif late_s > _LATE_S:
             self._own["device.skipped"] += 1
             return
         for message in self._messages(event, fed.at_s):
@@ -267,8 +278,7 @@ class FakeDevice:
         return time.monotonic() - self._start_s
 
     async def _sleep_until(self, at_s: float) -> None:
-        wait_s = at_s - self._elapsed_s()
-        if wait_s > 0.0:
+        while (wait_s := at_s - self._elapsed_s()) > 0.0:  # held meanwhile, it waits on
             await asyncio.sleep(wait_s)
 
 

@@ -19,6 +19,7 @@ from sim_replay.fakes.uart import misread
 
 _SLICE_S: Final = 0.002  # on the line at once
 _BITS_PER_BYTE: Final = 10
+_KERNEL_BYTES: Final = 640 * 1024  # that Linux keeps for the reader of a tty (tty_buffer.c, TTYB_DEFAULT_MEM_LIMIT)
 _BAUD_OF: Final = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 
 
@@ -26,7 +27,8 @@ class FakePort:
     """A device's serial port; the host opens `path`. Used in a running event loop.
 
     Bytes leave at `baud`, in slices of 2 ms. A host that does not keep up loses bytes as behind a UART: what the kernel does not take is
-    gone. A host set to another rate reads what a UART would. Rates that Linux has no name for cannot be seen and pass as set right.
+    gone. A pseudo-terminal takes 12 kB; once a host has set up the port, the rest of what a tty's kernel holds waits here. A host set to
+    another rate reads what a UART would. Rates that Linux has no name for cannot be seen and pass as set right.
 
     faults: damage to what is sent. on_bytes: what the host writes. stalled: while set, nothing passes in either direction and nobody is
     told, as with a broken RS-232 cable. counters: port.sent, port.overrun, port.cut (bytes that were lost while unplugged or stalled),
@@ -41,6 +43,7 @@ class FakePort:
         self.counters: Counter[str] = Counter()
         self._faults = faults
         self._master = self._slave = -1
+        self._waiting = bytearray()  # of a set-up host that is busy
         self._line = asyncio.Lock()  # one message after the other
         self._free_s = 0.0  # loop time at which the line has carried all that was sent
 
@@ -75,7 +78,13 @@ class FakePort:
         """The device is gone at once, and what the host has not read with it. No effect if it is not there."""
         if not self.plugged:
             return
-        asyncio.get_running_loop().remove_reader(self._master)
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(self._master)
+        loop.remove_writer(self._master)
+        if self._waiting:
+            self.counters["port.sent"] -= len(self._waiting)
+            self.counters["port.cut"] += len(self._waiting)
+            self._waiting.clear()
         self.path.unlink(missing_ok=True)
         os.close(self._slave)
         os.close(self._master)
@@ -94,7 +103,7 @@ class FakePort:
         n_unread = array.array("i", [1])
         while self.plugged:
             fcntl.ioctl(self._slave, termios.FIONREAD, n_unread)
-            if n_unread[0] == 0:
+            if n_unread[0] == 0 and not self._waiting:
                 return
             await asyncio.sleep(_SLICE_S)
 
@@ -115,12 +124,33 @@ class FakePort:
         if not self.plugged or self.stalled:
             self.counters["port.cut"] += len(piece)
             return
-        n_taken = 0
-        with contextlib.suppress(BlockingIOError):
-            while n_taken < len(piece):
-                n_taken += os.write(self._master, piece[n_taken:])
+        n_taken = 0 if self._waiting else self._written(piece)
+        room = _KERNEL_BYTES - len(self._waiting) if self._is_set_up() else 0
+        if n_taken < len(piece) and room > 0:
+            kept = piece[n_taken : n_taken + room]
+            self._waiting += kept
+            n_taken += len(kept)
+            asyncio.get_running_loop().add_writer(self._master, self._pass_on)
         self.counters["port.sent"] += n_taken
         self.counters["port.overrun"] += len(piece) - n_taken
+
+    def _written(self, data: bytes | bytearray) -> int:
+        """How many bytes the pseudo-terminal takes."""
+        n_taken = 0
+        with contextlib.suppress(BlockingIOError):
+            while n_taken < len(data):
+                n_taken += os.write(self._master, data[n_taken:])
+        return n_taken
+
+    def _pass_on(self) -> None:
+        """Give the pseudo-terminal what waits, as the host makes room."""
+        del self._waiting[: self._written(self._waiting)]
+        if not self._waiting:
+            asyncio.get_running_loop().remove_writer(self._master)
+
+    def _is_set_up(self) -> bool:
+        """Whether a program has set up the port: it then ignores modem lines, which a new pseudo-terminal does not."""
+        return bool(termios.tcgetattr(self._master)[2] & termios.CLOCAL)
 
     def _receive(self) -> None:
         try:

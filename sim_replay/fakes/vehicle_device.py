@@ -2,6 +2,9 @@
 
 The vehicle flies in real time, in blocks of a few pings. The echoes of a block are made while the block before is played, of the way that
 the command of that moment makes it go: a command takes effect one to two blocks, 0.1 to 0.4 s at 20 pings a second, after it has come.
+
+On a computer that is too slow the mission waits: its time stands still until the next block is made and every device has got rid of what
+is due, so that nothing is left out and what the vehicle does depends on mission time alone.
 """
 
 from __future__ import annotations
@@ -61,7 +64,7 @@ class FakeVehicle:
 
     Besides what its devices and its controller report, in the name of the controller: `pose` (once a second: where it truly is, and whether
     the payload commands), `leg` (number: of its own plan, flown to its end), `passed` (a target abeam on a straight run: number,
-    ground_range_m, look_deg, in_control). counters: world.unrendered, pings that the computer was too slow for.
+    ground_range_m, look_deg, in_control), `held` (for_s: mission time stood still so long, until now). counters: world.held_ms, their sum.
     """
 
     def __init__(self, job: VehicleJob, report: ReportOf, make_controller: MakeController | None = None) -> None:
@@ -77,6 +80,7 @@ class FakeVehicle:
         self._rate_hz = scene.sonar.ping_rate_hz
         self._targets = [thing for thing in self._sea.objects if thing.is_target]
         self._counters: Counter[str] = Counter()
+        self._start_s = 0.0
         make = make_controller or CONTROLLERS[controls.device]
         self._controller = ReportingController(make(), job.seed, lambda what, details: report(self._name, what, details))
         self._queues: dict[str, asyncio.Queue[TimedEvent]] = {name: asyncio.Queue() for name in job.devices}
@@ -88,6 +92,7 @@ class FakeVehicle:
                 _named(report, name),
                 self._controller if device.is_vehicle else None,
                 self._standing(),
+                self._hold,
             )
             for index, (name, device) in enumerate(job.devices.items())
         }
@@ -115,18 +120,19 @@ class FakeVehicle:
         return structs.replace(sample, speed_mps=0.0)
 
     async def _fly(self, start_s: float) -> None:
+        self._start_s = start_s
         number, legs_flown, next_pose_s, next_tick_s = 0, 0, 0.0, 0.0
         before: SonarPose | None = None
         while True:
-            ahead_s = start_s + (number - _BLOCK) / self._rate_hz - time.monotonic()
-            await asyncio.sleep(max(ahead_s, 0.0))
+            await asyncio.sleep(max(self._start_s + (number - _BLOCK) / self._rate_hz - time.monotonic(), 0.0))
             self._vehicle.steer(self._controller.command)
             poses = self._vehicle.fly(_BLOCK, self._rate_hz)
             told = [self._navigation.told(pose, self._sea.altitude_m(pose)) for pose in poses]
             silent = self._vehicle.done and self._controller.command is None
-            late = ahead_s < -2.0 * _BLOCK / self._rate_hz
-            self._counters["world.unrendered"] += _BLOCK * late
-            pings: list[Ping] = [] if silent or late else await asyncio.to_thread(self._sound, poses, number, told)
+            pings: list[Ping] = [] if silent else await asyncio.to_thread(self._sound, poses, number, told)
+            late_s = time.monotonic() - self._start_s - number / self._rate_hz
+            if late_s > 0.0:
+                self._hold(late_s)
             for index, (pose, sample) in enumerate(zip(poses, told, strict=True)):
                 at_s = (number + index) / self._rate_hz
                 ticks = at_s >= next_tick_s
@@ -142,6 +148,14 @@ class FakeVehicle:
                 self._report(self._name, "leg", {"number": legs_flown})
                 legs_flown = self._vehicle.legs_flown
             number += _BLOCK
+
+    def _hold(self, late_s: float) -> None:
+        """Let the mission wait: what was due so long ago is due now."""
+        self._start_s += late_s
+        for device in self.devices.values():
+            device.hold(late_s)
+        self._counters["world.held_ms"] += math.ceil(1e3 * late_s)
+        self._report(self._name, "held", {"for_s": round(late_s, 4)})
 
     def _sound(self, poses: Sequence[SonarPose], number: int, told: Sequence[NavSample]) -> list[Ping]:
         return self._sea.sound(poses, number, [sample.altitude_m for sample in told])

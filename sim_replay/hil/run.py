@@ -15,7 +15,9 @@ import resource
 import signal
 import sys
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Coroutine, Iterator, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,7 +47,9 @@ _SETTLE_S: Final = 0.5  # for the service to open its ports
 _GRACE_S: Final = 5.0
 _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units count as silent after 1.5 s
 _AFTERMATH_S: Final = 1.5  # for the service to say what it makes of a fault
-_ALONE_S: Final = 4.0  # of a vehicle after the service's end, to see that it goes on by itself
+_ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to see that it goes on by itself
+_LOOK_S: Final = 0.1  # between looks at the mission time
+_SLOWEST: Final = 10.0  # wall time per mission time of a vehicle's world on a busy computer; a run that needs more is over
 _TAIL_LINES: Final = 5
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -92,7 +96,7 @@ def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Eviden
 
 class _Live(msgspec.Struct):
     """What the processes said while they ran. exit_code: of the service, None if it had to be killed. killed_s: when that was wanted.
-    stopped_s: when it was told to stop, None if it had ended before."""
+    stopped_s: when it was told to stop, None if it had ended before. All times are mission times."""
 
     exit_code: int | None
     lines: Sequence[Line]
@@ -107,6 +111,8 @@ class _Run:
         self._folder = folder
         self._say = say
         self._stopped_s: float | None = None
+        self._vehicle: _Process | None = None
+        self._start_s = 0.0
 
     async def live(self, jobs: Sequence[Job | VehicleJob]) -> _Live:
         processes: list[_Process] = []
@@ -121,21 +127,23 @@ class _Run:
             await service.said("ready: ", _READY_S)
             if (limit_bytes := self._scenario.file_limit_bytes) is not None:
                 service.limit_files(limit_bytes)
-            start_s = time.monotonic() + _SETTLE_S
+            self._vehicle = None if self._scenario.vehicle is None else processes[0]
+            self._start_s = time.monotonic() + _SETTLE_S
             for process in processes:  # also to the service, which listens only where its clock is to step
-                process.tell(f"start {start_s:.6f}\n")
+                process.tell(f"start {self._start_s:.6f}\n")
             killed_s = None
             if self._scenario.kill is not None:
-                killed_s = await self._killed(service, processes[0], self._scenario.kill, start_s)
-            exit_code = await self._served(service, processes[:-1], start_s)
-            if self._scenario.vehicle is not None:
-                await asyncio.sleep(_ALONE_S)
+                killed_s = await self._killed(service, processes[0], self._scenario.kill)
+            exit_code = await self._served(service, processes[:-1])
+            if self._vehicle is not None:
+                await self._wait(_ALONE_S)
         finally:
             await asyncio.gather(*(process.end() for process in processes))
-        lines = [Line(at_s - start_s, text) for at_s, text in service.lines]
+        time_of = self._mission_time()
+        lines = [Line(time_of.at(at_s), text) for at_s, text in service.lines]
         reports: dict[str, list[Report]] = {name: [] for name in self._scenario.devices}
         for job, process in zip(jobs, processes, strict=False):
-            for name, report in _reports(process, start_s):
+            for name, report in _reports(process, time_of):
                 reports[name or _name_of(job)].append(report)
         return _Live(exit_code=exit_code, lines=lines, reports=reports, killed_s=killed_s, stopped_s=self._stopped_s)
 
@@ -146,18 +154,45 @@ class _Run:
         arguments = ["-m", "sim_replay.fakes", str(path)]
         return await _Process.begin(f"fake device '{name}'", arguments, self._folder / f"{name}.log")
 
-    async def _killed(self, service: _Process, vehicle: _Process, kill: Kill, start_s: float) -> float | None:
+    def _mission_time(self) -> MissionTime:
+        holds = () if self._vehicle is None else [(at_s, hold_s) for at_s, line in self._vehicle.lines if (hold_s := _hold_s(line))]
+        return MissionTime(self._start_s, holds)
+
+    async def _wait(self, for_s: float) -> None:
+        """Wait for a mission time, or for _SLOWEST times as long."""
+        now_s = time.monotonic()
+        until_s = self._mission_time().at(now_s) + for_s
+        while (left_s := until_s - self._mission_time().at(time.monotonic())) > 0.0:
+            if time.monotonic() - now_s > _SLOWEST * for_s:
+                self._say(f"this computer makes {for_s:g} s of mission time in more than {_SLOWEST * for_s:g} s: given up")
+                return
+            await asyncio.sleep(left_s if self._vehicle is None else min(left_s, _LOOK_S))
+
+    async def _killed(self, service: _Process, vehicle: _Process, kill: Kill) -> float | None:
         """Kill the service as told and wait until the run is over. Returns when it was, after the start; None: control never granted."""
-        try:
-            await vehicle.said('"what": "granted"', start_s + self._scenario.run_s - time.monotonic())
-        except HardwareError:
+        if not await self._said([vehicle], "granted"):
             return None
-        await asyncio.sleep(kill.after_grant_s)
+        await self._wait(kill.after_grant_s)
         self._say("killing the service")
         service.signal(signal.SIGKILL)
-        killed_s = time.monotonic() - start_s
-        await asyncio.sleep(kill.rest_s)
+        killed_s = self._mission_time().at(time.monotonic())
+        await self._wait(kill.rest_s)
         return killed_s
+
+    async def _said(self, devices: Sequence[_Process], what: str, containing: str = "") -> bool:
+        """Wait until a device reports something, or the run has lasted as long as it may. Returns whether one did."""
+        said = [asyncio.ensure_future(device.said(f'"what": "{what}"', None, containing)) for device in devices]
+        ends = asyncio.ensure_future(self._wait(self._left_s()))
+        try:
+            await asyncio.wait({*said, ends}, return_when=asyncio.FIRST_COMPLETED)
+            return any(task.done() and task.exception() is None for task in said)
+        finally:
+            for task in (*said, ends):
+                task.cancel()
+
+    def _left_s(self) -> float:
+        """Compute how much mission time is left of the run."""
+        return max(0.0, self._scenario.run_s - self._mission_time().at(time.monotonic()))
 
     async def _service(self, uris: dict[str, str]) -> _Process:
         path = self._folder / "service.yaml"
@@ -168,13 +203,12 @@ class _Run:
             arguments = ["-m", "sim_replay.hil.stepping_service", str(path), str(step.at_s), str(step.by_s)]
         return await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
 
-    async def _served(self, service: _Process, devices: Sequence[_Process], start_s: float) -> int | None:
+    async def _served(self, service: _Process, devices: Sequence[_Process]) -> int | None:
         """Wait until the run is over, tell the service to stop, and wait for that."""
         scenario = self._scenario
-        left_s = max(0.0, start_s + scenario.run_s - time.monotonic())
         self._say(f"running for {scenario.run_s:g} s" + ("" if scenario.ends_after is None else " at most"))
-        over = asyncio.ensure_future(self._over(devices, left_s))
-        ended = asyncio.ensure_future(service.ended(left_s + _GRACE_S))
+        over = asyncio.ensure_future(self._over(devices))
+        ended = asyncio.ensure_future(service.ended(None))
         await asyncio.wait({over, ended}, return_when=asyncio.FIRST_COMPLETED)
         over.cancel()
         if ended.done():
@@ -182,27 +216,22 @@ class _Run:
         ended.cancel()
         self._say("stopping")
         service.signal(signal.SIGTERM)
-        self._stopped_s = time.monotonic() - start_s
+        self._stopped_s = self._mission_time().at(time.monotonic())
         try:
             return await service.ended(scenario.stop_within_s)
         except TimeoutError:
             return None
 
-    async def _over(self, devices: Sequence[_Process], left_s: float) -> None:
+    async def _over(self, devices: Sequence[_Process]) -> None:
         """Returns when the run is over."""
         rule = self._scenario.ends_after
-        if rule is None and self._scenario.vehicle is None:
-            await self._played(devices, left_s)
-            return
-        if rule is None:
-            await asyncio.sleep(left_s)
-            return
-        said = [asyncio.ensure_future(device.said(f'"what": "{rule.what}"', left_s, rule.containing)) for device in devices]
-        done, waiting = await asyncio.wait(said, timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
-        for task in waiting:
-            task.cancel()
-        if any(task.exception() is None for task in done):
-            await asyncio.sleep(rule.after_s)
+        if rule is not None:
+            if await self._said(devices, rule.what, rule.containing):
+                await self._wait(rule.after_s)
+        elif self._vehicle is not None:
+            await self._wait(self._left_s())
+        else:
+            await self._played(devices, self._left_s())
 
     async def _played(self, devices: Sequence[_Process], left_s: float) -> None:
         """Wait until every device has played its mission and every fault has ended, for `left_s` seconds at most.
@@ -222,6 +251,26 @@ class _Run:
         except* HardwareError:
             pass  # longer than the run, or a device ended, which says why in its log and fails its expectations
         await asyncio.sleep(max(0.0, ends_s - time.monotonic()))
+
+
+class MissionTime:
+    """Times of a run, s after its start, by a clock that stands still while the computer is too slow for the mission."""
+
+    def __init__(self, start_s: float, holds: Sequence[tuple[float, float]]) -> None:
+        """start_s: of the monotonic clock. holds: when each ended, by the same clock, and how long it was, s."""
+        self._start_s = start_s
+        self._holds = holds
+        self._ended_s = [ended_s for ended_s, _ in holds]
+        self._held_s = list(accumulate((for_s for _, for_s in holds), initial=0.0))
+
+    def at(self, mono_s: float) -> float:
+        """Convert an instant of the monotonic clock to mission time."""
+        n_over = bisect_right(self._ended_s, mono_s)
+        held_s = self._held_s[n_over]
+        if n_over < len(self._holds):
+            ended_s, for_s = self._holds[n_over]
+            held_s += max(mono_s - ended_s + for_s, 0.0)
+        return mono_s - self._start_s - held_s
 
 
 class _Process:
@@ -255,8 +304,8 @@ class _Process:
         )
         return cls(what, process, log)
 
-    async def said(self, text: str, within_s: float, also: str = "") -> str:
-        """The first line that contains a text, and also another. Raises HardwareError if none comes."""
+    async def said(self, text: str, within_s: float | None, also: str = "") -> str:
+        """The first line that contains a text, and also another. Raises HardwareError if none comes in time, None: before it ends."""
 
         def found() -> str | None:
             return next((line for _, line in self.lines if text in line and also in line), None)
@@ -282,8 +331,8 @@ class _Process:
         with contextlib.suppress(ProcessLookupError):
             self._process.send_signal(number)
 
-    async def ended(self, within_s: float) -> int:
-        """The exit code. Raises TimeoutError."""
+    async def ended(self, within_s: float | None) -> int:
+        """The exit code. Raises TimeoutError, with None never."""
         async with asyncio.timeout(within_s):
             return await self._process.wait()
 
@@ -369,12 +418,17 @@ async def _uris_of(device: _Process, job: Job | VehicleJob) -> dict[str, str]:
     return {name: str(json.loads(await device.said(text, _READY_S))["uri"]) for name, text in ready.items()}
 
 
-def _reports(device: _Process, start_s: float) -> Iterator[tuple[str | None, Report]]:
+def _reports(device: _Process, time_of: MissionTime) -> Iterator[tuple[str | None, Report]]:
     """With the name of the device where a line gives one."""
     for _, line in device.lines:
         if line.startswith("{"):
             details = json.loads(line)
-            yield details.pop("device", None), Report(details.pop("mono_s") - start_s, details.pop("what"), details)
+            yield details.pop("device", None), Report(time_of.at(details.pop("mono_s")), details.pop("what"), details)
+
+
+def _hold_s(line: str) -> float:
+    """How long mission time stood still until a report; 0 for reports of something else."""
+    return float(json.loads(line)["for_s"]) if '"what": "held"' in line else 0.0
 
 
 def _read_json(path: Path) -> Any:

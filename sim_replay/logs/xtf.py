@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import struct
 from collections import Counter, deque
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -57,6 +58,64 @@ _MENDED: Final = frozenset(
 )
 
 
+class _PingTime(NamedTuple):
+    """Time in a ping's header, in the order of the format, under pyxtf's names."""
+
+    Year: int
+    Month: int
+    Day: int
+    Hour: int
+    Minute: int
+    Second: int
+    HSeconds: int
+
+
+class _PingHeader(NamedTuple):
+    """What else is read of a ping's header, likewise."""
+
+    SoundVelocity: float
+    ShipSpeed: float
+    ShipGyro: float
+    ShipYcoordinate: float
+    ShipXcoordinate: float
+    SensorSpeed: float
+    SensorYcoordinate: float
+    SensorXcoordinate: float
+    SensorDepth: float
+    SensorPrimaryAltitude: float
+    SensorPitch: float
+    SensorRoll: float
+    SensorHeading: float
+
+
+class _ChannelHeader(NamedTuple):
+    """What is read of a channel's header in a ping, likewise."""
+
+    ChannelNumber: int
+    SlantRange: float
+    TimeDelay: float
+    SecondsPerPing: float
+    NumSamples: int
+    Weight: int
+
+
+def _packed(structure: Any, names: tuple[str, ...]) -> struct.Struct:
+    """Unpack some fields of one of pyxtf's structures, named in their order there: ten times as fast as one attribute after the other."""
+    types = dict(structure._fields_)
+    code, end = "<", 0
+    for name in names:
+        field = getattr(structure, name)
+        code += f"{field.offset - end}x{types[name]._type_}"
+        end = field.offset + field.size
+    return struct.Struct(code)
+
+
+_TIME_FIELDS: Final = _packed(pyxtf.XTFPingHeader, _PingTime._fields)
+_PING_FIELDS: Final = _packed(pyxtf.XTFPingHeader, _PingHeader._fields)
+_NO_HEADER: Final = _ChannelHeader(0, NAN, NAN, NAN, 0, 0)
+_CHANNEL_FIELDS: Final = _packed(pyxtf.XTFPingChanHeader, _ChannelHeader._fields)
+
+
 class _Trace(NamedTuple):
     samples: NDArray[Any]  # as stored
     range_m: float
@@ -66,7 +125,7 @@ class _Trace(NamedTuple):
 
 class _RawPing(NamedTuple):
     offset: int
-    header: Any
+    header: _PingHeader
     time_s: float
     interval_s: float
     port: _Trace | None
@@ -106,7 +165,7 @@ class XtfLog:
         self._notices: deque[Notice] = deque()
         self._said: set[str] = set()
         self._reference_weight: dict[str, int] = {}
-        self._n_samples: dict[str, tuple[int, str]] = {}
+        self._n_samples: dict[str, tuple[int, np.dtype[Any]]] = {}
         self._last_navigation: tuple[float, ...] = ()
         with self._open() as file:
             self.size_bytes = os.fstat(file.fileno()).st_size
@@ -144,14 +203,16 @@ class XtfLog:
                 raise BadInputError(self._no_ping_text())
             habits = self._habits(probe)
             for number, (time_s, raw) in enumerate(spread_ties(chain(probe, raw_pings), self.counters)):
-                yield from self._notices
-                self._notices.clear()
+                if self._notices:
+                    yield from self._notices
+                    self._notices.clear()
                 navigation = self._navigation(raw, time_s, habits)
                 if navigation is not None:
                     yield navigation
                 ping = self._ping(raw, time_s, number, habits)
-                yield from self._notices
-                self._notices.clear()
+                if self._notices:
+                    yield from self._notices
+                    self._notices.clear()
                 yield ping
             self.bytes_read = self.size_bytes
             self._tell_totals()
@@ -254,24 +315,24 @@ class XtfLog:
             end = start + n_bytes
         return end if end <= len(data) else None
 
-    def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, Any]]:
+    def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, _ChannelHeader]]:
         """Per channel of a ping packet: its description, offset and length of its samples (None: beyond the packet), its header."""
         if len(data) < _PING_HEADER:
-            yield None, 0, None, None
+            yield None, 0, None, _NO_HEADER
             return
         n_channels = int.from_bytes(data[4:6], "little")
         offset = _PING_HEADER
         for index in range(n_channels):
             if offset + _CHANNEL_HEADER > len(data):
-                yield None, offset, None, None
+                yield None, offset, None, _NO_HEADER
                 return
-            header = pyxtf.XTFPingChanHeader.from_buffer_copy(data, offset)
+            header = _ChannelHeader._make(_CHANNEL_FIELDS.unpack_from(data, offset))
             offset += _CHANNEL_HEADER
             number = header.ChannelNumber
             if number >= len(self._channels):
                 number = index
             if number >= len(self._channels):
-                yield None, offset, None, None
+                yield None, offset, None, _NO_HEADER
                 return
             channel = self._channels[number]
             width = channel.dtype.itemsize if channel.dtype is not None else 1
@@ -287,7 +348,6 @@ class XtfLog:
 
     def _raw_ping(self, packet: Packet) -> _RawPing | None:
         data = packet.data
-        place = self._place(packet.offset)
         traces: dict[int, _Trace] = {}
         empty = False
         interval = NAN
@@ -299,36 +359,40 @@ class XtfLog:
                 self.counters["reader.other_channel"] += 1
                 continue
             n_samples = n_bytes // channel.dtype.itemsize
-            range_m = float(header.SlantRange)
+            range_m = header.SlantRange
             if n_samples == 0 or not 0.0 < range_m < 1e4:
                 empty = True
                 continue
             samples = np.frombuffer(data, channel.dtype, n_samples, start)
-            interval = float(header.SecondsPerPing)
-            traces[channel.number] = _Trace(samples, range_m, float(header.TimeDelay), int(header.Weight))
+            interval = header.SecondsPerPing
+            traces[channel.number] = _Trace(samples, range_m, header.TimeDelay, header.Weight)
         if not traces:
             code = "reader.ping_empty" if empty else "reader.ping_without_side_scan"
             self.counters[code] += 1
             if empty:
-                self._tell_once(code, "a ping has no samples or no slant range; such pings are skipped and counted", place)
+                text = "a ping has no samples or no slant range; such pings are skipped and counted"
+                self._tell_once(code, text, self._place(packet.offset))
             return None
         if empty:
             self.counters["reader.side_empty"] += 1
             self._tell_once(
-                "reader.side_empty", "one side of a ping has no samples or no slant range; that side is left out and counted", place
+                "reader.side_empty",
+                "one side of a ping has no samples or no slant range; that side is left out and counted",
+                self._place(packet.offset),
             )
-        header = pyxtf.XTFPingHeader.from_buffer_copy(data)
-        time_s = _utc_seconds(header)
+        clock = _PingTime._make(_TIME_FIELDS.unpack_from(data))
+        time_s = _utc_seconds(clock)
         if time_s is None:
             self.counters["reader.time_invalid"] += 1
             self._tell_once(
                 "reader.time_invalid",
-                f"a ping's date or time is impossible ({header.Year}-{header.Month}-{header.Day} "
-                f"{header.Hour}:{header.Minute}:{header.Second}); such pings are skipped and counted: set the recorder's clock",
-                place,
+                f"a ping's date or time is impossible ({clock.Year}-{clock.Month}-{clock.Day} "
+                f"{clock.Hour}:{clock.Minute}:{clock.Second}); such pings are skipped and counted: set the recorder's clock",
+                self._place(packet.offset),
             )
             return None
-        return _RawPing(packet.offset, header, time_s, interval, traces.get(self._port_number), traces.get(self._starboard_number))
+        ping_header = _PingHeader._make(_PING_FIELDS.unpack_from(data))
+        return _RawPing(packet.offset, ping_header, time_s, interval, traces.get(self._port_number), traces.get(self._starboard_number))
 
     # --- what the first pings say ---
 
@@ -390,36 +454,48 @@ class XtfLog:
 
     def _navigation(self, raw: _RawPing, time_s: float, habits: _Habits) -> NavSample | None:
         h = raw.header
-        place = self._place(raw.offset)
-        latitude = _number(h.ShipYcoordinate if habits.ship_position else h.SensorYcoordinate)
-        longitude = _number(h.ShipXcoordinate if habits.ship_position else h.SensorXcoordinate)
-        heading = _number(h.ShipGyro if habits.ship_gyro else h.SensorHeading)
-        speed = _number(h.ShipSpeed if habits.ship_speed else h.SensorSpeed)
-        pitch, roll, depth = _number(h.SensorPitch), _number(h.SensorRoll), _number(h.SensorDepth)
-        altitude = _number(h.SensorPrimaryAltitude)
+        latitude = h.ShipYcoordinate if habits.ship_position else h.SensorYcoordinate
+        longitude = h.ShipXcoordinate if habits.ship_position else h.SensorXcoordinate
+        heading = h.ShipGyro if habits.ship_gyro else h.SensorHeading
+        speed = h.ShipSpeed if habits.ship_speed else h.SensorSpeed
+        values: tuple[float, ...] = (
+            latitude,
+            longitude,
+            heading,
+            h.SensorPitch,
+            h.SensorRoll,
+            h.SensorDepth,
+            h.SensorPrimaryAltitude,
+            speed,
+        )
+        is_whole = math.isfinite(sum(values))  # what is not finite leaves no finite sum
+        if not is_whole:
+            values = tuple(map(_number, values))
+        latitude, longitude, heading, pitch, roll, depth, altitude, speed = values
         if latitude == longitude == heading == altitude == 0.0:
             self.counters["reader.zero_navigation"] += 1
-            self._tell_once("reader.zero_navigation", "a ping has no navigation (all zero); it is taken as unknown", place)
+            text = "a ping has no navigation (all zero); it is taken as unknown"
+            self._tell_once("reader.zero_navigation", text, self._place(raw.offset))
             return None
-        values = (latitude, longitude, heading, pitch, roll, depth, altitude, speed)
-        if any(map(math.isnan, values)):
+        if not is_whole and any(map(math.isnan, values)):
             self.counters["reader.nan_navigation"] += 1
-            self._tell_once("reader.nan_navigation", "navigation holds NaN or infinity; those quantities are taken as unknown", place)
+            text = "navigation holds NaN or infinity; those quantities are taken as unknown"
+            self._tell_once("reader.nan_navigation", text, self._place(raw.offset))
         if latitude == longitude == 0.0:
             self.counters["reader.zero_position"] += 1
-            self._tell_once(
-                "reader.zero_position", "a ping has heading or altitude but no position (0, 0); the position is taken as unknown", place
-            )
+            text = "a ping has heading or altitude but no position (0, 0); the position is taken as unknown"
+            self._tell_once("reader.zero_position", text, self._place(raw.offset))
             latitude = longitude = NAN
         elif abs(latitude) > 90.0 or abs(longitude) > 360.0:
             self.counters["reader.impossible_position"] += 1
-            self._tell_once("reader.impossible_position", f"impossible position {latitude}, {longitude}; taken as unknown", place)
+            text = f"impossible position {latitude}, {longitude}; taken as unknown"
+            self._tell_once("reader.impossible_position", text, self._place(raw.offset))
             latitude = longitude = NAN
         elif not -180.0 <= longitude < 180.0:
             longitude = (longitude + 180.0) % 360.0 - 180.0
         last = self._last_navigation
         self._last_navigation = (latitude, longitude, *values[2:])
-        if last and all(a == b or (a != a and b != b) for a, b in zip(last, self._last_navigation, strict=True)):
+        if last and _all_alike(last, self._last_navigation):
             self.counters["reader.repeated_navigation"] += 1
             return None
         if last and latitude == last[0] and longitude == last[1]:
@@ -464,7 +540,7 @@ class XtfLog:
         if trace is None:
             return None
         samples = trace.samples
-        form = (samples.shape[0], samples.dtype.str)
+        form = (samples.shape[0], samples.dtype)
         known = self._n_samples.setdefault(side, form)
         if form != known:
             self._n_samples[side] = form
@@ -472,7 +548,7 @@ class XtfLog:
             self.counters[f"reader.{what}_change"] += 1
             self._tell_once(
                 f"reader.{what}_change",
-                f"{side} changes from {known[0]} samples of {known[1]} to {form[0]} of {form[1]}; later changes are counted",
+                f"{side} changes from {known[0]} samples of {known[1].str} to {form[0]} of {form[1].str}; later changes are counted",
                 place,
             )
         reference = self._reference_weight.setdefault(side, trace.weight)
@@ -587,23 +663,27 @@ class _NoSideScanError(BadInputError):
     """No side-scan channel: the caller completes the message with what the file holds instead."""
 
 
+def _all_alike(values: tuple[float, ...], others: tuple[float, ...]) -> bool:
+    """Compare numbers of which NaN equals NaN."""
+    return values == others or all(a == b or (a != a and b != b) for a, b in zip(values, others, strict=True))
+
+
 def _number(value: float) -> float:
     """Finite or NaN."""
     return value if math.isfinite(value) else NAN
 
 
-def _utc_seconds(header: Any) -> float | None:
-    if header.HSeconds > 99 or header.Year < 1980:
+def _utc_seconds(clock: _PingTime) -> float | None:
+    if clock.HSeconds > 99 or clock.Year < 1980:
         return None
     try:
-        whole = datetime(header.Year, header.Month, header.Day, header.Hour, header.Minute, min(header.Second, 59), tzinfo=UTC)
+        whole = datetime(clock.Year, clock.Month, clock.Day, clock.Hour, clock.Minute, min(clock.Second, 59), tzinfo=UTC)
     except ValueError:
         return None
-    if header.Second > 60:
+    if clock.Second > 60:
         return None
-    leap = 1 if header.Second == 60 else 0
-    hundredths: int = header.HSeconds
-    return whole.timestamp() + leap + hundredths / 100.0
+    leap = 1 if clock.Second == 60 else 0
+    return whole.timestamp() + leap + clock.HSeconds / 100.0
 
 
 def _probe_port_order(probe: list[_RawPing], blank_m: float) -> PortOrderEvidence | None:

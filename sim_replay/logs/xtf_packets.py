@@ -61,26 +61,34 @@ def read_packets(
     """
     position = first_packet
     search_from = first_packet  # no packet that was already delivered starts at or after this
+    newest_wanted: tuple[int, int] | None = None  # offset and length; how far its content goes is looked at only where damage follows
+    file.seek(position)
     while position < size:
-        file.seek(position)
         start = file.read(_START.size)
         fault, n_bytes, kind = _fault(start, position, size)
         if fault is None:
-            data = b""
             if kind in wanted:
-                data = start + file.read(n_bytes - _START.size)
-                content = content_bytes(data)
-                search_from = position + (content if content is not None else len(MAGIC))
+                newest_wanted = (position, n_bytes)
+                yield Packet(position, kind, start + file.read(n_bytes - _START.size))
+                position += n_bytes
             else:
-                search_from = position + _START.size
-            yield Packet(position, kind, data)
-            position += n_bytes
+                newest_wanted, search_from = None, position + _START.size
+                yield Packet(position, kind, b"")
+                position += n_bytes
+                file.seek(position)
             continue
+        if newest_wanted is not None:
+            offset, n_bytes = newest_wanted
+            file.seek(offset)
+            content = content_bytes(file.read(n_bytes))
+            search_from = offset + (content if content is not None else len(MAGIC))
+            newest_wanted = None
         header = _file_header(file, position, size)
         if header is not None:
             yield header
             position += len(header.data)
             search_from = position
+            file.seek(position)
             continue
         if start[:2] == MAGIC:
             search_from = position + len(MAGIC)
@@ -89,6 +97,7 @@ def read_packets(
         damaged_from = min(position, found)
         yield DamagedBytes(damaged_from, found - damaged_from, fault, at_end=found >= size)
         position = found
+        file.seek(position)
 
 
 def _fault(start: bytes, position: int, size: int) -> tuple[str | None, int, int]:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.detect_tile import TileDetections
+from auv_mcm.geometry.navigation import slice_pose
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import VALID, PoseTrack, Side, SourceEvent, Tile
 from auv_mcm.settings.config import Config
-from auv_mcm.waterfall.grid import concatenate_poses, slice_pose
+from auv_mcm.waterfall.grid import concatenate_poses
 from sim_replay.augment.direct import invert
 from sim_replay.augment.forward import SeafloorScene
 

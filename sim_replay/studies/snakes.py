@@ -24,12 +24,13 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.reasons import bearing
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import Region
-from auv_mcm.confirm.snake import COARSE, FINE, Contours, Schedule, Start, converge, settings_of
+from auv_mcm.confirm.snake import COARSE, FINE, Contours, Start, converge, settings_of
 from auv_mcm.confirmation import examine, region_of, without_confirmation
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.snake_descent import Schedule
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
 from auv_mcm.settings.config import Config

@@ -69,12 +69,17 @@ def finds_the_target(pipeline: Pipeline, within_m: float = 0.8) -> bool:
     return False
 
 
+@cache
+def undisturbed() -> tuple[Pipeline, list[PipelineEvent]]:
+    return run(mission())
+
+
 def covered_m2(events: list[PipelineEvent]) -> float:
     return sum(event.covered_m2 for event in events if isinstance(event, CoveragePatch))
 
 
 def test_the_undisturbed_mission_finds_its_target() -> None:
-    assert finds_the_target(run(list(mission()))[0])
+    assert finds_the_target(undisturbed()[0])
 
 
 def half_the_samples(samples: NDArray[np.generic]) -> NDArray[np.generic]:
@@ -114,28 +119,23 @@ def punched(samples: NDArray[np.generic], seed: int) -> NDArray[np.generic]:
     return holed
 
 
+REFUSED = {
+    "one ping with NaN": "quality.sample_not_finite_or_negative",
+    "one ping of text": "ping.trace_unusable",
+    "one ping with no samples": "ping.trace_unusable",
+    "one ping at no time": "ping.time_not_finite",
+    "one ping without either side": "ping.without_samples",
+    "one ping twice as late as it was": "ping.time_backwards",
+    "port stuck": "quality.port_stuck",
+}
+
+
 @pytest.mark.parametrize("name", list(SMALL_DISTURBANCES))
-def test_a_disturbance_elsewhere_does_not_lose_the_target(name: str) -> None:
+def test_a_disturbance_elsewhere_does_not_lose_the_target_and_what_is_refused_is_counted(name: str) -> None:
     pipeline, events = run(changed(SMALL_DISTURBANCES[name]))
     assert finds_the_target(pipeline)
     assert covered_m2(events) > 300.0
-
-
-@pytest.mark.parametrize(
-    ("name", "counter"),
-    [
-        ("one ping with NaN", "quality.sample_not_finite_or_negative"),
-        ("one ping of text", "ping.trace_unusable"),
-        ("one ping with no samples", "ping.trace_unusable"),
-        ("one ping at no time", "ping.time_not_finite"),
-        ("one ping without either side", "ping.without_samples"),
-        ("one ping twice as late as it was", "ping.time_backwards"),
-        ("port stuck", "quality.port_stuck"),
-    ],
-)
-def test_what_was_refused_is_counted(name: str, counter: str) -> None:
-    pipeline, _ = run(changed(SMALL_DISTURBANCES[name]))
-    assert pipeline.counters[counter] > 0, dict(pipeline.counters)
+    assert name not in REFUSED or pipeline.counters[REFUSED[name]] > 0, dict(pipeline.counters)
 
 
 LARGE_DISTURBANCES: dict[str, Change] = {
@@ -151,7 +151,7 @@ LARGE_DISTURBANCES: dict[str, Change] = {
     "negative": lambda _, p: resampled(p, lambda s: -s.astype(np.int32)),
     "half of all pings lost at random": lambda n, p: None if np.random.default_rng(n).random() < 0.5 else p,
     "a layout of its own for every ping": lambda n, p: resampled(p, lambda s: s[: 512 - n % 7]),
-    "clock runs backwards": lambda n, p: msgspec.structs.replace(p, time_s=2e9 - n),
+    "clock runs backwards": lambda n, p: msgspec.structs.replace(p, time_s=2e9 - n) if n < 80 else None,
     "clock steps back an hour half-way": lambda n, p: msgspec.structs.replace(p, time_s=p.time_s - 3600.0 * (n > 150)),
     "vehicle stands still": lambda n, p: msgspec.structs.replace(p, time_s=p.time_s + 1e-6 * n),
 }
@@ -249,7 +249,7 @@ def test_a_stage_that_fails_on_one_tile_costs_that_tile_and_not_the_mission(
     stage: str, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name, counter, consequence = STAGES[stage]
-    whole = covered_m2(run(list(mission()))[1])
+    whole = covered_m2(undisturbed()[1])
     monkeypatch.setattr(pipeline_module, name, FailsOnce(error, getattr(pipeline_module, name)))
     pipeline, events = run(list(mission()))
     assert pipeline.counters[counter] == 1
@@ -366,13 +366,16 @@ def test_an_altitude_that_cannot_be_is_reported(altitude_m: float, code: str) ->
     assert notice.place
 
 
+@cache
+def contacts_at_gain(gain: float) -> NDArray[np.float64]:
+    """(n, 3) latitude and longitude, degrees, and p_mine."""
+    pipeline, _ = run(changed(lambda _, p: resampled(p, lambda s: s.astype(np.float64) * gain)))
+    return np.array([(contact.latitude_deg, contact.longitude_deg, contact.p_mine) for contact in pipeline.contacts])
+
+
 @pytest.mark.parametrize("gain", [1e-30, 1e-25, 1e25])
 def test_the_same_contacts_come_of_float_samples_at_any_gain(gain: float) -> None:
-    def at_gain(gain: float) -> NDArray[np.float64]:
-        pipeline, _ = run(changed(lambda _, p: resampled(p, lambda s: s.astype(np.float64) * gain)))
-        return np.array([(contact.latitude_deg, contact.longitude_deg, contact.p_mine) for contact in pipeline.contacts])
-
-    np.testing.assert_allclose(at_gain(gain), at_gain(1.0), rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(contacts_at_gain(gain), contacts_at_gain(1.0), rtol=0.0, atol=1e-6)
 
 
 def test_samples_that_are_all_negative_are_reported() -> None:

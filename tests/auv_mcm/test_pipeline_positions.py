@@ -43,7 +43,7 @@ def closest_contact_m(scene: Scene) -> float:
     return min((distance_m(c.latitude_deg, c.longitude_deg, target["lat"], target["lon"]) for c in strong), default=math.inf)
 
 
-@settings(max_examples=25, phases=(Phase.explicit, Phase.generate))  # a mission is too slow to shrink
+@settings(max_examples=12, phases=(Phase.explicit, Phase.generate))  # a mission is too slow to shrink
 @given(
     ground_range_m=st.floats(10.0, 75.0),
     altitude_m=st.floats(2.0, 20.0),

@@ -6,9 +6,10 @@ import asyncio
 import json
 import threading
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import pytest
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clock import SystemClock
@@ -17,13 +18,18 @@ from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.recovery import RECORDING
 from auv_mcm.shell.service import Service
+from drivers.framing import Framer
 from drivers.port_source import PortSource
+from drivers.sonar.ping_messages import NMEA_WRAPPER, PingMessage, to_wire
+from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.fakes.port import FakePort
 from sim_replay.logs.open_log import session_config
+from sim_replay.logs.session_reader import Session
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, SampleRecorder, Scene, SceneObject, Seabed, Sonar, Track, World
 from tests.drivers.port_traffic import fix, profile
+from tests.sim_replay.logs.sonar_logs import svlog_head
 
 SONAR_BAUD: Final = 4_000_000
 UNIT_BAUD: Final = 115_200
@@ -139,7 +145,29 @@ async def served(folder: Path, devices: Devices) -> Path:
     return await serving
 
 
-def test_a_recorded_session_gives_the_same_contacts_to_the_byte(tmp_path: Path) -> None:
+def write_svlog(recording: Path, path: Path) -> Path:
+    """What SonarView would have recorded of the same bytes: the sonar's packets, and between them what the unit said."""
+    received = [recorded for recorded in Session(recording) if recorded.direction == "in"]
+    first_s = 1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
+    parts, framer, said = [svlog_head(first_s)], Framer(PingGrammar()), b""
+    for recorded in received:
+        if recorded.port == "sonar":
+            parts += [to_wire(framed.message) for framed in framer.feed(recorded.data)]
+        else:
+            *lines, said = (said + recorded.data).split(b"\n")
+            parts += [to_wire(PingMessage(NMEA_WRAPPER, line + b"\n")) for line in lines]
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def mine_like(contacts: Path) -> list[dict[str, Any]]:
+    """Features of contacts that are mines rather than not, from west to east."""
+    features = json.loads(contacts.read_bytes())["features"]
+    likely = [feature for feature in features if feature["properties"]["p_mine"] >= MINE_LIKE_P]
+    return sorted(likely, key=lambda feature: feature["geometry"]["coordinates"][0])
+
+
+def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own_log_those_contacts(tmp_path: Path) -> None:
     devices = Devices(tmp_path, messages_of(flown()))
     devices.start()
     assert devices.plugged.wait(10.0)
@@ -152,11 +180,17 @@ def test_a_recorded_session_gives_the_same_contacts_to_the_byte(tmp_path: Path) 
     for name in ("contacts.geojson", "contacts.csv", "coverage.geojson", "waypoints.geojson"):
         assert (live / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
-    found = [feature["properties"] for feature in json.loads((live / "contacts.geojson").read_bytes())["features"]]
-    mine_like = [contact["class"] for contact in found if contact["p_mine"] >= MINE_LIKE_P]
+    found = mine_like(live / "contacts.geojson")
     # Times of arrival differ a little from run to run, and with them what a sphere's kind is taken for.
-    assert len(mine_like) >= 2
-    assert "cylinder" in mine_like
+    assert len(found) >= 2
+    assert "cylinder" in [feature["properties"]["class"] for feature in found]
+    # SonarView does not say when a sentence came: half a ping interval at 11 m/s.
+    replay([write_svlog(live / RECORDING, tmp_path / "survey.svlog")], tmp_path / "svlog", config)
+    again = mine_like(tmp_path / "svlog" / "contacts.geojson")
+    assert len(again) == len(found)
+    for one, other in zip(found, again, strict=True):
+        assert other["geometry"]["coordinates"][:2] == pytest.approx(one["geometry"]["coordinates"][:2], abs=5e-6), "0.5 m"
+
     assert b"".join(devices.commands).startswith(b"BR")
     summary = json.loads((live / "summary.json").read_bytes())
     assert summary["counters"]["port.sonar.commands_sent"] == 2

@@ -1,4 +1,4 @@
-"""The real service between fake devices. The other shipped scenarios take the same way: auv-mcm hil NAME."""
+"""A run of the real service between fake devices: what is said of it, its exit code, and that nothing outlives it."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import pytest
 
 from auv_mcm.errors import HardwareError, SelfCheckError
 from sim_replay.commands import hil
+from sim_replay.hil.run import MissionTime
 from tests.sim_replay.logs.xtf_logs import written
 
 SHORT = """
@@ -64,16 +65,6 @@ def processes_with(text: str) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("name", ["clean", "full_disk"])
-def test_the_service_passes(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(name, "--out", str(tmp_path)) == 0
-    table = capsys.readouterr().out
-    assert "passed" in table
-    assert "FAILED" not in table
-    assert not processes_with(str(tmp_path))
-    assert not [path for path in (tmp_path / name).iterdir() if path.is_symlink()]
-
-
 def test_what_is_not_met_is_said_and_told_by_the_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SelfCheckError, match=r"short \(1 of 2; see .*short\)"):
         run(str(short(tmp_path)), "--out", str(tmp_path))
@@ -110,3 +101,8 @@ def wait_for(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < until_s, "it took too long"
         time.sleep(0.1)
+
+
+def test_mission_time_stands_still_while_the_computer_is_too_slow() -> None:
+    time_of = MissionTime(100.0, [(105.0, 2.0), (110.0, 1.0)])
+    assert [time_of.at(mono_s) for mono_s in (100.0, 103.0, 104.0, 105.0, 106.0, 109.5, 110.0, 112.0)] == [0, 3, 3, 3, 4, 7, 7, 9]

@@ -256,7 +256,7 @@ def test_time_along_the_strip_is_that_of_the_pings() -> None:
     np.testing.assert_allclose(times_s, START_S + rows_m / 2.0)
 
 
-def test_tiles_without_rows_times_or_pings_do_no_harm() -> None:
+def test_tiles_without_rows_times_or_pings_have_no_time_and_leave_no_nan_on_the_page() -> None:
     pictures = PictureCollector()
     pictures.add_tile(tile(0, core_start=5, core_stop=5))
     lost = tile(0)
@@ -264,7 +264,8 @@ def test_tiles_without_rows_times_or_pings_do_no_harm() -> None:
     pictures.add_tile(
         tile(0, pose=pose, ping_number=np.full(64, -1), mask=np.zeros((64, 200), np.uint8), intensity=np.full((64, 200), NAN, np.float32))
     )
-    Page(render_report(mission(), [], [], [], [], {}, pictures))
+    assert [values.size for values in pictures.times()] == [0, 0]
+    assert "nan" not in Page(render_report(mission(), [], [], [], [], {}, pictures)).text
 
 
 @pytest.mark.parametrize("side", ["port", "starboard"])

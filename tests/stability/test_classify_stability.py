@@ -40,11 +40,8 @@ def fit(region: Region) -> ShapeFits:
 
 
 def all_finite(fits: ShapeFits) -> bool:
-    values = [
-        value
-        for one in fits.fits
-        for value in (one.best.cost, one.best.row, one.best.ground_range_m, one.plausibility, *one.contrast, *one.sigma.values())
-    ]
+    values = [value for one in fits.fits for value in (one.best.cost, one.best.row, one.best.ground_range_m, one.plausibility)]
+    values += [value for best in fits.fits[:1] for value in (*best.contrast, *best.sigma.values())]
     return all(map(math.isfinite, values))
 
 

@@ -18,7 +18,8 @@ from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.law import weigh_laws
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
-from auv_mcm.waterfall.speckle import measure_regions, summarise
+from auv_mcm.waterfall.regions import measure_regions
+from auv_mcm.waterfall.speckle import summarise
 from auv_mcm.waterfall.tiles import TileCutter
 from auv_mcm.waterfall.transfer import to_intensity
 from auv_mcm.waterfall.waterfall import Waterfall

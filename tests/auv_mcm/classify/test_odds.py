@@ -107,6 +107,22 @@ def test_trees_add_what_their_leaves_say(trees: list[Tree], features: dict[str, 
     assert weighed.log_odds(features) == pytest.approx(0.25 + sum(leaf(tree, features) for tree in trees), abs=1e-12)
 
 
+@given(st.lists(drawn_trees, max_size=9), st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))))
+def test_trees_are_added_one_after_the_other_to_the_last_bit(trees: list[Tree], features: dict[str, float]) -> None:
+    expected = 0.1
+    for tree in trees:
+        expected += leaf(tree, features)
+    assert Weights(offset=0.1, weights={}, trees=tuple(trees)).log_odds(features) == expected
+
+
+def test_arrays_made_of_trees_are_no_part_of_the_weights() -> None:
+    tree = Tree(ask=(("a", 0.0),) * 7, nats=tuple(float(k) for k in range(8)))
+    weighed, again = (Weights(offset=0.0, weights={}, trees=(tree,)) for _ in range(2))
+    assert weighed.log_odds({"a": 1.0}) == 7.0
+    assert weighed == again
+    assert msgspec.json.encode(weighed) == msgspec.json.encode(again)
+
+
 @given(ratios, st.floats(-20.0, 20.0))
 def test_p_mine_has_the_prior_in_it_again(log_ratio: float, prior: float) -> None:
     """By Bayes' rule on odds."""

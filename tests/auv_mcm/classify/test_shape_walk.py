@@ -13,8 +13,20 @@ from numpy.typing import NDArray
 from auv_mcm.classify.fit import SOLIDS, hypotheses_of
 from auv_mcm.classify.likelihood import beam_of, row_sums
 from auv_mcm.kernels.shape import FORBIDDEN, PENCIL, Solid, intervals, intervals_numpy
-from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, WalkSpace, costs_at, hypotheses_at, walk_shapes, walk_shapes_numpy
-from auv_mcm.solids.box_search import SearchBox, look_around
+from auv_mcm.kernels.shape_walk import (
+    ONE,
+    RATIO,
+    SUNK,
+    Walk,
+    WalkSpace,
+    costs_at,
+    hypotheses_at,
+    refine_shapes,
+    refine_shapes_numpy,
+    search_shapes,
+    search_shapes_numpy,
+)
+from auv_mcm.solids.box_search import Optima, SearchBox, spread
 from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
@@ -84,12 +96,29 @@ def test_c_takes_the_steps_that_a_walk_over_any_cost_takes(chart: WalkSpace, bea
         assert image is not None
         beam = beam_of(region)
         assert beam.share.size == (3 if beam_width_rad else 1)
-        starts = look_around(lambda points: costs_at(chart, points, image, PENCIL), chart.box, 100, 5)  # noqa: B023  # called at once
-        fast, slow = (walk(chart, image, beam, starts, 12, 5, first_stride=3.0) for walk in (walk_shapes, walk_shapes_numpy))
-        np.testing.assert_array_equal(fast.unit, slow.unit)
-        np.testing.assert_array_equal(fast.cost, slow.cost)
-        assert fast.cost[0] < starts.cost[0] < FORBIDDEN
+        walk = Walk(5, 12, 5, first_stride=3.0)
+        fast, slow = (search(chart, image, PENCIL, 100, walk) for search in (search_shapes, search_shapes_numpy))
+        assert_same(fast, slow)
+        starts = costs_at(chart, chart.box.points(spread(100, len(chart.box.low))), image, PENCIL)
+        assert fast.cost[0] < starts.min() < FORBIDDEN
+        fine = Walk(3, 12, 5, first_stride=1.2)
+        fast, slow = (refine(chart, image, beam, slow, fine) for refine in (refine_shapes, refine_shapes_numpy))
+        assert_same(fast, slow)
         np.testing.assert_allclose(costs_at(chart, chart.box.points(fast.unit), image, beam), fast.cost, atol=1e-6)
+
+
+def assert_same(fast: Optima, slow: Optima) -> None:
+    np.testing.assert_array_equal(fast.unit, slow.unit)
+    np.testing.assert_array_equal(fast.cost, slow.cost)
+
+
+def test_a_search_finds_fewer_places_than_asked_for_where_no_more_lie_apart() -> None:
+    image = row_sums(closed_form_region(SHAPES["sphere"], 20.0), 1.0)
+    assert image is not None
+    walk = Walk(4000, 1, 1, first_stride=1.0)
+    fast, slow = (search(SPHERE, image, PENCIL, 5000, walk) for search in (search_shapes, search_shapes_numpy))
+    assert 1 < len(fast.cost) < 4000
+    assert_same(fast, slow)
 
 
 def test_wrong_altitudes_burials_and_parameters_cost_nats() -> None:

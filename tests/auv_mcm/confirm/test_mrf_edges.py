@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.confirm.region import BACKGROUND, SHADOW
-from auv_mcm.kernels.soft_edges import point_spread, smeared, soft_edges, soft_edges_numpy
+from auv_mcm.kernels.soft_edges import point_spread, smeared, smeared_numpy, soft_edges, soft_edges_numpy
 from auv_mcm.kernels.trws import energy_of
 
 needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
@@ -118,3 +118,11 @@ def test_what_does_not_fit_is_refused() -> None:
         right = {"labels": start, "level": LEVEL, "spread_rows": one, "spread_columns": one, "weight": WEIGHT}
         with pytest.raises(ValueError, match="must"):
             soft_edges(intensity, usable, information=1.0, n_sweeps=1, **(right | wrong))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (11, 3), (20, 31)])
+@pytest.mark.parametrize("sigmas", [(0.0, 0.0), (0.7, 1.3), (2.0, 0.0)])
+def test_c_smears_as_numpy_does_to_the_last_bit(shape: tuple[int, int], sigmas: tuple[float, float]) -> None:
+    plane = np.random.Generator(np.random.PCG64(3)).exponential(1.0, shape)
+    spreads = [point_spread(sigma) for sigma in sigmas]
+    np.testing.assert_array_equal(smeared(plane, *spreads), smeared_numpy(plane, *spreads))

@@ -12,6 +12,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
+from auv_mcm.kernels.mean_field import softmin, sweep, sweep_numpy
 from auv_mcm.kernels.trws import energy_of, icm, icm_numpy, trws, trws_numpy
 
 needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
@@ -166,3 +167,13 @@ def test_what_is_no_energy_is_refused(unary: NDArray[np.float64], weight: NDArra
         trws(unary, weight, n_sweeps)
     with pytest.raises(ValueError, match=r"must|holds"):
         icm(unary, weight, np.zeros(unary.shape[:2], dtype=np.uint8), n_sweeps)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (6, 1), (9, 14)])
+def test_c_sweeps_the_mean_field_as_numpy_does(shape: tuple[int, int]) -> None:
+    random = np.random.Generator(np.random.PCG64(4))
+    cost, weight = random.exponential(4.0, (3, *shape)), np.array([1.0, 0.7, 1.3, 0.7])
+    start = softmin(random.exponential(1.0, (3, *shape)))
+    found = sweep(cost, weight, 3, start)
+    np.testing.assert_allclose(found, sweep_numpy(cost, weight, 3, start), rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(found.sum(axis=0), 1.0, rtol=1e-12)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mrf_priors import pair_costs, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.kernels import pair_costs as pairs
 
 
 def region_of(shape: tuple[int, int], spacing_m: float, squint_rad: float = 0.0, altitude_m: float = 6.0) -> Region:
@@ -105,3 +106,12 @@ def test_a_field_that_tells_nothing_leaves_the_prior(labels: NDArray[np.float64]
 def test_white_labels_are_clipped_to_the_range() -> None:
     labels = np.random.Generator(np.random.PCG64(1)).integers(0, 3, (80, 80)).astype(np.uint8)
     assert estimate_smoothness(labels, 1.0).smoothness == 0.2
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 12), (9, 1), (17, 30)])
+def test_c_weighs_pairs_as_numpy_does_to_the_last_bit(shape: tuple[int, int]) -> None:
+    random = np.random.Generator(np.random.PCG64(5))
+    labels = random.choice(3, shape, p=(0.8, 0.1, 0.1)).astype(np.uint8)
+    reach = random.integers(0, shape[1] + 3, shape[1])
+    given = labels, reach, 4, pairs.Lack(2.0, 0.13), pairs.Lack(0.5, 0.4)
+    np.testing.assert_array_equal(pairs.pair_costs(*given), pairs.pair_costs_numpy(*given))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.speckle import Correlation, block_means, grain_area, looks_of_blocks, measure_correlation, nyquist_factors
-from auv_mcm.kernels.speckle import half_differences, half_differences_numpy
+from auv_mcm.kernels.speckle import half_differences, half_differences_in, half_differences_numpy
 from sim_replay.studies.drawn_regions import Drawing, draw_region
 
 
@@ -142,3 +142,15 @@ def test_half_differences_are_those_of_pairs_taken_one_by_one(seed: int, n_rows:
 def test_planes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="one 2-d shape"):
         half_differences(np.ones((3, 4)), np.ones((4, 3), dtype=np.bool_), (1,), 1)
+
+
+def test_half_differences_of_parts_are_those_of_the_parts_alone() -> None:
+    random = np.random.Generator(np.random.PCG64(8))
+    plane, usable = random.exponential(1.0, (20, 33)), random.random((20, 33)) > 0.1
+    boxes = [(0, 0, 20, 33), (3, 5, 17, 30), (0, 32, 20, 33), (4, 4, 4, 9)]
+    together = half_differences_in(plane, usable, boxes, (1, 2, 7), 5)
+    for found, (top, near, bottom, far) in zip(together, boxes, strict=True):
+        alone = half_differences_numpy(plane[top:bottom, near:far], usable[top:bottom, near:far], (1, 2, 7), 5)
+        np.testing.assert_allclose(found, alone, rtol=1e-12)
+    with pytest.raises(ValueError, match="must lie in a plane of 20 rows and 33 columns"):
+        half_differences_in(plane, usable, [(0, 0, 21, 33)], (1,), 1)

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.snake import COARSE, FINE, settings_of
-from auv_mcm.confirm.snake_rules import contour_mask, row_intervals
+from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
+from auv_mcm.kernels.snake_descent import Course, descend, descend_numpy, row_intervals
+from auv_mcm.kernels.snake_elsewhere import elsewhere, elsewhere_numpy, evidence
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings, Sums
 from sim_replay.studies.snakes import box, drawn_pair, plain_region
 
@@ -317,27 +319,70 @@ def test_c_finds_the_fault_that_the_twin_finds(nodes: Floats, clockwise: bool) -
     assert snake.fault_of(table, known, nodes) == snake_twin.fault_of(table, known, nodes)
 
 
-@given(seed=st.integers(0, 10**6), n=st.integers(1, 6), n_shifts=st.integers(1, 9))
-@settings(max_examples=40, deadline=None)
-def test_shifted_sums_are_those_of_the_shifted_pixels(seed: int, n: int, n_shifts: int) -> None:
+@given(polygons(), polygons(), st.sampled_from(["both", "highlight", "shadow"]))
+@settings(max_examples=60, deadline=None)
+def test_c_finds_elsewhere_what_the_twin_finds(highlight: Floats, shadow: Floats, given_parts: str) -> None:
+    table, _ = window(3)
+    none = np.empty((0, 2))
+    pair = (HIGHLIGHT, none if given_parts == "shadow" else highlight), (SHADOW, none if given_parts == "highlight" else shadow)
+    np.testing.assert_allclose(elsewhere(table, pair), elsewhere_numpy(table, pair), rtol=1e-12)
+
+
+def test_evidence_elsewhere_is_that_of_the_shifted_pixels() -> None:
     table, _ = window(3)
     pixels = np.diff(table, axis=1)
-    random = np.random.default_rng(seed)
-    rows, near = random.integers(5, 15, n), random.integers(5, 15, n)
-    far = near + random.integers(0, 10, n)
-    shifts = random.integers(-5, 6, (n_shifts, 2))
-    wanted = [
-        sum(pixels[row + down, low + right : high + right].sum(axis=0) for row, low, high in zip(rows, near, far, strict=True))
-        for down, right in shifts
-    ]
-    for function in (snake.shifted_sums, snake.shifted_sums_numpy):
-        np.testing.assert_array_equal(function(table, rows, near, far, shifts), np.array(wanted))
+    n_rows, n_columns = pixels.shape[:2]
+    nodes = box(8, 6, 12, 10)
+    there = []
+    for row in range(-8, n_rows - 12 + 1, 2):
+        for column in range(-6, n_columns - 10 + 1, 4):
+            if abs(row) >= 4 or abs(column) >= 4:
+                there.append(pixels[8 + row : 12 + row, 6 + column : 10 + column].sum(axis=(0, 1)))
+    found = [evidence(HIGHLIGHT, *sums.tolist()) for sums in there]
+    here = evidence(HIGHLIGHT, *pixels[8:12, 6:10].sum(axis=(0, 1)).tolist())
+    assert here > 0.0
+    expected = max(found) / here, float(np.quantile(found, 0.95)) / here
+    assert elsewhere(table, ((HIGHLIGHT, nodes),)) == pytest.approx(expected, rel=1e-12)
 
 
-def test_shifts_beyond_the_window_are_refused() -> None:
+def test_polygons_beyond_the_window_are_not_looked_for_elsewhere() -> None:
     table, _ = window(3)
-    rows, near, far = np.array([5]), np.array([4]), np.array([9])
-    assert snake.shifted_sums(table, rows, near, far, np.array([[-5, -4], [18, 21]])).shape == (2, 2)
-    for shift in ((-6, 0), (19, 0), (0, -5), (0, 22)):
-        with pytest.raises(ValueError, match="leave the window of 24 rows and 30 columns"):
-            snake.shifted_sums(table, rows, near, far, np.array([shift]))
+    assert elsewhere(table, ((SHADOW, box(0, 0, *SHAPE)),))[1] in (0.0, math.inf)
+    with pytest.raises(ValueError, match="outside the window of 24 rows and 30 columns"):
+        elsewhere(table, ((SHADOW, box(4, 4, 25, 12)),))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("parts", ["both", "highlight", "shadow"])
+def test_c_descends_as_move_after_move_does(seed: int, parts: str) -> None:
+    table, known = window(seed)
+    highlight, shadow = box(7, 5, 15, 9 + seed % 3), box(9, 11, 15, 16 + seed)
+    start = (NONE if parts == "shadow" else highlight), (NONE if parts == "highlight" else shadow)
+    one, n_moves = descend(table, known, Course(COARSE, FINE, FINE[-2:]), *start, 4.0 + seed)
+    other, n_others = descend_numpy(table, known, Course(COARSE, FINE, FINE[-2:]), *start, 4.0 + seed)
+    assert_same(one, other)
+    assert n_moves == n_others
+
+
+def test_a_start_that_cannot_move_is_refused_on_the_way_down() -> None:
+    table, known = window(1)
+    for function in (descend, descend_numpy):
+        with pytest.raises(ValueError, match="shadow covers fewer than 9 pixels"):
+            function(table, known, Course(COARSE, FINE, ()), NONE, box(9, 11, 11, 13), 4.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_settled_nodes_would_not_have_moved(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, known = window(seed)
+    start = box(7, 5, 15, 9), box(9, 11, 15, 16 + seed)
+    schedule = np.array([(4, 2.0, 20), (6, 1.0, 20)])
+    with_skips = snake_twin.move_pair(table, known, schedule, *start)
+
+    class Unsettled(set[tuple[int, int]]):
+        def add(self, item: tuple[int, int]) -> None:
+            """Keep every node in doubt."""
+
+    monkeypatch.setattr(snake_twin, "set", Unsettled, raising=False)
+    without = snake_twin.move_pair(table, known, schedule, *start)
+    assert without.n_proposed > with_skips.n_proposed
+    assert_same(without._replace(n_proposed=with_skips.n_proposed), with_skips)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 
@@ -150,9 +149,15 @@ def test_numbers_and_words_mean_what_they_say() -> None:
 
 @given(st.text(max_size=60))
 @settings(deadline=None)
-def test_no_text_raises_anything_else(text: str) -> None:
-    with contextlib.suppress(UsageError):
-        parse_config(text, "f.yaml")
+def test_any_text_is_a_configuration_or_refused_with_its_place(text: str) -> None:
+    try:
+        config = parse_config(text, "f.yaml")
+    except UsageError as error:
+        refusal = str(error)
+    else:
+        assert parse_config(config_yaml(config), "f.yaml") == config
+        return
+    assert "f.yaml" in refusal
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,17 @@ def test_several_hundred_pings_decide_and_the_notice_states_the_odds() -> None:
     assert not more
 
 
+def test_decibels_that_are_hardly_known_await_more_pings() -> None:
+    """Spread as if smoothed and decimated, the samples tell the law at once and the decibels badly."""
+    smoothed = np.rint(np.random.default_rng(5).normal(120.0, 8.0, (600, 1200))).astype(np.uint8)
+    number, verdict = verdicts_of(LawWatch(SonarConfig()), pings(smoothed))[0]
+    assert number == 511
+    assert verdict.transfer is not None
+    assert verdict.transfer.kind == "log"
+    number, _ = verdicts_of(LawWatch(SonarConfig(db_per_count=0.3)), pings(smoothed))[0]
+    assert number == 255
+
+
 def test_a_decisive_choice_without_decibels_asks_nothing_of_a_person() -> None:
     (notice,) = notices_of(SonarConfig(), pings(AMPLITUDE))
     assert notice.code == "transfer.chosen"

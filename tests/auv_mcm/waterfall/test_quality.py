@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace, Transfer
+from auv_mcm.waterfall.ground import make_traces
 from auv_mcm.waterfall.quality import CheckedTrace, TraceChecker
 
 AMPLITUDE = Transfer("amplitude")
@@ -198,3 +201,37 @@ def test_traces_together_are_checked_as_one_by_one(dtype: type) -> None:
         np.testing.assert_array_equal(np.concatenate(parts), np.stack([checked[k] for checked in one_by_one]), strict=True)
     assert together == counters
     assert counters["quality.port_stuck"] >= 4
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from([np.uint8, np.uint16, np.int16, np.uint32, np.float32]),
+    transfer=st.sampled_from([AMPLITUDE, Transfer("intensity"), Transfer("log", 0.4)]),
+    full_scale=st.sampled_from([None, 150.0]),
+    n_samples=st.sampled_from([0, 1, 2, 5, 300]),
+)
+@settings(deadline=None)
+def test_traces_add_up_to_what_each_of_them_holds(
+    seed: int, kind: type, transfer: Transfer, full_scale: float | None, n_samples: int
+) -> None:
+    """Whatever of them is dead, stuck, clipped or absurd, block after block."""
+    random = np.random.default_rng(seed)
+    counters: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
+    whole, single = (TraceChecker("port", transfer, full_scale, counted) for counted in counters)
+    for _ in range(3):
+        pings = [rayleigh(int(random.integers(99)), 60.0, n_samples).clip(0, 127) for _ in range(int(random.integers(1, 6)))]
+        for ping in pings:
+            match random.integers(8):
+                case 0:
+                    ping[:] = random.integers(2)
+                case 1:
+                    ping[: n_samples // 3] = 127
+                case 2 if kind is np.float32:
+                    ping[::7] = random.choice([np.nan, -1.0, 1e18])
+        traces = [EchoTrace(samples=p.astype(kind), first_range_m=SPACING_M / 2, spacing_m=SPACING_M) for p in pings]
+        sums = whole.cumulate(traces)
+        checked = single.check_all(traces)
+        expected = make_traces(checked.intensity, checked.valid, checked.saturated, SPACING_M / 2, SPACING_M)
+        for found, wanted in zip(sums, expected, strict=True):
+            np.testing.assert_array_equal(found, wanted)
+    assert counters[0] == counters[1]

@@ -188,6 +188,20 @@ def test_gain_steps_are_found_wherever_the_blocks_are_cut(step: float, ping: int
         assert np.abs(found - gain).max() < 0.25
 
 
+@given(seed=st.integers(0, 2**32 - 1), step=st.floats(-8.0, 8.0), ping=st.integers(1, 49), cut=st.integers(0, 49))
+def test_a_steady_block_is_remembered_like_its_pings(seed: int, step: float, ping: int, cut: int) -> None:
+    """The pings before a step, some of them without a level, by themselves or together with it: the same correction to the bit."""
+    cut = min(cut, ping)
+    seabed, water = levels(np.where(np.arange(50) < ping, 0.0, step), seed)
+    for level in (seabed, water):
+        level[np.random.default_rng(seed).random(50) < 0.2] = np.nan
+    whole, n_steps = GainStepFilter().corrections(seabed, water)
+    parts = GainStepFilter()
+    first, second = parts.corrections(seabed[:cut], water[:cut]), parts.corrections(seabed[cut:], water[cut:])
+    np.testing.assert_array_equal(np.concatenate([first[0], second[0]]), whole)
+    assert first[1] + second[1] == n_steps
+
+
 @pytest.mark.parametrize("step", [0.5, -0.5])
 def test_small_steps_are_left_to_the_local_mean(step: float) -> None:
     correction, n_steps = GainStepFilter().corrections(*levels(np.where(np.arange(50) < 25, 0.0, step)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -46,19 +44,54 @@ def as_tuple(value: object) -> tuple[object, ...]:
 def traces(seed: int, shape: tuple[int, int]) -> Sampled:
     intensity, usable, mask = drawn(seed, shape)
     weight = None if usable.all() else kernel.sums_to_the_end_numpy(usable)
-    clipped = kernel.sums_to_the_end_numpy((mask & SATURATED) != 0) if seed % 2 else None
+    clipped = kernel.sums_to_the_end_numpy((mask & SATURATED)[:, : seed % (shape[1] + 1)] != 0) if seed % 3 else None
     return Sampled(kernel.sums_to_the_end_numpy(intensity), weight, clipped, 0.31, 0.07)
 
 
 @needs_c
-@given(seed=seeds, shape=trace_shapes, n_edges=st.integers(2, 30), shared=st.booleans())
+@given(seed=seeds, shape=trace_shapes, n_edges=st.integers(2, 30), n_edge_rows=st.integers(1, 4))
 @settings(deadline=None)
-def test_c_sums_and_averages_along_range_as_numpy_does(seed: int, shape: tuple[int, int], n_edges: int, shared: bool) -> None:
+def test_c_sums_and_averages_along_range_as_numpy_does(seed: int, shape: tuple[int, int], n_edges: int, n_edge_rows: int) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     intensity, _, _ = drawn(seed, shape)
     same(kernel.sums_to_the_end(intensity), kernel.sums_to_the_end_numpy(intensity))
-    edges_m = np.cumsum(random.exponential(0.1, size=(1 if shared else shape[0], n_edges)), axis=1)
-    same(kernel.means(traces(seed, shape), edges_m), kernel.means_numpy(traces(seed, shape), edges_m))
+    edges_m = np.cumsum(random.exponential(0.1, size=(n_edge_rows, n_edges)), axis=1)
+    edge_row = np.sort(random.integers(0, n_edge_rows, shape[0]))
+    same(*(means(traces(seed, shape), edges_m, edge_row) for means in (kernel.means, kernel.means_numpy)))
+
+
+@given(seed=seeds, shape=trace_shapes, kind=st.sampled_from([np.uint8, np.uint16]))
+@settings(deadline=None)
+def test_counts_add_up_as_the_intensities_they_stand_for(seed: int, shape: tuple[int, int], kind: type) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    last = np.iinfo(kind).max
+    intensity = random.exponential(size=last + 1).astype(np.float32)
+    counts = random.integers(0, last, shape, dtype=kind, endpoint=True)
+    same(kernel.sums_of_counts(counts, intensity), kernel.sums_to_the_end_numpy(intensity[counts]))
+
+
+@needs_c
+@given(seed=seeds, shape=st.tuples(st.integers(1, 5), st.integers(0, 300)), n_values=st.sampled_from([1, 2, 3, 40, 10**6]))
+@settings(deadline=None)
+def test_c_finds_the_medians_that_numpy_finds(seed: int, shape: tuple[int, int], n_values: int) -> None:
+    """Of values that repeat, as those of coarse samples do, and of values over many decades."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    values = (random.integers(0, n_values, shape) - n_values // 2) * random.choice([1.0, 1e-3])
+    values = np.where(random.random(shape) < random.choice([0.0, 0.3]), np.exp(random.normal(scale=9.0, size=shape)), values)
+    usable = random.random(shape) < random.choice([0.1, 0.7, 1.0])
+    for chosen in (usable, None):
+        for minimum in (1, 24):
+            same(*(medians(values, chosen, minimum) for medians in (kernel.row_medians, kernel.row_medians_numpy)))
+
+
+@needs_c
+@given(seed=seeds, shape=shapes, n_factors=st.integers(1, 4))
+@settings(deadline=None)
+def test_c_scales_rows_as_numpy_does(seed: int, shape: tuple[int, int], n_factors: int) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    values, factor = random.exponential(size=shape), random.exponential(size=(n_factors, shape[1]))
+    factor_row = random.integers(0, n_factors, shape[0])
+    same(*(scale(values, factor, factor_row) for scale in (kernel.scale_rows, kernel.scale_rows_numpy)))
 
 
 @needs_c
@@ -69,6 +102,18 @@ def test_c_finds_the_steps_that_numpy_finds(seed: int, shape: tuple[int, int], b
     values = random.normal(size=shape) + 3.0 * (np.arange(shape[1]) > random.integers(0, shape[1]))
     valid = random.random(shape) < 0.9
     same(kernel.step_ratios(values, valid, blank, window, 0.7, 3.3), kernel.step_ratios_numpy(values, valid, blank, window, 0.7, 3.3))
+
+
+@needs_c
+@given(seed=seeds, shape=shapes, share=st.sampled_from([1.0, 0.37]))
+@settings(deadline=None)
+def test_c_adds_the_votes_that_numpy_adds(seed: int, shape: tuple[int, int], share: float) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    ratios = np.maximum(random.normal(0.0, 9.0, shape), 0.0) * random.choice([0.0, 1.0], (shape[0], 1))
+    scores = np.ones((2, *shape))
+    for score, add in zip(scores, (kernel.add_votes, kernel.add_votes_numpy), strict=True):
+        add(score, ratios, share, 10.0, 6.0)
+    same(*scores)
 
 
 @needs_c
@@ -89,9 +134,10 @@ def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[i
     intensity, usable, mask = drawn(seed, shape)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
     same(*(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (kernel.bright_spots, kernel.bright_spots_numpy)))
-    mean, known = kernel.box_level_numpy(intensity, usable, half, 0.25)
-    same(kernel.box_level(intensity, usable, half, 0.25), (mean, known))
-    same(kernel.normalise(intensity, mean, known, mask), kernel.normalise_numpy(intensity, mean, known, mask))
+    same(*(level(intensity, usable, half, 0.25) for level in (kernel.box_level, kernel.box_level_numpy)))
+    columns = np.arange(0, shape[1], 3)
+    both = kernel.divide_by_level, kernel.divide_by_level_numpy
+    same(*(divide(intensity, mask, intensity, usable, half, 0.25, columns) for divide in both))
 
 
 @needs_c
@@ -100,11 +146,16 @@ def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[i
 def test_c_masks_as_numpy_does(seed: int, shape: tuple[int, int]) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     _, usable, mask = drawn(seed, shape)
-    level_m, pitch, yaw = random.uniform(1.0, 9.0, shape[0]), random.normal(0.0, 0.3, shape[0]), random.normal(0.0, 0.05, shape[0])
-    turning = Turning(level_m, pitch, yaw, random.random(shape[0]) < 0.1)
+    pitch, yaw = random.normal(0.0, 0.3, shape[0]), random.normal(0.0, random.choice([0.005, 0.05]), shape[0])
+    turning = Turning(pitch, yaw, random.random(shape[0]) < 0.1)
     ground_m = np.arange(0.45, 0.9 * shape[1], 0.9)[: shape[1]].astype(np.float64)
-    arguments = usable, (mask & SATURATED) != 0, turning, ground_m, (math.tan(0.02), math.tan(1.2)), 2.0
+    coarse = np.where(random.random((3, shape[1])) < 0.3, np.uint8(LOW_RESOLUTION), np.uint8(0))
+    arguments = usable, (mask & SATURATED) != 0, turning, ground_m, coarse, random.integers(0, 3, shape[0]), 2.0
     same(kernel.ping_masks(*arguments), kernel.ping_masks_numpy(*arguments))
+    # Every pixel by itself: the kernels look at all of them only where the ends of a row say so.
+    ratio = 1.0 + pitch[:, np.newaxis] + yaw[:, np.newaxis] * ground_m
+    bent = (ratio > 2.0) | (ratio * 2.0 < 1.0) | turning.fast[:, np.newaxis]
+    np.testing.assert_array_equal((kernel.ping_masks(*arguments) & TURN) != 0, bent)
 
 
 @needs_c
@@ -112,14 +163,29 @@ def test_c_masks_as_numpy_does(seed: int, shape: tuple[int, int]) -> None:
 @settings(deadline=None)
 def test_c_follows_the_angle_curve_that_numpy_follows(seed: int, shape: tuple[int, int], known: set[int]) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
-    angle = random.uniform(0.0, 30.0, shape)
-    angle[random.random(shape) < 0.3] = np.nextafter(random.integers(0, 30) + 0.5, random.choice([0.0, 40.0]))
-    angle[random.random(shape) < 0.1] = 30.0
+    angle = random.uniform(0.0, 30.0, (3, shape[1]))
+    angle[random.random(angle.shape) < 0.3] = np.nextafter(random.integers(0, 30) + 0.5, random.choice([0.0, 40.0]))
+    angle[random.random(angle.shape) < 0.1] = 30.0
+    angle_row = random.integers(0, 3, shape[0])
     values, usable, centre = random.normal(size=shape), random.random(shape) < 0.8, random.normal(size=30)
     for about in (None, centre):
-        same(*(sums(angle, values, usable, 30, about, 1.0) for sums in (kernel.angle_sums, kernel.angle_sums_numpy)))
+        same(*(sums(angle, angle_row, values, usable, 30, about, 1.0) for sums in (kernel.angle_sums, kernel.angle_sums_numpy)))
     bins = np.array(sorted(known), dtype=np.intp)
     same(*(curve(angle, bins, centre[bins]) for curve in (kernel.along_curve, kernel.along_curve_numpy)))
+
+
+@needs_c
+@given(seed=seeds, shape=st.tuples(st.integers(1, 30), st.integers(1, 12)), half=st.tuples(st.integers(1, 6), st.integers(1, 12)))
+@settings(deadline=None)
+def test_rows_that_share_their_usable_pixels_are_counted_right(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
+    """Counts are kept where the row that enters a box has the usable pixels of the one that leaves it."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    intensity, usable, mask = drawn(seed, shape)
+    usable = usable[random.integers(0, min(2, shape[0]), shape[0])]
+    level = np.where(usable, intensity, np.float32(0.0))
+    columns = np.array([shape[1] - 1])
+    both = kernel.divide_by_level, kernel.divide_by_level_numpy
+    same(*(divide(intensity, mask, level, usable, half, 0.25, columns) for divide in both))
 
 
 @given(seed=seeds, shape=st.tuples(st.integers(1, 6), st.integers(1, 8)), half=st.tuples(st.integers(1, 3), st.integers(1, 4)))

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import contextlib
 import termios
 
 import pytest
@@ -45,7 +44,8 @@ def test_every_kind_of_link_is_understood(uri: str, address: LinkAddress) -> Non
 
 @pytest.mark.parametrize("uri", EXAMPLES)
 def test_the_examples_in_messages_are_right(uri: str) -> None:
-    parse_link_uri(uri, "sonar.link")
+    scheme, _, place = parse_link_uri(uri, "sonar.link").place.partition("://")
+    assert uri.startswith(f"{scheme}://{place}")
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,11 @@ def _with_insert(uri: str, inserted: str, at: int) -> str:
 
 @given(st.text() | st.builds(_with_insert, st.sampled_from(EXAMPLES), st.text(max_size=8), st.integers(0, 40)))
 def test_nothing_but_a_usage_error_comes_of_any_text(text: str) -> None:
-    with contextlib.suppress(UsageError):
-        parse_link_uri(text, "sonar.link")
+    try:
+        told = parse_link_uri(text, "sonar.link").place
+    except UsageError as error:
+        told = str(error)
+    assert told.startswith(("sonar.link ", *(uri.partition("//")[0] for uri in EXAMPLES)))
 
 
 def test_every_rate_is_one_that_linux_knows() -> None:

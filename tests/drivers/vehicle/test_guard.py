@@ -167,12 +167,12 @@ def test_a_vehicle_that_must_not_be_commanded_is_not(changes: dict[str, Any], wa
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused_wherever_it_stands(value: Any) -> None:
     guard, here = Guard(config()), state((0.0, 0.0))
-    for name in ("latitude_deg", "longitude_deg", "speed_mps", "radius_m"):
-        assert guard.command(go_to((10.0, 10.0))._replace(**{name: value}), here) is not None
-    for name in ("heading_rad", "speed_mps"):
-        assert guard.command(Steer(1.0, Vertical("altitude", 5.0), 1.5)._replace(**{name: value}), here) is not None
+    for name, why in {"latitude_deg": "leads_out", "longitude_deg": "leads_out", "speed_mps": "speed", "radius_m": "radius"}.items():
+        assert code(guard, go_to((10.0, 10.0))._replace(**{name: value}), here) == why
+    for name, why in {"heading_rad": "heading", "speed_mps": "speed"}.items():
+        assert code(guard, Steer(1.0, Vertical("altitude", 5.0), 1.5)._replace(**{name: value}), here) == why
     for vertical in (Vertical("depth", value), Vertical("altitude", value)):
-        assert guard.command(go_to((10.0, 10.0))._replace(vertical=vertical), here) is not None
+        assert code(guard, go_to((10.0, 10.0))._replace(vertical=vertical), here) == "vertical"
 
 
 @pytest.mark.parametrize(

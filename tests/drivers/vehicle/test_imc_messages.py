@@ -155,7 +155,7 @@ def test_a_damaged_payload_is_a_message_or_refused(message: ImcMessage, data: st
     cut = bytes(payload[: data.draw(st.integers(0, len(payload)))])
     for damaged in (bytes(payload), cut):
         with suppress(ValueError):
-            decode(number_of(type(message)), damaged)
+            assert type(decode(number_of(type(message)), damaged)) is type(message)
 
 
 def test_messages_inside_messages_end_somewhere() -> None:
@@ -219,7 +219,8 @@ def test_a_report_goes_through_the_message_whole() -> None:
 
 
 def test_no_report_is_too_large_to_be_told() -> None:
-    encode(contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf)))
+    wired = encode(contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf)))
+    assert encode(decode(1700, wired)) == wired
 
 
 def test_a_class_that_is_none_is_refused() -> None:

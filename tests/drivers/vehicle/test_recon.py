@@ -87,8 +87,7 @@ def test_the_end_of_an_override_is_said_again_until_the_vehicle_shows_it() -> No
 
 def test_a_payload_that_is_to_shut_down_has_no_control() -> None:
     loop = in_control("recon")
-    [withheld] = loop.dialect.hear(frame("s,SHUTDOWN"), stamp_at(loop.now_s))
-    assert isinstance(withheld, Withheld)
+    assert loop.dialect.hear(frame("s,SHUTDOWN"), stamp_at(loop.now_s)) == [Withheld("the vehicle shuts its payloads down")]
 
 
 def test_a_decoder_that_is_not_connected_says_nothing() -> None:

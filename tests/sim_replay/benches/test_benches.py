@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.cli import main
+from auv_mcm.confirmation import confirm_detection
+from auv_mcm.settings.config import Config
+from sim_replay.benches.confirmation import EFFORTS, look_costs_s, p_mine_by_effort
 from sim_replay.commands.bench import BENCHES
+from tests.auv_mcm.test_confirmation import detection_in, mine
 from tests.sim_replay.logs.xtf_logs import written
 
 ROOT = Path(__file__).parents[3]
@@ -55,3 +62,25 @@ def test_waterfall_tells_costs_per_stage_of_a_short_and_a_long_log(tmp_path: Pat
     assert main(["bench", "waterfall", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1", "--minutes", "0.5"]) == 0
     told = capsys.readouterr().out
     assert all(word in told for word in ("waterfall", "detect", "total", "short", "long", "x real time", "--exhaustive"))
+
+
+def test_confirmation_tells_how_many_looks_a_log_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "confirmation", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1"]) == 0
+    told = capsys.readouterr().out
+    assert "log.xtf: " in told
+    assert all(word in told for word in ("looks", "median ms", "p99 ms", "best of 1"))
+
+
+def test_the_cost_of_a_look_is_that_of_its_steps_by_the_clock_given() -> None:
+    ticks = itertools.count()
+    costs = look_costs_s(detection_in(mine("sphere", 3, width_m=0.8)), Config(), 2, lambda: float(next(ticks)))
+    once = dict.fromkeys(("survey", "first contours", "field", "second contours", "solids", "whole look"), 1.0)
+    assert costs == {**once, "features": 2.0}
+
+
+def test_a_search_as_it_is_moves_no_look() -> None:
+    detection, config = detection_in(mine("sphere", 3, width_m=0.8)), Config()
+    p_mine = p_mine_by_effort(detection, config)
+    looked_at = confirm_detection(detection, math.radians(config.sonar.beam_width_deg), shipped_odds("contrast"), config.confirm)
+    assert len(p_mine) == len(EFFORTS)
+    assert p_mine[0] == looked_at.p_mine

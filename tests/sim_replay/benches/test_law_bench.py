@@ -7,7 +7,18 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sim_replay.benches.law import FIRST_SEED, STORES, Store, decibel_errors, floor_intensity, judge, print_tables, stored
+from sim_replay.benches.law import (
+    FIRST_SEED,
+    STORES,
+    WITHIN,
+    Store,
+    decibel_errors,
+    floor_intensity,
+    interval_coverage,
+    judge,
+    print_tables,
+    stored,
+)
 from sim_replay.text_tables import columns
 
 SEED = FIRST_SEED + 900
@@ -24,7 +35,8 @@ def test_recorders_are_recognised_on_floors_that_nothing_was_set_on() -> None:
     errors = np.abs(decibel_errors(judged))
     assert len(errors) == 16
     assert np.median(errors) < 0.1
-    assert errors.max() < 0.4  # a field of boulders leaves hardly an even region in 256 pings
+    assert np.mean(errors <= WITHIN) >= 0.9
+    assert interval_coverage(judged) >= 0.85
 
 
 def test_every_combination_is_stored_once_and_as_its_law_says() -> None:
@@ -44,5 +56,15 @@ def test_the_table_names_every_law_and_floor(capsys: pytest.CaptureFixture[str])
     intensity = floor_intensity("flat", SEED, 1, n_pings=64)
     print_tables([judge("flat", SEED, 1, store, intensity) for store in (STORES[0], STORES[-1])], columns)
     out = capsys.readouterr().out
-    for name in ("all", "amplitude", "log 0.5", "1 looks", "8 bits, not clipping", "flat", "within 15 %"):
+    for name in (
+        "all",
+        "amplitude",
+        "log 0.5",
+        "1 looks",
+        "8 bits, not clipping",
+        "flat",
+        "within 15 %",
+        "interval holds",
+        "processor time",
+    ):
         assert name in out

@@ -178,9 +178,9 @@ def test_a_stalled_line_is_silent_and_goes_on(tmp_path: Path) -> None:
 
 def test_garbage_fills_the_line_and_costs_no_message(tmp_path: Path) -> None:
     bench = played(tmp_path, sonar(Garbage(at_s=0.1, for_s=0.5)))
-    if bench.device.counters["port.overrun"] == 0:  # else this computer was too busy to read as fast as the line is
-        assert len(bench.frames) == N_PINGS
-    assert bench.counters["ping_protocol.bytes_skipped"] > 10_000
+    assert bench.device.counters["port.overrun"] == 0
+    assert len(bench.frames) == N_PINGS
+    assert bench.counters["ping_protocol.bytes_skipped"] > 1000
 
 
 def test_at_the_wrong_rate_nothing_is_read_until_it_is_right(tmp_path: Path) -> None:

@@ -133,6 +133,30 @@ def test_a_stalled_line_loses_both_ways_without_a_hang_up(tmp_path: Path) -> Non
     asyncio.run(scenario())
 
 
+def test_a_host_that_has_set_up_the_port_and_is_busy_loses_nothing_that_a_kernel_would_hold(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "sonar", 4000000)
+        port.plug()
+        host = opened(port.path, 4000000)
+        attributes = termios.tcgetattr(host)
+        attributes[2] |= termios.CLOCAL
+        termios.tcsetattr(host, termios.TCSANOW, attributes)
+        sent = bytes(range(250)) * 400
+        await port.send(sent[:50_000])
+        await port.send(sent[50_000:])
+        assert port.counters["port.overrun"] == 0
+        assert await read_bytes(host, len(sent)) == sent
+        async with asyncio.timeout(GENEROUS_S):
+            await port.drain()
+        await port.send(sent)
+        port.unplug()
+        assert port.counters["port.cut"] > 50_000
+        assert port.counters["port.sent"] + port.counters["port.cut"] == 2 * len(sent)
+        os.close(host)
+
+    asyncio.run(scenario())
+
+
 def test_a_host_that_does_not_read_loses_what_the_kernel_cannot_hold(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "sonar", 4000000)

@@ -21,7 +21,7 @@ from auv_mcm.records import Detection, Detector, Surroundings
 from sim_replay.fitting import fit_odds as calibrate
 from sim_replay.fitting.fit_odds import CROWD, FIRST_SEED, N_TREES, Example, crowded, examples_of, fit_odds, log_odds_of
 from sim_replay.missions import HELD_OUT, SCENES
-from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.scene_file import read_scene
 from tests.auv_mcm.classify import drawn_looks
 
@@ -421,7 +421,7 @@ def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -
     assert more == {kind: number if kind not in MINES_AND_ROCKS else CROWD * number for kind, number in usual.items()}
     assert min(each.apart_m for each in crowd.scatter if each.kind in MINES_AND_ROCKS) > 8.0, "neighbours within which count as a crowd"
     assert (crowd.world, crowd.sonar, crowd.track) == (scene.world, scene.sonar, scene.track)
-    assert len(Mission(crowd).truth()["objects"]) > 2.0 * len(Mission(scene).truth()["objects"])
+    assert len(place_objects(crowd)) > 2.0 * len(place_objects(scene))
     assert crowded(scene, 1) == scene
 
 

@@ -1,0 +1,79 @@
+"""Count, for each cell of a label field, shadow behind it and highlight before it in its own and the two rows beside it.
+
+What a highlight lacks of shadow behind it, and a shadow of highlight before it, is added to their costs by degrees:
+cost = whole * (1 - min(1, number * share per pixel)). C and numpy round alike.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm import kernels
+
+Plane = NDArray[np.float64]
+
+SHADOW, HIGHLIGHT = 1, 2  # labels, as auv_mcm.confirm.region numbers them
+
+
+class Lack(NamedTuple):
+    """Nats that a label costs where nothing bears it out, and the share of it that each pixel of the other label takes off."""
+
+    whole: float
+    share: float
+
+
+def pair_costs(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
+    """Weigh labels by what stands in the rows of a field, (3, n_rows, n_columns) float64; 0 for background.
+
+    labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights bear out a shadow.
+    attached: columns behind each in which shadows bear out a highlight.
+    """
+    function = _function()
+    if function is None:
+        return pair_costs_numpy(labels, reach, attached, highlight, shadow)
+    n_rows, n_columns = labels.shape
+    labels, reach = np.ascontiguousarray(labels, dtype=np.uint8), np.ascontiguousarray(reach, dtype=np.int64)
+    scalars, sums, room = np.array([*highlight, *shadow]), np.empty(2 * n_columns + 2), np.empty((2, n_rows, n_columns))
+    cost = np.zeros((3, n_rows, n_columns))
+    at = [array.ctypes.data for array in (labels, reach, scalars, sums, room, cost)]
+    function(n_rows, n_columns, *at[:2], attached, *at[2:5], at[4] + room[0].nbytes, at[5])
+    return cost
+
+
+def pair_costs_numpy(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
+    """pair_costs in numpy alone."""
+    n_columns = labels.shape[1]
+    columns = np.arange(n_columns)
+    dark, bright = (_row_sums(labels == label) for label in (SHADOW, HIGHLIGHT))
+    behind = dark[:, np.minimum(columns + 1 + attached, n_columns)] - dark[:, columns + 1]
+    before = bright[:, columns] - bright[:, np.maximum(columns - reach, 0)]
+    cost = np.zeros((3, *labels.shape))
+    for label, number, lack in ((HIGHLIGHT, behind, highlight), (SHADOW, before, shadow)):
+        cost[label] = lack.whole * (1.0 - np.minimum(1.0, _three_rows(number) * lack.share))
+    return cost
+
+
+def _row_sums(mask: NDArray[np.bool_]) -> Plane:
+    """Sums of the first 0, 1, ... n_columns of each row."""
+    sums = np.zeros((mask.shape[0], mask.shape[1] + 1))
+    np.cumsum(mask, axis=1, out=sums[:, 1:])
+    return sums
+
+
+def _three_rows(plane: Plane) -> Plane:
+    total = plane.copy()
+    total[1:] += plane[:-1]
+    total[:-1] += plane[1:]
+    return total
+
+
+@functools.cache
+def _function() -> Callable[..., None] | None:
+    pointer, integer = ctypes.c_void_p, ctypes.c_int64
+    return kernels.c_function("pair_costs", integer, integer, pointer, pointer, integer, *[pointer] * 5)

@@ -1,0 +1,61 @@
+"""Where the pixels of a block of pings lie: slant ranges and grazing angles, worked out once per height of the sonar.
+
+The first return is tracked in bins of 5 cm and smoothed by medians, so that pings in a row mostly share it to the bit; what follows
+from it alone is the same for them and for both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import LOW_RESOLUTION
+from auv_mcm.settings.config import WaterfallConfig
+from auv_mcm.waterfall.bottom import BottomTrack
+from auv_mcm.waterfall.ground import ground_edges_m
+
+_MIN_RETURN_M = 0.05
+
+
+class Runs(NamedTuple):
+    """Values of pings, without those that repeat the ping before: values (n,), row (n_pings,) int64, which of them a ping has."""
+
+    values: NDArray[Any]
+    row: NDArray[np.int64]
+
+
+class PixelGeometry(NamedTuple):
+    """Pixels of n_columns across the track.
+
+    return_m: first returns; edges_m: (n returns, n_columns + 1) float64, slant range of the pixels' edges.
+    level_m: first returns without what rises from the bottom, which the angle response must not follow; tangent: (n levels, n_columns)
+    float64, of the grazing angle; coarse: the same shape, uint8, LOW_RESOLUTION where the angle is too steep or too shallow, else 0.
+    """
+
+    ground_m: NDArray[np.float64]
+    return_m: Runs
+    edges_m: NDArray[np.float64]
+    level_m: Runs
+    tangent: NDArray[np.float64]
+    coarse: NDArray[np.uint8]
+
+
+def pixel_geometry(track: BottomTrack, n_columns: int, waterfall: WaterfallConfig) -> PixelGeometry:
+    """Lay out the pixels of a block's pings over a flat bottom."""
+    return_m = runs(np.maximum(track.first_return_m, _MIN_RETURN_M))
+    level_m = runs(np.maximum(track.level_return_m, _MIN_RETURN_M))
+    ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * waterfall.column_spacing_m
+    tangent = level_m.values[:, np.newaxis] / ground_m
+    flattest, steepest = math.tan(math.radians(waterfall.min_grazing_deg)), math.tan(math.radians(waterfall.max_grazing_deg))
+    coarse = ((tangent > steepest) | (tangent < flattest)) * np.uint8(LOW_RESOLUTION)
+    edges_m = ground_edges_m(return_m.values, n_columns, waterfall.column_spacing_m)
+    return PixelGeometry(ground_m, return_m, edges_m, level_m, tangent, coarse)
+
+
+def runs(values: NDArray[Any]) -> Runs:
+    """Leave out values (n_pings,) that equal the one before."""
+    starts = np.concatenate([[True], values[1:] != values[:-1]])
+    return Runs(values[starts], np.cumsum(starts) - 1)
