@@ -238,7 +238,7 @@ class Pipeline:
                 events.append(_over_budget(tile, result))
             if result.n_cut and not self._counts["detect.windows_cut"]:
                 events.append(_windows_cut(tile, result))
-            self._counts["detect.gated"] += result.n_gated
+            self._counts["detect.gated"] += len(result.faint.rows)
             self._counts["detect.windows"] += result.n_windows
             self._counts["detect.evaluations"] += result.n_evaluations
             self._counts["detect.windows_cut"] += result.n_cut

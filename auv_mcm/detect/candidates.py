@@ -14,7 +14,7 @@ from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
 from auv_mcm.detect.cascade.peaks import apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
 from auv_mcm.detect.contrasts import Contrasts, contrasts
-from auv_mcm.detect.gate import Forecast, Gate, may_reach, place_features
+from auv_mcm.detect.gate import Gate, may_reach, place_features
 from auv_mcm.detect.prescreen import NO_ECHO, Floor, Peak
 from auv_mcm.records import CONTRAST_SHARE, NAN, Tile
 from auv_mcm.settings.config import DetectConfig
@@ -53,12 +53,13 @@ NO_FAINT_PLACES: Final = FaintPlaces(np.empty(0), np.empty(0), np.empty(0))
 
 
 class Found(NamedTuple):
-    """Candidates of a tile's core, best first. n_over_budget: more there were. n_gated: places that cannot become contacts; faint: those of
-    them whose contrast is known. n_windows, n_evaluations, n_cut: of the cascade, as in CascadeResult; 0 without."""
+    """Hold the candidates of a tile's core, best first. n_over_budget: more there were. faint: places that cannot become contacts.
+
+    n_windows, n_evaluations, n_cut: of the cascade, as in CascadeResult; 0 without.
+    """
 
     candidates: list[Candidate]
     n_over_budget: int
-    n_gated: int
     faint: FaintPlaces
     n_windows: int = 0
     n_evaluations: int = 0
@@ -76,7 +77,7 @@ def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine:
     taken = [peaks[k] for k in passing[: config.max_candidates_per_tile].tolist()]
     candidates = [Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
     faint = _faint([peaks[k] for k in np.flatnonzero(~reaching).tolist()], scores[~reaching])
-    return Found(candidates, len(passing) - len(taken), len(peaks) - len(passing), faint)
+    return Found(candidates, len(passing) - len(taken), faint)
 
 
 def by_both(
@@ -86,10 +87,8 @@ def by_both(
 
     A cascade knows what it was trained on. What stands out clearly and is nothing like it is no less worth a look, with odds that say so.
     max_evaluations: the cascade's budget, None for none; the peaks' scores come out of it first. gate, min_p_mine: what cannot become a
-    contact of that p_mine is dropped, windows by their score first, and of the contrast only clear peaks are looked for. Without a gate
-    nothing is dropped.
+    contact of that p_mine is dropped, and of the contrast only clear peaks are looked for. Without a gate nothing is dropped.
     """
-    by_score, by_both_scores = (None, None) if gate is None else (gate.cascade, gate.both)
     contrast = contrasts(tile, config.p_false_alarm if gate is None or min_p_mine <= 0.0 else min(config.p_false_alarm, _CLEAR_PEAK_P))
     peaks = contrast.peaks(STEP_M)
     plane = core_plane(tile)
@@ -102,9 +101,8 @@ def by_both(
     windows = _Places(passed.rows, passed.columns, passed.scores / SCORE_UNIT).some(heard)
     n_kept = _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST
     windows = windows.some(apart(windows.rows, windows.columns, windows.scores, half_rows, half_columns, n_kept))
-    likely = windows.some(_reaching(by_score, min_p_mine, tile, windows))
-    places = [*_clearest(contrast, likely.rows.tolist(), likely.columns.tolist(), int(half_rows), int(half_columns)), *peaks]
-    cascade_scores = np.concatenate((likely.scores, peak_scores / SCORE_UNIT))
+    places = [*_clearest(contrast, windows.rows.tolist(), windows.columns.tolist(), int(half_rows), int(half_columns)), *peaks]
+    cascade_scores = np.concatenate((windows.scores, peak_scores / SCORE_UNIT))
     rows, columns = (np.array([place[k] for place in places], dtype=np.int64) for k in (1, 2))
     contrast_scores = np.array([max(place.score, _FAINTEST) for place in places])
     strength = cascade_scores + CONTRAST_SHARE * contrast_scores
@@ -113,7 +111,7 @@ def by_both(
     features = place_features(
         *_ranges(tile, [places[k] for k in kept.tolist()]), cascade=cascade_scores[kept], contrast=contrast_scores[kept]
     )
-    reaching = may_reach(by_both_scores, min_p_mine, features)
+    reaching = may_reach(None if gate is None else gate.both, min_p_mine, features)
     passing, faint = kept[reaching], kept[~reaching]
     taken = passing[:most]
     odds = model.calibration.log_odds_of(np.rint(cascade_scores[taken] * SCORE_UNIT).astype(np.int64)).tolist()
@@ -121,11 +119,9 @@ def by_both(
         Candidate(places[k], contrast.floor(places[k].row, places[k].column), odd, float(cascade_scores[k]))
         for k, odd in zip(taken.tolist(), odds, strict=True)
     ]
-    n_windows = np.count_nonzero((windows.rows >= tile.core_start) & (windows.rows < tile.core_stop))
     return Found(
         candidates,
         n_over_budget=len(passing) - len(taken),
-        n_gated=max(int(n_windows) - len(passing), len(faint)),
         faint=_faint([places[k] for k in faint.tolist()], strength[faint]),
         n_windows=passed.n_windows,
         n_evaluations=passed.n_evaluations + n_spent,
@@ -164,12 +160,6 @@ class _Places(NamedTuple):
 
     def some(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> _Places:
         return _Places(self.rows[chosen], self.columns[chosen], self.scores[chosen])
-
-
-def _reaching(forecast: Forecast | None, min_p_mine: float, tile: Tile, places: _Places) -> NDArray[np.bool_]:
-    ground_range_m = np.asarray((places.columns + 0.5) * tile.column_spacing_m, dtype=np.float64)
-    features = place_features(ground_range_m, tile.first_return_m[places.rows], cascade=places.scores)
-    return may_reach(forecast, min_p_mine, features)
 
 
 def _ranges(tile: Tile, peaks: Sequence[Peak]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -36,7 +36,7 @@ _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 class TileDetections(NamedTuple):
     """Hold what a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
 
-    n_gated: places that cannot become contacts and were not measured; faint: those of them that crowd detections, on the mission grid.
+    faint: places that cannot become contacts and were not measured, on the mission grid.
     n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
     used up, of n_windows; all 0 where contrasts alone serve.
     """
@@ -44,7 +44,6 @@ class TileDetections(NamedTuple):
     detections: tuple[Detection, ...]
     n_over_budget: int
     n_without_position: int
-    n_gated: int = 0
     faint: FaintPlaces = NO_FAINT_PLACES
     n_windows: int = 0
     n_evaluations: int = 0
@@ -78,7 +77,6 @@ def detect_tile(
         detections=detections,
         n_over_budget=found.n_over_budget,
         n_without_position=len(found.candidates) - len(detections),
-        n_gated=found.n_gated,
         faint=found.faint._replace(rows=found.faint.rows + tile.first_row),
         n_windows=found.n_windows,
         n_evaluations=found.n_evaluations,

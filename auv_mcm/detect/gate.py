@@ -47,10 +47,9 @@ class Forecast(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Gate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Hold a forecast for each state of knowledge: the cascade's score alone, with the contrast, and the contrast without a cascade."""
+    """Hold a forecast from the cascade's score and the contrast, and one for contrasts without a cascade."""
 
     fitted_on: str
-    cascade: Forecast
     both: Forecast
     contrast: Forecast
 

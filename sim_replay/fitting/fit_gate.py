@@ -56,14 +56,13 @@ def fit_gate(
     fitted_on: str,
     lost_share: float = LOST_SHARE,
 ) -> Gate:
-    """Fit the three forecasts of a gate.
+    """Fit the two forecasts of a gate.
 
     Raises UsageError if there are fewer detections of `min_p_mine` or more than it takes to know the margin.
     """
     without_cascade: tuple[Feature, ...] = ("range", "range_squared", *_CONTRAST)
     return Gate(
         fitted_on=fitted_on,
-        cascade=_fit(by_cascade, _CASCADE, min_p_mine, lost_share),
         both=_fit(by_cascade, (*_CASCADE, *_CONTRAST), min_p_mine, lost_share),
         contrast=_fit(by_contrast, without_cascade, min_p_mine, lost_share),
     )
