@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.gate import shipped_gate
+from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
@@ -97,6 +99,7 @@ class Pipeline:
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
+        self._places = PlaceCounts()
         self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -109,6 +112,11 @@ class Pipeline:
     def counters(self) -> Counter[str]:
         """Everything refused, skipped or degraded so far, by dotted name; only what happened at least once."""
         return +(self._counts + self._intake.navigation_counters)
+
+    @property
+    def places(self) -> dict[str, Any]:
+        """Places that the detector saw, by range and strength, reported or not: as `PlaceCounts.table` lays them out."""
+        return self._places.table()
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         """Contacts at least so likely to be mines that say from where another look would tell more."""
@@ -233,6 +241,7 @@ class Pipeline:
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
+            self._places.add(tile, result)
             self._counts["detect.candidate"] += len(result.detections)
             if result.n_over_budget and not self._counts["detect.over_budget"]:
                 events.append(_over_budget(tile, result))
