@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,6 +26,8 @@ from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
+from auv_mcm.detect.gate import shipped_gate
+from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
@@ -85,15 +88,18 @@ class Pipeline:
         self._law = LawWatch(config.sonar)
         self._undecided: list[Ping] = []  # pings whose samples cannot be read yet
         self._waterfall: Waterfall | None = None
-        self._suppressors = {side: Suppressor(config.detect, self._counts) for side in SIDES}
+        self._suppressors = {side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES}
         model, self._detector = fitting(configured_model(config), config)
-        self._detect_in = detect or partial(detect_tile, config=config, model=model, exhaustive=exhaustive)
+        # The gate forecasts what confirmation says.
+        gate = shipped_gate() if config.confirm.enabled and not exhaustive else None
+        self._detect_in = detect or partial(detect_tile, config=config, model=model, gate=gate, exhaustive=exhaustive)
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
+        self._places = PlaceCounts()
         self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -106,6 +112,11 @@ class Pipeline:
     def counters(self) -> Counter[str]:
         """Everything refused, skipped or degraded so far, by dotted name; only what happened at least once."""
         return +(self._counts + self._intake.navigation_counters)
+
+    @property
+    def places(self) -> dict[str, Any]:
+        """Places that the detector saw, by range and strength, reported or not: as `PlaceCounts.table` lays them out."""
+        return self._places.table()
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         """Contacts at least so likely to be mines that say from where another look would tell more."""
@@ -230,18 +241,20 @@ class Pipeline:
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
+            self._places.add(tile, result)
             self._counts["detect.candidate"] += len(result.detections)
             if result.n_over_budget and not self._counts["detect.over_budget"]:
                 events.append(_over_budget(tile, result))
             if result.n_cut and not self._counts["detect.windows_cut"]:
                 events.append(_windows_cut(tile, result))
+            self._counts["detect.gated"] += len(result.faint.rows)
             self._counts["detect.windows"] += result.n_windows
             self._counts["detect.evaluations"] += result.n_evaluations
             self._counts["detect.windows_cut"] += result.n_cut
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
             with self._timed("suppress"):
-                settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop))
+                settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop, result.faint))
         return events + self._conclude(settled)
 
     def _cover(self, tile: Tile, evaluated: float) -> CoveragePatch:

@@ -38,7 +38,16 @@ def served_by(detector: Detector, config: Config) -> Config:
     return msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, model=model))
 
 
+def reporting_everything(config: Config) -> Config:
+    """Report contacts whatever their p_mine, so that nothing is dropped unmeasured."""
+    return msgspec.structs.replace(config, contacts=msgspec.structs.replace(config.contacts, min_p_mine=0.0))
+
+
+def unconfirmed(config: Config) -> Config:
+    """Choose the detector without confirmation, and report everything that it finds."""
+    return reporting_everything(msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False)))
+
+
 def untrained_alone(config: Config) -> Config:
     """Choose contrasts as detector, without confirmation."""
-    alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
-    return served_by("contrast", alone)
+    return served_by("contrast", unconfirmed(config))

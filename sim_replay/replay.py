@@ -117,6 +117,7 @@ def replay(
         **totals,
         "waypoints": len(waypoints),
         "counters": dict(sorted(counters.items())),
+        "places": pipeline.places,
         **notice_lists(gathered.notices),
         "processing_s": round(processing_s, 3),
         "times_real_time": round(tally.duration_s / processing_s, 1) if processing_s > 0.0 else None,

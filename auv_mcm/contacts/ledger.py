@@ -52,18 +52,27 @@ class Ledger:
         self._frame: LocalFrame | None = None
         self._positions_m = np.empty((0, 2))  # (at least as many as contacts, 2)
         self._asking_p = np.empty(0)  # p_mine of contacts that ask for another look, NaN of the others
+        self._reported = bytearray()  # by place in the ledger: 1 for contacts that have reached the lowest p_mine reported
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """All that can be read."""
-        return tuple(self._read(range(len(self._kept))).values())
+        """All contacts that have been reported and can be read, by id."""
+        return tuple(self._read([number for number, reported in enumerate(self._reported) if reported]).values())
+
+    @property
+    def n_unreported(self) -> int:
+        """Contacts that have never reached the lowest p_mine reported."""
+        return self._reported.count(0)
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         """Contacts at least so likely to be mines that say from where another look would tell more."""
         return tuple(self._read(np.flatnonzero(self._asking_p[: len(self._kept)] >= min_p_mine).tolist()).values())
 
     def add(self, detections: list[Detection]) -> list[Contact]:
-        """Take the detections that became final together, in any order; return the contacts opened or changed, by id."""
+        """Take the detections that became final together, in any order; return the contacts to report, by id.
+
+        A contact is reported from the first time that its p_mine reaches the lowest one configured, and whenever it changes after that.
+        """
         if not detections:
             return []
         if self._frame is None:
@@ -72,7 +81,10 @@ class Ledger:
         moved: dict[int, Contact] = {}
         for passage in _passages(detections):
             moved |= self._take(passage)
-        return [moved[number] for number in sorted(moved)]
+        self._reported.extend(bytes(len(self._kept) - len(self._reported)))
+        for number, contact in moved.items():
+            self._reported[number] |= contact.p_mine >= self._config.min_p_mine
+        return [moved[number] for number in sorted(moved) if self._reported[number]]
 
     def _take(self, detections: list[Detection]) -> dict[int, Contact]:
         """Join the detections of one passage to contacts; return those opened or changed, by their place in the ledger."""

@@ -108,7 +108,7 @@ class Contrasts(NamedTuple):
 
 
 def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
-    """All that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle."""
+    """Find all that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle."""
     grid = Grid(tile.row_spacing_m, tile.column_spacing_m)
     margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
     rows = max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])

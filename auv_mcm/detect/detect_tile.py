@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.belief import probability, with_measurement
-from auv_mcm.detect.candidates import Candidate, by_both, by_contrast
+from auv_mcm.detect.candidates import NO_FAINT_PLACES, Candidate, FaintPlaces, by_both, by_contrast
 from auv_mcm.detect.cascade.model import CascadeModel
+from auv_mcm.detect.gate import Gate
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
@@ -33,8 +34,9 @@ _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 
 class TileDetections(NamedTuple):
-    """What a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
+    """Hold what a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
 
+    faint: places that cannot become contacts and were not measured, on the mission grid.
     n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
     used up, of n_windows; all 0 where contrasts alone serve.
     """
@@ -42,6 +44,7 @@ class TileDetections(NamedTuple):
     detections: tuple[Detection, ...]
     n_over_budget: int
     n_without_position: int
+    faint: FaintPlaces = NO_FAINT_PLACES
     n_windows: int = 0
     n_evaluations: int = 0
     n_cut: int = 0
@@ -53,15 +56,20 @@ def worth_looking(tile: Tile) -> bool:
     return bool(((core & (VALID | LOW_RESOLUTION)) == VALID).any())
 
 
-def detect_tile(tile: Tile, config: Config, model: CascadeModel | None = None, *, exhaustive: bool = False) -> TileDetections:
-    """Detections whose score peaks in the tile's core. Positions are NaN-free; those without a known pose are counted instead.
+def detect_tile(
+    tile: Tile, config: Config, model: CascadeModel | None = None, gate: Gate | None = None, *, exhaustive: bool = False
+) -> TileDetections:
+    """Find the objects whose score peaks in the tile's core. Positions are NaN-free; detections without a known pose are counted instead.
 
-    model: the trained cascade, beside contrasts, which alone serve without one. exhaustive: no budget for it.
+    model: the trained cascade; contrasts serve without one. gate: drops what cannot become a contact that is reported, before it is
+    measured; without one everything is measured. exhaustive: no budget for the cascade.
     """
+    min_p_mine = config.contacts.min_p_mine
     if model is None:
-        found = by_contrast(tile, config.detect)
+        found = by_contrast(tile, config.detect, gate, min_p_mine)
     else:
-        found = by_both(tile, model, config.detect, None if exhaustive else config.detect.max_evaluations_per_tile)
+        budget = None if exhaustive else config.detect.max_evaluations_per_tile
+        found = by_both(tile, model, config.detect, budget, gate, min_p_mine)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
     detections = _placed(tile, config, found.candidates, measured)
@@ -69,6 +77,7 @@ def detect_tile(tile: Tile, config: Config, model: CascadeModel | None = None, *
         detections=detections,
         n_over_budget=found.n_over_budget,
         n_without_position=len(found.candidates) - len(detections),
+        faint=found.faint._replace(rows=found.faint.rows + tile.first_row),
         n_windows=found.n_windows,
         n_evaluations=found.n_evaluations,
         n_cut=found.n_cut,

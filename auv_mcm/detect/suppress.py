@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Final
+from collections.abc import Iterator
+from typing import Final, NamedTuple
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.detect.belief import crowding, odds_of, probability
+from auv_mcm.detect.candidates import NO_FAINT_PLACES, FaintPlaces
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import Detection
 from auv_mcm.settings.config import DetectConfig
@@ -22,6 +26,7 @@ _SURROUNDINGS_M: Final = 8.0
 _MAX_SHADOW_M: Final = 4.0
 _ALIKE: Final = 0.5
 _CROWDED: Final = 6
+_LONGEST_OBJECT_M: Final = 4.0 * ROWS_M  # more than half of the longest that is measured reaches beyond its middle
 
 _LINK_M: Final = 2.5
 _BORDER_M: Final = 60.0
@@ -36,51 +41,56 @@ _BESIDE_STRUCTURE_ODDS: Final = 0.7
 class Suppressor:
     """Settles the detections of one side in the order of rows; feed every tile's detections with the row where its core stops."""
 
-    def __init__(self, config: DetectConfig, counters: Counter[str]) -> None:
+    def __init__(self, config: DetectConfig, row_spacing_m: float, counters: Counter[str]) -> None:
         self._config = config
+        self._row_m = row_spacing_m
         self._counters = counters
         self._link_m = max(_LINK_M, config.suppression_m)
         self._waiting: list[Detection] = []
         self._recent: list[Detection] = []  # as they came; settled, but still surroundings of waiting ones or of those to come
+        self._faint = NO_FAINT_PLACES
 
-    def add(self, detections: tuple[Detection, ...], complete_to_row: float) -> list[Detection]:
+    def add(self, detections: tuple[Detection, ...], complete_to_row: float, faint: FaintPlaces = NO_FAINT_PLACES) -> list[Detection]:
         """Take a tile's detections; return those that are final now, in order of rows.
 
+        faint: places that are no detections but crowd them, on the mission grid.
         complete_to_row: mission grid row before which no later tile has a score peak; the object a peak belongs to may have its
         centre up to ROWS_M before it.
         """
         self._waiting = sorted([*self._waiting, *detections], key=_order)
+        self._faint = FaintPlaces(*(np.concatenate(pair) for pair in zip(self._faint, faint, strict=True)))
         return self._settle(complete_to_row)
 
     def flush(self) -> list[Detection]:
         """Settle everything left at the end of a segment."""
         settled = self._settle(math.inf)
         self._recent = []
+        self._faint = NO_FAINT_PLACES
         return settled
 
     def _settle(self, complete_to_row: float) -> list[Detection]:
-        if not self._waiting:
-            return []
-        row_m = self._waiting[0].row_spacing_m
-        surroundings = max(_SURROUNDINGS_M, self._link_m) / row_m
-        known_to = complete_to_row - ROWS_M / row_m
+        surroundings = max(_SURROUNDINGS_M, self._link_m) / self._row_m
+        known_to = complete_to_row - ROWS_M / self._row_m
         horizon = known_to - surroundings
         known = [*self._recent, *self._waiting]
+        around = _Neighbours.of(known, self._faint)
         settled: list[Detection] = []
         waiting: list[Detection] = []
         for chain in _chains(self._waiting, self._link_m):
             if max(d.row for d in chain) >= horizon:
                 waiting += chain
                 continue
-            best = [d for d in self._best_of(chain, self._config.suppression_m) if not self._hidden_across_border(d, known)]
+            best = [d for d in self._best_of(chain, self._config.suppression_m) if not self._hidden_across_border(d, around)]
             if _is_structure(chain, self._config.max_object_m):
                 best = _outline(best, chain)
             self._counters["detect.suppressed"] += len(chain) - len(best)
-            settled += [self._in_surroundings(detection, known) for detection in best]
+            settled += [self._in_surroundings(detection, around) for detection in best]
         self._waiting = sorted(waiting, key=_order)
         first_needed = min([known_to, *(d.row for d in waiting)]) - surroundings
         still_waiting = {id(d) for d in waiting}
         self._recent = [d for d in known if d.row >= first_needed and id(d) not in still_waiting]
+        needed = self._faint.rows >= first_needed
+        self._faint = FaintPlaces(*(values[needed] for values in self._faint))
         return sorted(settled, key=_order)
 
     def _best_of(self, chain: list[Detection], reach_m: float) -> list[Detection]:
@@ -90,22 +100,47 @@ class Suppressor:
                 kept.append(detection)
         return kept
 
-    def _hidden_across_border(self, detection: Detection, known: list[Detection]) -> bool:
+    def _hidden_across_border(self, detection: Detection, around: _Neighbours) -> bool:
+        stretch = _stretch(detection)
         return any(
-            _stretch(other) != _stretch(detection)
-            and _strongest_first(other) < _strongest_first(detection)
-            and _same_object(detection, other, self._config.suppression_m)
-            for other in known
+            _strongest_first(other) < _strongest_first(detection) and _same_object(detection, other, self._config.suppression_m)
+            for other in around.on_other_stretches(detection, stretch)
         )
 
-    def _in_surroundings(self, detection: Detection, known: list[Detection]) -> Detection:
-        """The detection with its odds lowered by others about as strong within a few metres."""
-        n_alike = 0
-        for other in known:
-            distance_m = _distance_m(detection, other)
-            n_alike += self._config.suppression_m < distance_m < _SURROUNDINGS_M and other.strength >= detection.strength - _ALIKE
+    def _in_surroundings(self, detection: Detection, around: _Neighbours) -> Detection:
+        """Lower the odds of the detection by others about as strong within a few metres."""
+        distance_m = around.distance_m(detection)
+        alike = around.strength >= detection.strength - _ALIKE
+        n_alike = int(np.count_nonzero(alike & (distance_m > self._config.suppression_m) & (distance_m < _SURROUNDINGS_M)))
         reasons = (*detection.reasons, "crowded") if n_alike >= _CROWDED else detection.reasons
         return msgspec.structs.replace(detection, p_mine=probability(odds_of(detection.p_mine) - crowding(n_alike)), reasons=reasons)
+
+
+class _Neighbours(NamedTuple):
+    """Detections, and beside them faint places, whose row, column and strength come behind theirs, (n,) each."""
+
+    detections: list[Detection]
+    stretches: NDArray[np.int64]
+    rows: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    strength: NDArray[np.float64]
+
+    @staticmethod
+    def of(detections: list[Detection], faint: FaintPlaces) -> _Neighbours:
+        values = np.array([(d.row, d.column, d.strength) for d in detections]).reshape(-1, 3).T
+        rows, columns, strength = (np.concatenate(pair) for pair in zip(values, faint, strict=True))
+        stretches = np.array([_stretch(d) for d in detections], dtype=np.int64)
+        return _Neighbours(detections, stretches, rows, columns, strength)
+
+    def on_other_stretches(self, detection: Detection, stretch: int) -> Iterator[Detection]:
+        """Go through detections across a border from one that are near enough to be of the same object."""
+        near = np.abs(self.rows[: len(self.detections)] - detection.row) * detection.row_spacing_m < _LONGEST_OBJECT_M
+        return (self.detections[k] for k in np.flatnonzero(near & (self.stretches != stretch)))
+
+    def distance_m(self, detection: Detection) -> NDArray[np.float64]:
+        """Distance of all from a detection, (n,)."""
+        along_m = (self.rows - detection.row) * detection.row_spacing_m
+        return np.hypot(along_m, (self.columns - detection.column) * detection.column_spacing_m)
 
 
 def _stretch(detection: Detection) -> int:

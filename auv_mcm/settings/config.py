@@ -183,8 +183,17 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
 
 
 class ContactsConfig(_Section, frozen=True, kw_only=True):
-    """Association of detections to contacts."""
+    """Association of detections to contacts, and which of them are reported."""
 
+    min_p_mine: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=1.0,
+            description="p_mine below which a contact is not reported; what cannot reach it is counted and neither measured nor confirmed; "
+            "0 reports everything; above 0.01 the estimate of mines left comes out too low",
+        ),
+    ] = 0.01
     gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = (
         9.21
     )

@@ -63,6 +63,9 @@ class Perceiving(Protocol):
     @property
     def counters(self) -> Counter[str]: ...
 
+    @property
+    def places(self) -> dict[str, Any]: ...
+
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]: ...
@@ -98,6 +101,7 @@ class Finished(NamedTuple):
     """The last answer."""
 
     counters: Counter[str]
+    places: dict[str, Any]  # by range and strength, for the summary
     clearance: Clearance | None
     clearance_png: bytes  # its picture, empty without one
 
@@ -360,7 +364,8 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         connection.send(Fed(_slim(events, searched, area), _snippets(events)))
         clearance = searched.snapshot()
         of_disk = Counter({"perception.kept_in_memory": kept.n_in_memory, "perception.unreadable": kept.n_unreadable})
-        connection.send(Finished(pipeline.counters + of_disk, clearance, b"" if clearance is None else _clearance_png(clearance)))
+        png = b"" if clearance is None else _clearance_png(clearance)
+        connection.send(Finished(pipeline.counters + of_disk, pipeline.places, clearance, png))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:

@@ -81,6 +81,7 @@ class Service:
         self._lag_s = 0.0
         self._is_finished = False
         self._pipeline_counters: Counter[str] = Counter()
+        self._places: dict[str, Any] = {}
         self._clearance: Clearance | None = None
         self._clearance_png = b""
         self._recorder: Recorder | None = None
@@ -263,7 +264,7 @@ class Service:
             for event in answer.events:
                 self._announce(event)
         self._is_finished = True
-        self._pipeline_counters = answer.counters
+        self._pipeline_counters, self._places = answer.counters, answer.places
         self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
         for notice in clearance_notices(self._clearance):
             self._announce(notice)
@@ -366,6 +367,7 @@ class Service:
             **({} if self._vehicle_link is None else {"vehicle": self._vehicle_link.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
             "counters": dict(sorted(self._all_counters().items())),
+            "places": self._places,
             **notice_lists(self._notices),
         }
         errors |= all_written({SUMMARY: partial(write_json, self._folder / SUMMARY, summary)})

@@ -39,7 +39,7 @@ from sim_replay.fitting.cascade.classical.classical_model import parse_classical
 from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import RecordedMission
-from sim_replay.missions import HELD_OUT, SCENES, config_for, untrained_alone
+from sim_replay.missions import HELD_OUT, SCENES, config_for, unconfirmed, untrained_alone
 from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
 from sim_replay.scoring.baseline import rival_contacts
 from sim_replay.scoring.intervals import proportion
@@ -209,7 +209,7 @@ def comparison_model(name: str) -> bytes:
 
 def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]) -> Flown:
     place = f"{line.group}, seed {line.seed}"
-    alone = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
+    alone = unconfirmed(config)
     untrained = untrained_alone(config)
     stages = parse_model(comparison_model("stages"), "stages.json")
     classical = parse_classical_model(comparison_model("classical"), "classical.json")

@@ -66,6 +66,7 @@ class BusyPipeline:
 
     def __init__(self, config: Config, kept: Contacts) -> None:
         self.counters: Counter[str] = Counter()
+        self.places: dict[str, Any] = {}
         self._values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:

@@ -31,6 +31,8 @@ def add(commands: Commands) -> None:
         "calibrate",
         "measure this computer, or the payload's own performance",
         "budget:       the detector's budget that this computer can afford; also without the word, with --speed\n"
+        "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; the file\n"
+        "              that ships was fitted so\n"
         "odds:         what each measurement of a detection says about the odds of a mine, from simulated missions; the\n"
         "              weights that ship were fitted so\n"
         "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
@@ -40,6 +42,7 @@ def add(commands: Commands) -> None:
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
             "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
+            "auv-mcm calibrate gate --out gate.json",
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate performance --out performance.json",
             "auv-mcm calibrate seabed --out model.json",
@@ -48,8 +51,9 @@ def add(commands: Commands) -> None:
     # As it was before there was a choice, and as scripts have it.
     _add_budget_options(parser, required=False)
     parser.set_defaults(command=partial(_run_without_a_word, parser))
-    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|odds|performance|seabed")
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|gate|odds|performance|seabed")
     _add_budget(kinds)
+    _add_gate(kinds)
     _add_odds(kinds)
     _add_performance(kinds)
     _add_seabed(kinds)
@@ -72,6 +76,21 @@ def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> N
     parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s")
     parser.add_argument("--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="of one core's time (default 0.25)")
     parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with that budget")
+
+
+def _add_gate(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "gate",
+        "learn which places of a tile can become contacts",
+        "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine in the end\n"
+        "follow from the score, contrast and range of a place. Fit it anew after new odds. The same seeds make the same gate.",
+        ["auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"],
+    )
+    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, default=range(500, 501), help="seeds of the missions (default 500)")
+    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
+    parser.set_defaults(command=_run_gate)
 
 
 def _add_odds(kinds: Commands) -> None:
@@ -164,6 +183,14 @@ def _run_budget(arguments: argparse.Namespace) -> int:
         detect = msgspec.structs.replace(config.detect, max_evaluations_per_tile=budget)
         text = config_yaml(msgspec.structs.replace(config, detect=detect))
         write_new(arguments.write, text)
+    return 0
+
+
+def _run_gate(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
+
+    _check_new(arguments.out)
+    write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, _show)))
     return 0
 
 

@@ -32,7 +32,7 @@ from auv_mcm.records import Detection, Detector, LookStep
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fitting.cascade import trees
-from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
+from sim_replay.missions import HELD_OUT, SCENES, config_for, reporting_everything, served_by
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
@@ -211,7 +211,8 @@ _STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 
 
 def _looking_at_everything(config: Config) -> Config:
-    return msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000))
+    confirm = msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000)
+    return reporting_everything(msgspec.structs.replace(config, confirm=confirm))
 
 
 def _labelled(

@@ -89,7 +89,7 @@ def config_of(geometry: Geometry) -> Config:
 
 def detections_of(tile: Tile, config: Config) -> list[Detection]:
     """What the detector and suppression leave of one tile."""
-    suppressor = Suppressor(config.detect, Counter())
+    suppressor = Suppressor(config.detect, tile.row_spacing_m, Counter())
     settled = suppressor.add(detect_tile(tile, config).detections, math.inf)
     return [*settled, *suppressor.flush()]
 

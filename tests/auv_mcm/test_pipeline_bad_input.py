@@ -207,7 +207,7 @@ def test_a_mission_of_few_pings_ends_properly(n_pings: int) -> None:
 
 
 def test_candidates_beyond_the_budget_are_told() -> None:
-    config = msgspec.convert({"detect": {"max_candidates_per_tile": 3}}, Config)
+    config = msgspec.convert({"detect": {"model": "none", "max_candidates_per_tile": 3}, "contacts": {"min_p_mine": 0.0}}, Config)
     pipeline = Pipeline(config)
     events = [result for event in mission() for result in pipeline.feed(event)] + pipeline.finish()
     assert pipeline.counters["detect.over_budget"] > 0

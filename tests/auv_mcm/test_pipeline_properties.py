@@ -16,7 +16,7 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, NavSample, Ping, PipelineEvent, SourceEvent
-from auv_mcm.settings.config import Config, WaterfallConfig
+from auv_mcm.settings.config import Config, ContactsConfig, WaterfallConfig
 from sim_replay.simulator.scene import SampleRecorder, Scene, SceneObject, Sonar
 from tests.auv_mcm.short_missions import flown, one_leg
 
@@ -176,9 +176,25 @@ def test_finish_twice_adds_nothing() -> None:
     assert pipeline.finish() == []
 
 
-def test_exhaustive_gives_the_same_contacts() -> None:
-    pipeline = Pipeline(Config(), exhaustive=True)
+@cache
+def everything(*, exhaustive: bool) -> tuple[Contact, ...]:
+    """Contacts of any p_mine."""
+    pipeline = Pipeline(Config(contacts=ContactsConfig(min_p_mine=0.0)), exhaustive=exhaustive)
     for event in mission():
         pipeline.feed(event)
     pipeline.finish()
-    assert contacts_geojson(pipeline.contacts) == contacts_geojson(reference())
+    return pipeline.contacts
+
+
+def test_exhaustive_gives_the_same_contacts_where_all_are_reported() -> None:
+    assert contacts_geojson(everything(exhaustive=True)) == contacts_geojson(everything(exhaustive=False))
+
+
+def test_the_gate_takes_nothing_from_what_is_reported() -> None:
+    likely = {contact.views[0].row: contact.p_mine for contact in everything(exhaustive=True) if contact.p_mine >= 0.05}
+    reported = {contact.views[0].row: contact.p_mine for contact in reference()}
+    assert likely
+    for row, p_mine in likely.items():
+        nearest = min(reported, key=lambda other: abs(other - row))
+        assert nearest == pytest.approx(row, abs=2.0)
+        assert reported[nearest] == pytest.approx(p_mine, abs=0.05)

@@ -96,7 +96,7 @@ def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, 
         assert (results / feature["properties"]["snippet"]).read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}, {"exhaustive": True}])
+@pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}])
 def test_circumstances_do_not_change_a_byte(circumstances: dict[str, Any], logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
     replay(logs, tmp_path, Config(), **circumstances)
     assert content(tmp_path) == content(results)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
-from auv_mcm.detect.candidates import STEP_M
+from auv_mcm.detect.candidates import NO_FAINT_PLACES, STEP_M
 from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, Box, areas, band_edges, margins_px, pixel_boxes
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
@@ -286,7 +286,8 @@ def told(result: TileDetections) -> list[object]:
         (d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes())
         for d in result.detections
     ]
-    return [detections, *result[1:]]
+    faint = [values.tolist() for values in result.faint]
+    return [detections, faint, *result._replace(faint=NO_FAINT_PLACES)[1:]]
 
 
 @pytest.mark.parametrize("max_evaluations", [None, 60_000])

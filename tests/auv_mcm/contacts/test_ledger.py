@@ -43,8 +43,11 @@ def view(east_m: float, north_m: float, time_s: float, *, frame: LocalFrame = HO
     return drawn_looks.detection(**{**known, **FIRST_LEG, **values})
 
 
+ALL_REPORTED = ContactsConfig(min_p_mine=0.0)
+
+
 def ledger() -> Ledger:
-    return Ledger(ContactsConfig())
+    return Ledger(ALL_REPORTED)
 
 
 def place(contact: Contact | Detection, frame: LocalFrame = HOME) -> NDArray[np.float64]:
@@ -220,7 +223,7 @@ def test_every_view_is_in_exactly_one_contact_and_no_passage_is_in_a_contact_twi
 def two_views(frame: LocalFrame = HOME) -> tuple[Contact, Detection, Detection]:
     a = view(0.3, -0.2, 100.0, frame=frame, covariance_m2=np.array([[1.0, 0.4], [0.4, 2.0]]))
     b = view(-0.5, 0.6, 900.0, frame=frame, covariance_m2=np.array([[0.5, -0.2], [-0.2, 0.7]]), **SECOND_LEG)
-    book = Ledger(ContactsConfig())
+    book = Ledger(ALL_REPORTED)
     book.add([a])
     (contact,) = book.add([b])
     return contact, a, b
@@ -365,7 +368,7 @@ def test_without_a_solid_of_the_class_told_sizes_are_those_measured() -> None:
 
 def test_what_every_view_knows_of_the_rate_of_mines_counts_once_per_contact() -> None:
     """One in ten is a mine: two views that say nothing beyond that leave it there."""
-    book = Ledger(ContactsConfig(), prior=math.log(0.1 / 0.9))
+    book = Ledger(ALL_REPORTED, prior=math.log(0.1 / 0.9))
     book.add([view(0.0, 0.0, 100.0, p_mine=0.1)])
     (contact,) = book.add([view(0.0, 0.0, 900.0, p_mine=0.1, **{**SECOND_LEG, "aspect_deg": 180.0})])
     assert contact.p_mine == pytest.approx(0.1)
@@ -400,3 +403,27 @@ def test_records_handed_out_before_do_not_change() -> None:
     assert again.id == first.id
     assert again is not first
     assert msgspec.structs.astuple(first) == copy
+
+
+# ---------------------------------------------------------------- what is reported
+
+
+def test_a_contact_is_reported_once_it_has_been_likely_enough_and_from_then_on() -> None:
+    book = Ledger(ContactsConfig(min_p_mine=0.05))
+    assert book.add([view(0.0, 0.0, 100.0, p_mine=0.01), view(30.0, 0.0, 100.0, p_mine=0.4)]) == list(book.contacts)
+    (likely,) = book.contacts
+    assert likely.p_mine == 0.4
+    assert book.n_unreported == 1
+    (risen,) = book.add([view(0.0, 0.0, 500.0, p_mine=0.5, **SECOND_LEG)])
+    assert risen.p_mine >= 0.05
+    assert len(risen.views) == 2  # the faint view counts as it would have if it had been reported
+    (fallen,) = book.add([view(30.0, 0.0, 900.0, p_mine=0.0001, **SECOND_LEG)])
+    assert fallen.id == likely.id
+    assert [contact.id for contact in book.contacts] == sorted([risen.id, likely.id])
+    assert book.n_unreported == 0
+
+
+def test_without_a_lowest_p_mine_everything_is_reported() -> None:
+    book = ledger()
+    assert len(book.add([view(3.0 * k, 0.0, 100.0, p_mine=0.0) for k in range(5)])) == 5
+    assert book.n_unreported == 0

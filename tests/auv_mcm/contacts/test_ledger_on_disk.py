@@ -24,7 +24,7 @@ from auv_mcm.records import Confirmation, Contact, Detection, ShapeModel, contac
 from auv_mcm.settings.config import ContactsConfig
 from tests.auv_mcm.classify import drawn_looks
 
-CONFIG = ContactsConfig()
+CONFIG = ContactsConfig(min_p_mine=0.0)
 PRIOR = -4.0
 FORBIDDEN = 1e9
 SIZES = {"length_m": 2.0, "radius_m": 0.25, "azimuth_rad": 0.3}

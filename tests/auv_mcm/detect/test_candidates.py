@@ -1,4 +1,4 @@
-"""Candidates of the trained cascade: what they carry, the budget, and that contrasts are taken around them as in the whole tile."""
+"""Candidates of the trained cascade: what they carry, the budget, the gate, and that contrasts are measured as in the whole tile."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.detect.candidates import STEP_M, Found, by_both
+from auv_mcm.detect.candidates import STEP_M, Found, by_both, by_contrast
 from auv_mcm.detect.cascade.peaks import apart
-from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
+from auv_mcm.detect.cascade.run import core_plane, trace_plane
 from auv_mcm.detect.detect_tile import detect_tile
+from auv_mcm.detect.gate import Forecast, Gate
 from auv_mcm.detect.prescreen import score_tile
 from auv_mcm.records import CONTRAST_SHARE, Tile
 from auv_mcm.settings.config import Config, DetectConfig
@@ -32,8 +33,14 @@ def scene(n_objects: int = 3, n_rows: int = 180) -> Tile:
     return make_tile(plane)
 
 
-def found(tile: Tile, max_evaluations: int | None = None, most: int = 256) -> Found:
-    return by_both(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations)
+def found(tile: Tile, max_evaluations: int | None = None, most: int = 256, gate: Gate | None = None) -> Found:
+    return by_both(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations, gate, 0.5)
+
+
+def gate_at(contrast: float) -> Gate:
+    """Drop what has a lower contrast, at a p_mine of 0.5."""
+    forecast = Forecast(offset=-contrast, weights={"contrast": 1.0}, margin_nats=0.0)
+    return Gate(fitted_on="nothing", both=forecast, contrast=forecast)
 
 
 def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_them() -> None:
@@ -67,7 +74,6 @@ def test_a_budget_is_kept_and_what_it_cut_is_counted() -> None:
     assert part.n_cut > 0
     result = detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL)
     assert result.n_cut == result.n_windows
-    assert result.detections  # what stands out is looked at all the same
     assert detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL, exhaustive=True).n_cut == 0
 
 
@@ -122,15 +128,34 @@ def test_windows_are_traced_to_the_same_scores_in_any_order_and_however_often(n_
         assert np.array_equal(found[one : one + 1], trace_plane(plane, MODEL, rows[one : one + 1], columns[one : one + 1]))
 
 
+def test_the_gate_leaves_candidates_as_they_are_and_counts_the_others() -> None:
+    everything = found(scene())
+    contrasts_of = sorted((c.peak.score for c in everything.candidates), reverse=True)
+    between = 0.5 * (contrasts_of[1] + contrasts_of[2])
+    gated = found(scene(), gate=gate_at(between))
+    assert gated.candidates == [c for c in everything.candidates if c.peak.score > between]
+    assert len(gated.faint.rows) > 0
+    strength = {round(c.cascade_score + CONTRAST_SHARE * c.peak.score, 6) for c in everything.candidates if c.peak.score < between}
+    assert {round(float(value), 6) for value in gated.faint.strength} <= strength
+
+
 def test_what_stands_out_but_is_nothing_the_cascade_knows_is_a_candidate_with_its_score() -> None:
     plane = np.ones((180, 320), dtype=np.float32) * speckle(3, (180, 320), spread_pixels=1.0)
     plane[90:93, 200:202] *= 60.0  # bright, with nothing dark behind
+    plane[90:93, 203:225] *= 0.02
     tile = make_tile(plane)
-    passed = run_plane(core_plane(tile), MODEL, None)
-    assert not ((np.abs(passed.rows - 91) < 8) & (np.abs(passed.columns - 201) < 16)).any()
-    (candidate,) = (c for c in found(tile).candidates if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8)
-    assert candidate.cascade_score < 3.0
-    assert candidate.peak.score > 4.0
+    (known,) = (c for c in found(tile).candidates if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8)
+    assert known.peak.score > 5.3
+    (clear,) = (c for c in found(tile, gate=gate_at(5.3)).candidates if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8)
+    assert clear == known
+
+
+def test_contrasts_alone_pass_the_same_gate() -> None:
+    config = DetectConfig()
+    everything = by_contrast(scene(), config, None, 0.5)
+    gated = by_contrast(scene(), config, gate_at(5.0), 0.5)
+    assert gated.candidates == [c for c in everything.candidates if c.peak.score >= 5.0]
+    assert 0 < len(gated.faint.rows) == len(everything.candidates) - len(gated.candidates)
 
 
 def test_nothing_passes_on_a_masked_tile() -> None:

@@ -58,7 +58,8 @@ def assert_same(tile: Tile, p_false_alarm: float) -> None:
     random = np.random.default_rng(tile.mask.size)
     rows, columns = (random.integers(0, n, 12).tolist() for n in tile.mask.shape)
     half_rows, half_columns = (int(n) for n in random.integers(0, 9, 2))
-    for peak, row, column in zip(found.clearest(rows, columns, half_rows, half_columns), rows, columns, strict=True):
+    asked = rows, columns, half_rows, half_columns
+    for peak, row, column in zip(found.clearest(*asked), rows, columns, strict=True):
         assert peak == clearest(maps, row, column, half_rows, half_columns)
     row = min(max(rows[0], scored.start), scored.stop - 1)
     assert found.floor(row, columns[0]) == maps.floor(row, columns[0])

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.detect import suppress
 from auv_mcm.detect.belief import crowding, odds_of, probability
+from auv_mcm.detect.candidates import FaintPlaces
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.records import NAN, Detection
@@ -125,7 +126,7 @@ def told(detections: list[Detection]) -> list[tuple[Any, ...]]:
 
 def in_tiles(detections: list[Detection], peak_rows: list[float], boundaries: list[float], config: DetectConfig) -> list[Detection]:
     """What comes out when each detection arrives with the tile whose core its peak lies in."""
-    suppressor = Suppressor(config, Counter())
+    suppressor = Suppressor(config, ROW_M, Counter())
     out: list[Detection] = []
     start = -math.inf
     for stop in [*sorted(boundaries), math.inf]:
@@ -187,19 +188,19 @@ def test_order_within_a_tile_does_not_matter(seed: int) -> None:
     shuffled = [detections[k] for k in np.random.default_rng(seed).permutation(len(detections))]
     results = []
     for given_order in (detections, shuffled):
-        suppressor = Suppressor(DetectConfig(), Counter())
+        suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
         results.append(told(suppressor.add(tuple(given_order), 5000.0) + suppressor.flush()))
     assert results[0] == results[1]
 
 
 def alone(detections: list[Detection], config: DetectConfig | None = None) -> list[Detection]:
-    suppressor = Suppressor(config or DetectConfig(), Counter())
+    suppressor = Suppressor(config or DetectConfig(), ROW_M, Counter())
     return suppressor.add(tuple(detections), 0.0) + suppressor.flush()
 
 
 def test_of_two_echoes_of_one_object_the_better_stays_and_the_other_is_counted() -> None:
     counters: Counter[str] = Counter()
-    suppressor = Suppressor(DetectConfig(), counters)
+    suppressor = Suppressor(DetectConfig(), ROW_M, counters)
     assert suppressor.add((seen(50.0, 10.0, score=4.0), seen(50.3, 10.4, score=5.0)), 500.0) == []
     (kept,) = suppressor.flush()
     assert kept.score == 5.0
@@ -251,7 +252,7 @@ def wreck() -> list[Detection]:
 def test_endless_clutter_comes_out_as_it_goes() -> None:
     """A field where every detection has a neighbour: nothing may wait for its end."""
     field = [seen(0.9 * step, 5.0 + step % 3, score=3.5 + (step * 7 % 11) / 10.0) for step in range(400)]
-    suppressor = Suppressor(DetectConfig(), Counter())
+    suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
     longest_wait_m = 0.0
     for stop_m in range(20, 361, 20):
         stop = stop_m / ROW_M
@@ -280,7 +281,7 @@ def test_a_mine_beside_a_wreck_is_not_lost_in_it() -> None:
 
 
 def test_nothing_is_final_before_its_surroundings_are_and_everything_is_after_the_flush() -> None:
-    suppressor = Suppressor(DetectConfig(), Counter())
+    suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
     reach_rows = (suppress._SURROUNDINGS_M + ROWS_M) / ROW_M
     detection = seen(12.0, 5.0)
     assert suppressor.add((detection,), detection.row + reach_rows - 0.01) == []
@@ -291,9 +292,21 @@ def test_nothing_is_final_before_its_surroundings_are_and_everything_is_after_th
 
 
 def test_after_a_flush_nothing_of_the_segment_before_is_remembered() -> None:
-    suppressor = Suppressor(DetectConfig(), Counter())
+    suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
     suppressor.add(tuple(seen(50.0 + 1.2 * k, 10.0) for k in range(9)), 430.0)
     suppressor.flush()
     suppressor.add((seen(62.0, 10.0),), 600.0)
     (after,) = suppressor.flush()
     assert after.p_mine == pytest.approx(0.6)
+
+
+def test_faint_places_crowd_a_detection_as_detections_do_and_are_forgotten_behind() -> None:
+    lone, crowd = seen(50.0, 10.0), [seen(50.0 + 1.2 * k, 14.0) for k in range(1, 6)]
+    together = in_tiles([lone, *crowd], [d.row for d in (lone, *crowd)], [], DetectConfig())
+    (expected,) = (d for d in together if d.column == lone.column)
+    faint = FaintPlaces(*(np.array([getattr(d, name) for d in crowd]) for name in ("row", "column", "strength")))
+    suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
+    (crowded,) = suppressor.add((lone,), math.inf, faint)
+    assert crowded.p_mine == expected.p_mine < lone.p_mine
+    (alone,) = suppressor.add((lone,), math.inf)
+    assert alone.p_mine == pytest.approx(lone.p_mine)

@@ -9,6 +9,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 from unittest import mock
 
 import msgspec
@@ -81,6 +82,7 @@ class Base:
     def __init__(self, config: Config, kept: Contacts) -> None:
         self.undecided: tuple[Contact, ...] = ()
         self.counters: Counter[str] = Counter()
+        self.places: dict[str, Any] = {}
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         return self.undecided

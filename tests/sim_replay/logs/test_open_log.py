@@ -87,7 +87,7 @@ def test_a_recorded_session_gives_the_very_contacts_of_the_live_run(kind: SonarK
     run = run_of(kind, late_s := 3e-3)
     folder = write_session(run, tmp_path / "recording")
     live = [bytes_of(contact) for contact in live_contacts(kind, late_s)]
-    assert len(live) > 5
+    assert len(live) >= 2
     for path in (folder, folder / file_name(0)):
         assert [bytes_of(contact) for contact in replayed(path, Config())] == live
 
@@ -155,7 +155,7 @@ def test_navigation_in_the_sonars_messages_gives_the_contacts_of_the_live_run(tm
     run = with_header_navigation(run_of("jsf"))
     live = contacts_of(live_events(run), run.config)
     path = write_jsf(run, tmp_path / "log")
-    assert len(live) > 5
+    assert len(live) >= 2
     for config in (run.config, Config()):
         found = replayed(path, config)
         assert [contact.id for contact in found] == [contact.id for contact in live]
