@@ -34,7 +34,7 @@ from auv_mcm.kernels.snake_descent import Schedule
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
 from auv_mcm.settings.config import Config
-from sim_replay.missions import config_for
+from sim_replay.missions import config_for, reporting_everything, unconfirmed
 from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import read_scene
@@ -280,7 +280,7 @@ def _least_kept(p_targets: Sequence[float]) -> float:
 
 def _handed_on(name: str, seed: int) -> list[Handed]:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
-    config = config_for(scene)
+    config = reporting_everything(config_for(scene))
     config = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL))
     odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
     detections: list[Detection] = []
@@ -309,12 +309,8 @@ def _breaks_rules(contours: Contours) -> bool:
 
 
 def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
-    config = Config()
-    config = msgspec.structs.replace(
-        config,
-        detect=msgspec.structs.replace(config.detect, p_false_alarm=_DETECTION_P),
-        confirm=msgspec.structs.replace(config.confirm, enabled=False),
-    )
+    config = unconfirmed(Config())
+    config = msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, p_false_alarm=_DETECTION_P))
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission, pipeline, odds = Mission(scene), Pipeline(config), shipped_odds("contrast")
     tiles = [event for source in mission.events() for event in pipeline.feed(source) if isinstance(event, Tile)]
