@@ -17,8 +17,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.geometry.fix import Fix, course_rad, distance_m, fix_at
 from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
-from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, ecef_to_geodetic, geodetic_to_ecef
+from auv_mcm.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES, HeadingCheck
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
@@ -92,7 +93,7 @@ class NavBuffer:
         self._last_heading: float | None = None
         self._last_course: float | None = None
         self._leap: NavSample | None = None
-        self._agreement = FixAgreement(_distance, _reach_m, AGREE_S)
+        self._agreement = FixAgreement(distance_m, _reach_m, AGREE_S)
         self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
@@ -100,8 +101,8 @@ class NavBuffer:
         self._n_zero_altitudes = 0  # in a row
         self._notices: list[Notice] = []
         self._raised = set() if raised is None else raised
-        self._last_fix: _Fix | None = None
-        self._chord_start: _Fix | None = None
+        self._last_fix: Fix | None = None
+        self._chord_start: Fix | None = None
 
     def add(self, sample: NavSample) -> None:
         """Take one sample. What cannot be true is refused and counted; samples older than the newest one too.
@@ -216,7 +217,7 @@ class NavBuffer:
         self._newest_s = self._oldest_s = -math.inf
         for channel in self._all:
             channel.clear()
-        self._agreement = FixAgreement(_distance, _reach_m, AGREE_S)
+        self._agreement = FixAgreement(distance_m, _reach_m, AGREE_S)
         self._last_offered_s = -math.inf
         self._last_fix = self._chord_start = None
         self._last_heading = self._last_course = None
@@ -280,9 +281,9 @@ class NavBuffer:
             self.counters["navigation.time_repeated"] += 1
             return
         self._last_offered_s = time_s
-        self._decide(self._agreement.add(_fix(time_s, latitude, longitude)))
+        self._decide(self._agreement.add(fix_at(time_s, latitude, longitude)))
 
-    def _decide(self, decision: FixDecision[_Fix]) -> None:
+    def _decide(self, decision: FixDecision[Fix]) -> None:
         if not decision.accepted and not decision.n_rejected:
             return
         accepted = [fix for fix in decision.accepted if fix.time_s > self._position.last_s]
@@ -313,7 +314,7 @@ class NavBuffer:
             )
             self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
 
-    def _step(self, fix: _Fix, step_m: float) -> None:
+    def _step(self, fix: Fix, step_m: float) -> None:
         """The track goes on at another place from this fix on."""
         self.counters["navigation.position_refix"] += 1
         self._steps_s.append((self._position.last_s, fix.time_s))
@@ -331,7 +332,7 @@ class NavBuffer:
             self._raised.add(code)
             self._notices.append(Notice(code=code, text=text, place=_utc(time_s)))
 
-    def _accept(self, fix: _Fix, joined: bool, doubt: tuple[float, float]) -> None:
+    def _accept(self, fix: Fix, joined: bool, doubt: tuple[float, float]) -> None:
         """Take a fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
         self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt), joined)
         start, last = self._chord_start, self._last_fix
@@ -339,14 +340,14 @@ class NavBuffer:
         if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
             self._chord_start = fix
             return
-        distance, duration = _distance(start, fix), fix.time_s - start.time_s
+        distance, duration = distance_m(start, fix), fix.time_s - start.time_s
         if duration < CHORD_MIN_S or (distance < CHORD_M and duration < CHORD_MAX_S):
             return
         self._chord_start = fix
         middle_s = 0.5 * (start.time_s + fix.time_s)
         self._track_speed.append(middle_s, distance / duration)
         if distance >= CHORD_M:
-            self._last_course = self._unwrap(_course(start, fix), fix.time_s)
+            self._last_course = self._unwrap(course_rad(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
             self._check_heading(middle_s, self._last_course)
 
@@ -535,32 +536,7 @@ class _Channel:
         self._start, self._stop = 0, count
 
 
-class _Fix(NamedTuple):
-    """One believed position; Earth-centred metres."""
-
-    time_s: float
-    x: float
-    y: float
-    z: float
-    latitude_rad: float
-    longitude_rad: float
-
-
-def _fix(time_s: float, latitude_deg: float, longitude_deg: float) -> _Fix:
-    """As geodetic_to_ecef at height 0, for one position at a time, where array arithmetic costs ten times as much."""
-    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
-    sine, cosine = math.sin(latitude), math.cos(latitude)
-    prime_vertical = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
-    x = prime_vertical * cosine * math.cos(longitude)
-    y = prime_vertical * cosine * math.sin(longitude)
-    return _Fix(time_s, x, y, prime_vertical * (1.0 - ECCENTRICITY_SQUARED) * sine, latitude, longitude)
-
-
-def _distance(a: _Fix, b: _Fix) -> float:
-    return math.hypot(b.x - a.x, b.y - a.y, b.z - a.z)
-
-
-def _reach_m(a: _Fix, b: _Fix) -> float:
+def _reach_m(a: Fix, b: Fix) -> float:
     return JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)
 
 
@@ -570,13 +546,3 @@ def _utc(time_s: float) -> str:
         return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
     except (OverflowError, ValueError, OSError):
         return f"time {time_s:g} s"
-
-
-def _course(a: _Fix, b: _Fix) -> float:
-    """Compass direction from a to b, at a."""
-    x, y, z = b.x - a.x, b.y - a.y, b.z - a.z
-    sin_lon, cos_lon = math.sin(a.longitude_rad), math.cos(a.longitude_rad)
-    outward = cos_lon * x + sin_lon * y
-    east = cos_lon * y - sin_lon * x
-    north = math.cos(a.latitude_rad) * z - math.sin(a.latitude_rad) * outward
-    return math.atan2(east, north)

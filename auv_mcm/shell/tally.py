@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-import numpy as np
-
-from auv_mcm.geometry.geodesy import LocalFrame, geodetic_to_ecef
+from auv_mcm.geometry.fix import Fix, course_rad, distance_m, fix_at
 from auv_mcm.records import NAN, NavSample, Notice, Ping, SourceEvent
 
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
@@ -30,8 +28,7 @@ class Tally:
         self.longitude_deg = NAN
         self.heading_rad = NAN
         self._course_rad = NAN
-        self._ecef_m = np.full(3, np.nan)
-        self._position_s = NAN
+        self._fix: Fix | None = None
 
     @property
     def direction_rad(self) -> float:
@@ -68,14 +65,13 @@ class Tally:
             or not -180.0 <= sample.longitude_deg <= 360.0
         ):
             return
-        ecef_m = geodetic_to_ecef(sample.latitude_deg, sample.longitude_deg, 0.0)
-        step_m = float(np.linalg.norm(ecef_m - self._ecef_m))
-        if 0.0 < step_m <= MAX_STEP_M and abs(sample.time_s - self._position_s) <= MAX_STEP_S:
-            self.distance_m += step_m
-            frame = LocalFrame(latitude_deg=self.latitude_deg, longitude_deg=self.longitude_deg)
-            east_m, north_m, _ = frame.to_enu(sample.latitude_deg, sample.longitude_deg, 0.0)
-            self._course_rad = math.atan2(east_m, north_m)
-        self._ecef_m, self._position_s = ecef_m, sample.time_s
+        last, fix = self._fix, fix_at(sample.time_s, sample.latitude_deg, sample.longitude_deg)
+        if last is not None:
+            step_m = distance_m(last, fix)
+            if 0.0 < step_m <= MAX_STEP_M and abs(fix.time_s - last.time_s) <= MAX_STEP_S:
+                self.distance_m += step_m
+                self._course_rad = course_rad(last, fix)
+        self._fix = fix
         self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
 
     def totals(self) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.waterfall.regions import STRIDES, WINDOW_PINGS
+from auv_mcm.kernels.ping_windows import STRIDES, WINDOW_PINGS
 from auv_mcm.waterfall.shape import Shape
 
 Floats = NDArray[np.float64]

@@ -14,11 +14,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.kernels.ping_windows import BLOCK_PINGS
 from auv_mcm.records import NAN, EchoTrace, Notice, Ping, Transfer, TransferKind
 from auv_mcm.settings.config import SonarConfig
 from auv_mcm.waterfall.decibels import USUAL_DB_PER_COUNT
 from auv_mcm.waterfall.law import LAWS, Law, LawOdds, weigh_laws
-from auv_mcm.waterfall.regions import BLOCK_PINGS, Regions, measure_regions
+from auv_mcm.waterfall.regions import Regions, measure_regions
 from auv_mcm.waterfall.speckle import summarise
 
 DECIDE_PINGS: Final = 256

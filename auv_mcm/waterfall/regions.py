@@ -15,15 +15,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK_PINGS: Final = 16  # four windows of four pings, at strides of 1, 2 or 4 pings
-STRIDES: Final = (1, 2, 4)
+from auv_mcm.kernels.ping_windows import BLOCK_PINGS, STRIDES, cell_edges, ping_windows
+
 N_CELLS: Final = 4
-WINDOW_PINGS: Final = 4
 _TRACE_PARTS: Final = 40
 _MIN_PART_SAMPLES: Final = 16
 # Of range: farther than speckle reaches where a recorder takes up to four samples per resolution cell.
 _APART_SAMPLES: Final = (6, 8)
 _MAX_SAMPLE: Final = 1e19
+_PERCENTILES: Final = (0.01, 0.99)
+_COUNTED_BYTES: Final = 2  # sample sizes up to which counting each value is quicker than sorting them
 
 
 class RegionTable(NamedTuple):
@@ -69,9 +70,9 @@ def measure_regions(sides: Sequence[NDArray[Any]]) -> Regions:
     for samples in sides:
         usable = samples[np.isfinite(samples)] if samples.dtype.kind == "f" else samples
         if usable.size:
-            low, high = np.quantile(usable, (0.01, 0.99))
-            lows.append(float(low))
-            highs.append(float(high))
+            low, high = _percentiles(usable)
+            lows.append(low)
+            highs.append(high)
             lowest.append(float(usable.min()))
     return Regions(
         join_tables(parts),
@@ -103,43 +104,31 @@ def _measure_side(samples: NDArray[Any], side: int) -> RegionTable:
     if n_parts == 0:
         return _EMPTY
     x = samples[:BLOCK_PINGS, n_part : (n_parts + 1) * n_part].astype(np.float64)
-    by_part = x.reshape(BLOCK_PINGS, n_parts, n_part)
-    kept = (np.abs(by_part) <= _MAX_SAMPLE).all(axis=(0, 2))
-    by_part[:, ~kept] = 0.0
-
-    edges = np.linspace(0, n_part, N_CELLS + 1).astype(np.int64)
-
-    def by_cell(columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.add.reduceat(columns.reshape(n_parts, n_part)[kept], edges[:-1], axis=1) / np.diff(edges))
-
-    cumulants = np.empty((len(STRIDES), int(kept.sum()), N_CELLS, 2, 2))
-    for index, stride in enumerate(STRIDES):
-        # Windows of pings i, i + stride, i + 2 stride, i + 3 stride.
-        windows = x.reshape(-1, WINDOW_PINGS, stride, x.shape[1])
-        deviation = windows - windows.mean(axis=1, keepdims=True)
-        power = deviation * deviation
-        second = power.sum(axis=1).reshape(-1, x.shape[1]) / (WINDOW_PINGS - 1)
-        power *= deviation
-        third = power.sum(axis=1).reshape(-1, x.shape[1]) * (WINDOW_PINGS / ((WINDOW_PINGS - 1) * (WINDOW_PINGS - 2)))
-        for half in range(2):
-            cumulants[index, :, :, half, 0] = by_cell(second[half::2].mean(axis=0))
-            cumulants[index, :, :, half, 1] = by_cell(third[half::2].mean(axis=0))
-    # `deviation` is that of the largest stride here.
-    apart = np.zeros(x.shape[1])
-    for lag in _APART_SAMPLES:
-        apart[:-lag] += (deviation[..., lag:] * deviation[..., :-lag]).sum(axis=(0, 1, 2))
-    apart /= (WINDOW_PINGS - 1) * len(second) * len(_APART_SAMPLES)
-    highest = by_part.max(axis=(0, 2))
+    table = ping_windows(x, n_part, N_CELLS, _APART_SAMPLES, _MAX_SAMPLE)
+    kept = table.kept
     return RegionTable(
-        by_cell(x.mean(axis=0)),
-        cumulants,
-        by_cell(apart),
-        highest[kept],
-        (by_part == highest[:, None]).mean(axis=(0, 2))[kept],
-        by_cell((x == 0.0).mean(axis=0)),
-        np.tile(np.diff(edges) / n_part, (int(kept.sum()), 1)),
+        table.mean[kept],
+        table.cumulants[:, kept],
+        table.covariance[kept],
+        table.highest[kept],
+        table.at_highest[kept],
+        table.at_zero[kept],
+        np.tile(np.diff(cell_edges(n_part, N_CELLS)) / n_part, (int(kept.sum()), 1)),
         side * _TRACE_PARTS * 2 + np.flatnonzero(kept),
     )
+
+
+def _percentiles(samples: NDArray[Any]) -> tuple[float, float]:
+    """The 1st and 99th percentile of samples of any shape, at least one, interpolated as numpy.quantile does."""
+    if samples.dtype.kind != "u" or samples.dtype.itemsize > _COUNTED_BYTES:
+        low, high = np.quantile(samples, _PERCENTILES)
+        return float(low), float(high)
+    n_up_to = np.cumsum(np.bincount(samples.ravel()))
+    at = np.array(_PERCENTILES) * (samples.size - 1)
+    below, above = (np.searchsorted(n_up_to, place, side="right") for place in (np.floor(at), np.ceil(at)))
+    share, step = at - np.floor(at), (above - below).astype(np.float64)
+    low, high = np.where(share >= 0.5, above - step * (1.0 - share), below + step * share)
+    return float(low), float(high)
 
 
 _EMPTY: Final = RegionTable(

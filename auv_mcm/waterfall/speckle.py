@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.kernels.ping_windows import STRIDES
 from auv_mcm.waterfall.even import log_shape, relative_shape
 from auv_mcm.waterfall.quiet import quiet_shapes
-from auv_mcm.waterfall.regions import STRIDES, Regions, join_tables
+from auv_mcm.waterfall.regions import Regions, join_tables
 from auv_mcm.waterfall.shape import Shape
 
 _STRIDE_TWO: Final = STRIDES.index(2)

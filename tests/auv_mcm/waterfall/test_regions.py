@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from auv_mcm.waterfall.regions import N_CELLS, STRIDES, measure_regions
+from auv_mcm.kernels.ping_windows import STRIDES, ping_windows, ping_windows_numpy
+from auv_mcm.waterfall.regions import N_CELLS, measure_regions
 
 N_PART = 20  # of 800 samples
 
@@ -59,3 +60,21 @@ def test_regions_with_bad_samples_are_left_out_and_no_other(bad: float) -> None:
     assert list(spoilt.place) == list(clean.place[others])
     assert np.array_equal(spoilt.cumulants, clean.cumulants[:, others])
     assert np.array_equal(spoilt.mean, clean.mean[others])
+
+
+@pytest.mark.parametrize("n_part", [16, 25, 61])
+def test_c_and_numpy_agree_to_the_bit(n_part: int) -> None:
+    random = np.random.default_rng(6)
+    samples = np.round(random.gamma(1.0, 40.0, (16, 9 * n_part)))
+    samples[5, 2 * n_part + 1] = np.nan
+    samples[:, 4 * n_part : 5 * n_part] = 0.0
+    by_c, by_numpy = (measure(samples.copy(), n_part, N_CELLS, (6, 8), 1e19) for measure in (ping_windows, ping_windows_numpy))
+    for name, found, expected in zip(by_c._fields, by_c, by_numpy, strict=True):
+        assert np.array_equal(found, expected, equal_nan=True), name
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.float32])
+def test_percentiles_are_those_of_all_samples_of_any_type(dtype: type) -> None:
+    samples = np.random.default_rng(7).gamma(1.0, 30.0, (16, 300)).clip(0, 255).astype(dtype)
+    regions = measure_regions([samples])
+    assert (regions.percentile_1, regions.percentile_99) == tuple(np.quantile(samples, (0.01, 0.99)))
