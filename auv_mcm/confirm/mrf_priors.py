@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,15 +56,11 @@ def pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plan
 
 def without_odd_clusters(labels: Labels, row_m: float, column_m: float) -> Labels:
     """Labels with highlights too small, too large or too long for a mine made background. Cells are row_m by column_m."""
-    from scipy import ndimage  # late: the payload's main process must start fast
-
-    cluster, n_clusters = ndimage.label(labels == HIGHLIGHT, structure=np.ones((3, 3)))
-    if n_clusters == 0:
-        return labels
-    area_m2 = np.bincount(cluster.ravel(), minlength=n_clusters + 1) * row_m * column_m
-    odd = (area_m2 < _CLUSTER_AREA_M2[0]) | (area_m2 > _CLUSTER_AREA_M2[1])
-    for number, (rows, columns) in enumerate(ndimage.find_objects(cluster), start=1):
-        odd[number] |= math.hypot((rows.stop - rows.start) * row_m, (columns.stop - columns.start) * column_m) > _CLUSTER_EXTENT_M
+    highlight = (labels == HIGHLIGHT).astype(np.uint8)
+    _, cluster, statistics, _ = cv2.connectedComponentsWithStats(highlight, connectivity=8)
+    area_m2 = statistics[:, cv2.CC_STAT_AREA] * row_m * column_m
+    extent_m = np.hypot(statistics[:, cv2.CC_STAT_HEIGHT] * row_m, statistics[:, cv2.CC_STAT_WIDTH] * column_m)
+    odd = (area_m2 < _CLUSTER_AREA_M2[0]) | (area_m2 > _CLUSTER_AREA_M2[1]) | (extent_m > _CLUSTER_EXTENT_M)
     odd[0] = False
     return np.where(odd[cluster], np.uint8(BACKGROUND), labels)
 

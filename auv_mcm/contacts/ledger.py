@@ -152,10 +152,15 @@ class Ledger:
         possible = np.flatnonzero((cost < _IMPOSSIBLE).any(axis=0))
         if possible.size == 0:
             return matches
-        from scipy.optimize import linear_sum_assignment
-
         # Beside the likest in reach, so that a detection joins an unlike one where there is no other.
         cost = np.where(unlike < _IMPOSSIBLE, cost + unlike - unlike.min(axis=1, keepdims=True), _IMPOSSIBLE)
+        in_reach = cost[:, possible] < _IMPOSSIBLE
+        if in_reach.sum(axis=0).max() <= 1 and in_reach.sum(axis=1).max() <= 1:
+            for row, column in np.argwhere(in_reach).tolist():
+                matches[row] = numbers[possible[column]]
+            return matches
+        from scipy.optimize import linear_sum_assignment  # late: takes 0.4 s to load, and seldom do detections compete for a contact
+
         # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
         opening = np.full((len(detections), len(detections)), self._config.gate_chi2)
         for row, column in zip(*linear_sum_assignment(np.concatenate([cost[:, possible], opening], axis=1)), strict=True):

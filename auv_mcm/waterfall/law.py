@@ -16,15 +16,15 @@ other shapes; where only the wide parts are left, the prior decides, which for l
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, polygamma
 
 from auv_mcm.waterfall.decibels import estimate_decibels, grid_interval
-from auv_mcm.waterfall.log_gamma import LOOKS, LOOKS_PRIOR
+from auv_mcm.waterfall.log_gamma import LOOKS, LOOKS_PRIOR, ln_gamma, log_std_and_skewness
 from auv_mcm.waterfall.shape import Shape
 from auv_mcm.waterfall.speckle import Speckle
 
@@ -106,8 +106,9 @@ def _relative_likelihood(law: Law, shape: Shape) -> tuple[NDArray[np.float64], f
     if law == "log":
         # Where zero is does not follow from the law: std over mean may be anything.
         cv_density = _normal((log_cv - math.log(0.07)) / 0.8) / 0.8
-        sigma = np.hypot(_SKEWNESS_SIGMA + 0.1 * np.abs(_LOG_SKEWNESS), shape.skewness_sigma)
-        tight = LOOKS_PRIOR * cv_density * _student((skewness - _LOG_SKEWNESS) / sigma) / sigma
+        expected = _log_skewness()
+        sigma = np.hypot(_SKEWNESS_SIGMA + 0.1 * np.abs(expected), shape.skewness_sigma)
+        tight = LOOKS_PRIOR * cv_density * _student((skewness - expected) / sigma) / sigma
         wide = cv_density * _normal((skewness + 0.2) / 0.4) / 0.4
         return tight, float(wide)
     cv, ratio = (_NAKAGAMI_CV, _NAKAGAMI_RATIO) if law == "amplitude" else (_GAMMA_CV, _GAMMA_RATIO)
@@ -139,7 +140,7 @@ def _student(deviate: Any) -> Any:
 
 def _nakagami() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """std / mean of amplitude by looks, and its skewness over that."""
-    first, third = (np.exp(gammaln(LOOKS + 0.5 * k) - gammaln(LOOKS)) * LOOKS ** (-0.5 * k) for k in (1, 3))
+    first, third = (np.exp(ln_gamma(LOOKS + 0.5 * k) - ln_gamma(LOOKS)) * LOOKS ** (-0.5 * k) for k in (1, 3))
     variance = 1.0 - first**2
     skewness = (third - 3.0 * first * variance - first**3) / variance**1.5
     cv = np.sqrt(variance) / first
@@ -149,5 +150,10 @@ def _nakagami() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 _NAKAGAMI_CV, _NAKAGAMI_RATIO = _nakagami()
 _GAMMA_CV: Final = np.hypot(LOOKS**-0.5, _TEXTURE_NATS)
 _GAMMA_RATIO: Final = np.full(len(LOOKS), 2.0)
-_LOG_VARIANCE: Final = polygamma(1, LOOKS) + _TEXTURE_NATS**2
-_LOG_SKEWNESS: Final = _LOG_SKEWNESS_KEPT * polygamma(2, LOOKS) / _LOG_VARIANCE**1.5
+
+
+@functools.cache
+def _log_skewness() -> NDArray[np.float64]:
+    """Skewness of logarithmic samples by looks, with the texture left in even regions."""
+    log_std, skewness = (values[0] for values in log_std_and_skewness(np.array([math.inf])))
+    return np.asarray(_LOG_SKEWNESS_KEPT * skewness / (1.0 + _TEXTURE_NATS**2 * np.exp(-2.0 * log_std)) ** 1.5)
