@@ -156,8 +156,8 @@ class Ledger:
         cost = np.where(unlike < _IMPOSSIBLE, cost + unlike - unlike.min(axis=1, keepdims=True), _IMPOSSIBLE)
         in_reach = cost[:, possible] < _IMPOSSIBLE
         if in_reach.sum(axis=0).max() <= 1 and in_reach.sum(axis=1).max() <= 1:
-            for row, column in np.argwhere(in_reach).tolist():
-                matches[row] = numbers[possible[column]]
+            for at, contact_column in np.argwhere(in_reach).tolist():
+                matches[at] = numbers[possible[contact_column]]
             return matches
         from scipy.optimize import linear_sum_assignment  # late: takes 0.4 s to load, and seldom do detections compete for a contact
 

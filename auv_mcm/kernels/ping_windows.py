@@ -83,7 +83,7 @@ def ping_windows_numpy(samples: Values, n_part: int, n_cells: int, lags: Sequenc
     n_columns = x.shape[1]
     n_parts = n_columns // n_part
     by_part = x.reshape(BLOCK_PINGS, n_parts, n_part)
-    kept = (np.abs(by_part) <= largest).all(axis=(0, 2))
+    kept = np.asarray((np.abs(by_part) <= largest).all(axis=(0, 2)))
     by_part[:, ~kept] = 0.0
     edges = cell_edges(n_part, n_cells)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,36 +14,42 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.clock import SystemClock
+from auv_mcm.clock import Stamp, SystemClock
 from auv_mcm.commands import read_config
 from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
-from auv_mcm.settings.config import parse_config
+from auv_mcm.settings.config import Config, parse_config
 from auv_mcm.shell.recovery import RECORDING
 from auv_mcm.shell.service import Service
 from drivers.framing import Framer
 from drivers.port_source import PortSource
+from drivers.ports import read_ports
+from drivers.sonar.jsf import JsfGrammar
+from drivers.sonar.jsf_messages import to_wire as jsf_wire
 from drivers.sonar.ping_messages import NMEA_WRAPPER, PingMessage, to_wire
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.fakes.port import FakePort
+from sim_replay.fakes.sonar import DeviceTime, JsfSonar
 from sim_replay.logs.open_log import session_config
 from sim_replay.logs.session_reader import Session
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, SampleRecorder, Scene, SceneObject, Seabed, Sonar, Track, World
 from tests.drivers.port_traffic import fix, profile
-from tests.sim_replay.logs.sonar_logs import svlog_head
+from tests.sim_replay.logs.sonar_logs import UTC_S, jsf_string, svlog_head
 
+PingBytes = Callable[[Ping, float], bytes]
 SONAR_BAUD: Final = 4_000_000
 UNIT_BAUD: Final = 115_200
 FASTER: Final = 6.0
 RANGE_M: Final = 22.0
+SPEED_MPS: Final = 1.8
 FULL_SCALE_DB: Final = 80.0
 CONFIG: Final = """
 mission: over serial ports
 service: {{source: ports, output_directory: "{folder}/out", health_period_s: 0.5}}
 navigation: {{max_speed_mps: 30}}
 ports:
-  - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: ping_protocol, sonar: {{range_m: 22, n_samples: 512}}}}
+  - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: {device}, sonar: {{range_m: 22, n_samples: 512}}}}
   - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: nmea0183}}
 """
 
@@ -58,7 +66,7 @@ def flown() -> list[SourceEvent]:
         sonar=Sonar(
             range_m=RANGE_M, n_samples=512, ping_rate_hz=12.0, recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=100.0)
         ),
-        track=Track(plan=Lawnmower(n_legs=1, leg_m=44.0), altitude_m=4.0, motion=STEADY),
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=44.0), altitude_m=4.0, speed_mps=SPEED_MPS, motion=STEADY),
         navigation_error=EXACT,
     )
     return list(Mission(scene).events())
@@ -70,7 +78,20 @@ def side(number: int, channel: int, time_s: float, trace: EchoTrace | None) -> b
     return profile(number, channel, time_s, np.clip(np.rint(power_db / FULL_SCALE_DB * 65535.0), 0, 65535), RANGE_M)
 
 
-def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
+def profiles(ping: Ping, time_s: float) -> bytes:
+    """A ping as an Omniscan sends it."""
+    return side(ping.number, 0, time_s, ping.port) + side(ping.number, 1, time_s, ping.starboard)
+
+
+def edgetech(config: Config) -> PingBytes:
+    """An EdgeTech that has heard the commands of a configuration."""
+    sonar = JsfSonar()
+    for command in read_ports(config)[0].commands:
+        sonar.heard(command, DeviceTime(0.0, UTC_S))
+    return lambda ping, time_s: b"".join(sonar.ping(ping, DeviceTime(time_s, UTC_S + time_s)))
+
+
+def messages_of(events: list[SourceEvent], ping_bytes: PingBytes) -> list[tuple[float, str, bytes]]:
     """When each message is due, s since the beginning, at which port; sooner than at sea by FASTER, so that nobody waits."""
     messages = []
     start_s = next(event.time_s for event in events if isinstance(event, Ping))
@@ -82,7 +103,7 @@ def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
         elif isinstance(event, Ping):
             time_s = (event.time_s - start_s) / FASTER
             due_s = time_s + 2.0 * RANGE_M / 1500.0
-            messages.append((due_s, "sonar", side(event.number, 0, time_s, event.port) + side(event.number, 1, time_s, event.starboard)))
+            messages.append((due_s, "sonar", ping_bytes(event, time_s)))
     return sorted(messages, key=lambda message: message[0])
 
 
@@ -128,8 +149,7 @@ class Devices(threading.Thread):
             port.unplug()
 
 
-async def served(folder: Path, devices: Devices) -> Path:
-    config = parse_config(CONFIG.format(folder=folder), "vehicle.yaml")
+async def served(config: Config, devices: Devices) -> Path:
     source = PortSource(config, SystemClock())
     service = Service(config, source, console=lambda line: None)
     serving = asyncio.ensure_future(service.run())
@@ -160,6 +180,32 @@ def write_svlog(recording: Path, path: Path) -> Path:
     return path
 
 
+def write_topside_jsf(recording: Path, path: Path) -> Path:
+    """What EdgeTech's topside would have recorded: the sonar's messages, and what the unit said by the sonar's clock."""
+    received = [recorded for recorded in Session(recording) if recorded.direction == "in"]
+    first_s = 1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
+    parts, framer = [], Framer(JsfGrammar())
+    for recorded in received:
+        if recorded.port == "sonar":
+            parts += [jsf_wire(framed.message) for framed in framer.feed(recorded.data)]
+        else:
+            at = Stamp(recorded.stamp.mono_ns, round((UTC_S - first_s) * 1e9) + recorded.stamp.utc_ns)
+            parts += [jsf_string(line, at) for line in recorded.data.splitlines(keepends=True)]
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def longest_interval_s(recording: Path) -> float:
+    """Between pings as they came, which on a busy computer is longer than they were sent."""
+    came_ns = [recorded.stamp.mono_ns for recorded in Session(recording) if recorded.direction == "in" and recorded.port == "sonar"]
+    return 1e-9 * float(np.diff(came_ns).max())
+
+
+def apart_m(one: dict[str, Any], other: dict[str, Any]) -> float:
+    (east, north), (other_east, other_north) = (feature["geometry"]["coordinates"][:2] for feature in (one, other))
+    return 111_200.0 * math.hypot((east - other_east) * math.cos(math.radians(north)), north - other_north)
+
+
 def mine_like(contacts: Path) -> list[dict[str, Any]]:
     """Features of contacts that are mines rather than not, from west to east."""
     features = json.loads(contacts.read_bytes())["features"]
@@ -167,15 +213,16 @@ def mine_like(contacts: Path) -> list[dict[str, Any]]:
     return sorted(likely, key=lambda feature: feature["geometry"]["coordinates"][0])
 
 
-def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own_log_those_contacts(tmp_path: Path) -> None:
-    devices = Devices(tmp_path, messages_of(flown()))
+@pytest.mark.parametrize("device", ["ping_protocol", "jsf"])
+def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own_log_those_contacts(device: str, tmp_path: Path) -> None:
+    config = parse_config(CONFIG.format(folder=tmp_path, device=device), "vehicle.yaml")
+    devices = Devices(tmp_path, messages_of(flown(), profiles if device == "ping_protocol" else edgetech(config)))
     devices.start()
     assert devices.plugged.wait(10.0)
-    live = asyncio.run(served(tmp_path, devices))
+    live = asyncio.run(served(config, devices))
     devices.join(10.0)
 
-    config = session_config([live / RECORDING])
-    assert config == parse_config(CONFIG.format(folder=tmp_path), "vehicle.yaml") != read_config(None)
+    assert session_config([live / RECORDING]) == config != read_config(None)
     replay([live / RECORDING], tmp_path / "again", config)
     for name in ("contacts.geojson", "contacts.csv", "coverage.geojson", "waypoints.geojson"):
         assert (live / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
@@ -184,14 +231,15 @@ def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own
     # Times of arrival differ a little from run to run, and with them what a sphere's kind is taken for.
     assert len(found) >= 2
     assert "cylinder" in [feature["properties"]["class"] for feature in found]
-    # SonarView does not say when a sentence came: half a ping interval at 11 m/s.
-    replay([write_svlog(live / RECORDING, tmp_path / "survey.svlog")], tmp_path / "svlog", config)
-    again = mine_like(tmp_path / "svlog" / "contacts.geojson")
+    # SonarView does not say when between two pings a sentence came, and a topside's clock counts milliseconds.
+    write_log = write_svlog if device == "ping_protocol" else write_topside_jsf
+    replay([write_log(live / RECORDING, tmp_path / "survey")], tmp_path / "log", config)
+    again = mine_like(tmp_path / "log" / "contacts.geojson")
     assert len(again) == len(found)
     for one, other in zip(found, again, strict=True):
-        assert other["geometry"]["coordinates"][:2] == pytest.approx(one["geometry"]["coordinates"][:2], abs=5e-6), "0.5 m"
+        assert apart_m(one, other) < 0.3 + FASTER * SPEED_MPS * longest_interval_s(live / RECORDING)
 
-    assert b"".join(devices.commands).startswith(b"BR")
+    assert b"".join(devices.commands).startswith(b"BR" if device == "ping_protocol" else b"\x01\x16")
     summary = json.loads((live / "summary.json").read_bytes())
-    assert summary["counters"]["port.sonar.commands_sent"] == 2
+    assert summary["counters"]["port.sonar.commands_sent"] >= 2
     assert not [name for name in summary["counters"] if name.endswith(("_lost", "_dropped"))]
