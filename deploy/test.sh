@@ -12,18 +12,21 @@ say() {
 say "ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
-say "mypy, beside the tests"
-types=$(mktemp)
-.venv/bin/mypy >"$types" 2>&1 &
+beside=$(mktemp -d)
+trap 'kill "$mypy" "$hil" 2>/dev/null || true; rm -rf "$beside"' EXIT
+say "mypy and hardware in the loop, beside the other tests: scenarios mostly wait"
+.venv/bin/mypy >"$beside/mypy" 2>&1 &
 mypy=$!
-trap 'kill "$mypy" 2>/dev/null || true; rm -f "$types"' EXIT
+.venv/bin/python -m pytest tests/hil --numprocesses 2 --dist load --maxschedchunk 1 >"$beside/hil" 2>&1 &
+hil=$!
 say "pytest, three files at a time: two cores, and tests that wait for a port"
 .venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 3 --dist loadfile
-say "pytest of the hardware in the loop, four scenarios at a time: they mostly wait"
-.venv/bin/python -m pytest tests/hil --numprocesses 4 --dist load --maxschedchunk 1
 say "mypy has found"
-wait "$mypy" || { cat "$types"; exit 1; }
-cat "$types"
+wait "$mypy" || { cat "$beside/mypy"; exit 1; }
+cat "$beside/mypy"
+say "hardware in the loop has found"
+wait "$hil" || { cat "$beside/hil"; exit 1; }
+cat "$beside/hil"
 say "auv-mcm check"
 .venv/bin/auv-mcm check
 

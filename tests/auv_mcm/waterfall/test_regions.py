@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -75,6 +77,6 @@ def test_c_and_numpy_agree_to_the_bit(n_part: int) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.float32])
 def test_percentiles_are_those_of_all_samples_of_any_type(dtype: type) -> None:
-    samples = np.random.default_rng(7).gamma(1.0, 30.0, (16, 300)).clip(0, 255).astype(dtype)
+    samples: NDArray[Any] = np.random.default_rng(7).gamma(1.0, 30.0, (16, 300)).clip(0, 255).astype(dtype)
     regions = measure_regions([samples])
     assert (regions.percentile_1, regions.percentile_99) == tuple(np.quantile(samples, (0.01, 0.99)))
