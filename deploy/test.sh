@@ -13,7 +13,8 @@ say "ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 beside=$(mktemp -d)
-trap 'kill "$mypy" "$hil" 2>/dev/null || true; rm -rf "$beside"' EXIT
+mypy= hil=
+trap 'kill $mypy $hil 2>/dev/null || true; rm -rf "$beside"' EXIT
 say "mypy and hardware in the loop, beside the other tests: scenarios mostly wait"
 .venv/bin/mypy >"$beside/mypy" 2>&1 &
 mypy=$!
