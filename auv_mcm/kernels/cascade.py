@@ -45,7 +45,7 @@ class Tables(NamedTuple):
     restart: bool
 
 
-class Field(NamedTuple):
+class WindowField(NamedTuple):
     """Integral images, and where in them windows may be centred.
 
     sums, counts: integral images of codes and of valid pixels, uint32 of one shape; corner: index of pixel (0, 0) in them, which leaves
@@ -138,7 +138,7 @@ def integral_numpy(values: NDArray[Any], margins: tuple[int, int, int], beyond: 
     return out
 
 
-def open_windows(field: Field, tables: Tables, n_groups: int) -> Opened:
+def open_windows(field: WindowField, tables: Tables, n_groups: int) -> Opened:
     """Run the first n_groups groups on all windows of a field; with none the windows are only counted."""
     function = _c_open()
     if function is None:
@@ -165,7 +165,7 @@ def open_windows(field: Field, tables: Tables, n_groups: int) -> Opened:
     return Opened(_first(windows), int(n_windows[0]), n_alive)
 
 
-def open_windows_numpy(field: Field, tables: Tables, n_groups: int) -> Opened:
+def open_windows_numpy(field: WindowField, tables: Tables, n_groups: int) -> Opened:
     """open_windows in numpy alone."""
     sums, counts, corner, usable, edges = field
     n_bands = tables.window.shape[0]

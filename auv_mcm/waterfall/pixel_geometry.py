@@ -20,7 +20,7 @@ from auv_mcm.waterfall.ground import ground_edges_m
 _MIN_RETURN_M = 0.05
 
 
-class Runs(NamedTuple):
+class RepeatedValues(NamedTuple):
     """Values of pings, without those that repeat the ping before: values (n,), row (n_pings,) int64, which of them a ping has."""
 
     values: NDArray[Any]
@@ -36,9 +36,9 @@ class PixelGeometry(NamedTuple):
     """
 
     ground_m: NDArray[np.float64]
-    return_m: Runs
+    return_m: RepeatedValues
     edges_m: NDArray[np.float64]
-    level_m: Runs
+    level_m: RepeatedValues
     tangent: NDArray[np.float64]
     coarse: NDArray[np.uint8]
 
@@ -55,7 +55,7 @@ def pixel_geometry(track: BottomTrack, n_columns: int, waterfall: WaterfallConfi
     return PixelGeometry(ground_m, return_m, edges_m, level_m, tangent, coarse)
 
 
-def runs(values: NDArray[Any]) -> Runs:
+def runs(values: NDArray[Any]) -> RepeatedValues:
     """Leave out values (n_pings,) that equal the one before."""
     starts = np.concatenate([[True], values[1:] != values[:-1]])
-    return Runs(values[starts], np.cumsum(starts) - 1)
+    return RepeatedValues(values[starts], np.cumsum(starts) - 1)

@@ -24,17 +24,17 @@ class Position(NamedTuple):
     sigma_m: float
 
 
-class Heading(NamedTuple):
+class HeadingReading(NamedTuple):
     heading_rad: float
     sigma_rad: float
 
 
-class Attitude(NamedTuple):
+class AttitudeReading(NamedTuple):
     pitch_rad: float
     roll_rad: float
 
 
-class Speed(NamedTuple):
+class SpeedReading(NamedTuple):
     """course_rad: over ground, NaN if not told; drift_rad: against the bow, NaN if not told."""
 
     speed_mps: float
@@ -47,11 +47,11 @@ class Readings(NamedTuple):
     """What a fix says about the vehicle; None where it says nothing, or nothing that is possible."""
 
     position: Position | None
-    heading: Heading | None
-    attitude: Attitude | None
+    heading: HeadingReading | None
+    attitude: AttitudeReading | None
     depth: float | None
     altitude: float | None
-    speed: Speed | None
+    speed: SpeedReading | None
 
 
 def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quantity]]:
@@ -71,10 +71,10 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
         position = Position(latitude_deg, longitude_deg, _sigma(fix.position_sigma_m, unit.position_sigma_m))
     if plausible("heading", fix.heading_rad == fix.heading_rad, abs(fix.heading_rad) <= _TURN + 0.02):
         turned = unit.heading_sign * fix.heading_rad + math.radians(unit.heading_offset_deg)
-        heading = Heading(turned % _TURN, _sigma(fix.heading_sigma_rad, math.radians(unit.heading_sigma_deg)))
+        heading = HeadingReading(turned % _TURN, _sigma(fix.heading_sigma_rad, math.radians(unit.heading_sigma_deg)))
     known = not (math.isnan(fix.pitch_rad) or math.isnan(fix.roll_rad))
     if plausible("attitude", known, abs(fix.pitch_rad) <= math.pi / 2 and abs(fix.roll_rad) <= math.pi + 0.02):
-        attitude = Attitude(
+        attitude = AttitudeReading(
             unit.pitch_sign * fix.pitch_rad + math.radians(unit.pitch_offset_deg),
             unit.roll_sign * fix.roll_rad + math.radians(unit.roll_offset_deg),
         )
@@ -86,7 +86,7 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
     if plausible("speed", speed_mps == speed_mps, abs(speed_mps) <= _MAX_SPEED_MPS):
         course_rad = fix.course_rad if abs(fix.course_rad) <= _TURN + 0.02 else NAN
         drift_rad = fix.drift_rad + math.radians(unit.heading_offset_deg) if abs(fix.drift_rad) <= _TURN else NAN
-        speed = Speed(speed_mps, course_rad, drift_rad, _sigma(fix.speed_sigma_mps, unit.speed_sigma_mps))
+        speed = SpeedReading(speed_mps, course_rad, drift_rad, _sigma(fix.speed_sigma_mps, unit.speed_sigma_mps))
     return Readings(position, heading, attitude, depth, altitude, speed), impossible
 
 

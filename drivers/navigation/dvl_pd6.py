@@ -35,7 +35,7 @@ _MAX_VELOCITY_MM_S: Final = 20_000.0
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-class Attitude(NamedTuple):
+class Pd6Attitude(NamedTuple):
     """:SA"""
 
     pitch_rad: float
@@ -92,7 +92,7 @@ class Bottom(NamedTuple):
     since_good_s: float
 
 
-Line: TypeAlias = Attitude | Water | InstrumentVelocity | ShipVelocity | EarthVelocity | Bottom
+Line: TypeAlias = Pd6Attitude | Water | InstrumentVelocity | ShipVelocity | EarthVelocity | Bottom
 
 
 class LineGrammar(Grammar[tuple[str, str]]):
@@ -156,7 +156,7 @@ class Pd6Unit:
         if line is None:
             self._own["pd6.ignored"] += 1
             return []
-        begins = isinstance(line, Attitude) or (isinstance(line, Water) and self._group.keys() != {Attitude})
+        begins = isinstance(line, Pd6Attitude) or (isinstance(line, Water) and self._group.keys() != {Pd6Attitude})
         done = self._end() if begins or type(line) in self._group else []
         if self._first is None:
             self._first = arrived
@@ -172,7 +172,7 @@ class Pd6Unit:
         lock = all(line.good for line in group.values() if isinstance(line, InstrumentVelocity | ShipVelocity | EarthVelocity))
         if not lock:
             self._own["pd6.no_bottom_lock"] += 1
-        for kind in (Attitude, Water, InstrumentVelocity, ShipVelocity, EarthVelocity, Bottom):
+        for kind in (Pd6Attitude, Water, InstrumentVelocity, ShipVelocity, EarthVelocity, Bottom):
             if kind in group:
                 told.update(_told(group[kind]))
         if not lock:
@@ -182,7 +182,7 @@ class Pd6Unit:
 
 def _told(line: Line) -> dict[str, Any]:
     match line:
-        case Attitude():
+        case Pd6Attitude():
             return {"pitch_rad": line.pitch_rad, "roll_rad": line.roll_rad, "heading_rad": line.heading_rad}
         case Water():
             return {"time_utc_s": line.time_utc_s, "depth_m": line.depth_m}
@@ -208,7 +208,7 @@ def parse_line(kind: str, fields: str) -> Line | None:
     match kind:
         case "SA":
             pitch, roll, heading = _numbers(texts, 3, (90.0, 180.0, 360.0))
-            return Attitude(math.radians(pitch), math.radians(roll), math.radians(heading))
+            return Pd6Attitude(math.radians(pitch), math.radians(roll), math.radians(heading))
         case "TS":
             time_utc_s = _read_time(texts[0])
             salinity, temperature, depth, sound_speed, bit = _numbers(texts[1:], 5, (50.0, 60.0, 12_000.0, 1700.0, 1e6))
@@ -229,7 +229,7 @@ def parse_line(kind: str, fields: str) -> Line | None:
 def line_of(line: Line) -> bytes:
     """The line that says a record, with CR LF."""
     match line:
-        case Attitude():
+        case Pd6Attitude():
             text = ":SA," + ",".join(f"{math.degrees(angle):+06.2f}" for angle in line)
         case Water():
             hundredths = round(line.time_utc_s * 100.0)

@@ -52,7 +52,7 @@ class Velocity(NamedTuple):
     status: int
 
 
-class Attitude(NamedTuple):
+class WaterLinkedAttitude(NamedTuple):
     """wrp. Position is the unit's own dead reckoning from where it was last reset, in its own axes."""
 
     time_s: float
@@ -66,7 +66,7 @@ class Attitude(NamedTuple):
     status: int
 
 
-Record: TypeAlias = Velocity | Attitude
+Record: TypeAlias = Velocity | WaterLinkedAttitude
 
 
 class TextGrammar(Grammar[str]):
@@ -132,7 +132,7 @@ class WaterLinkedUnit:
 
 
 def _told(record: Record) -> dict[str, Any]:
-    if isinstance(record, Attitude):
+    if isinstance(record, WaterLinkedAttitude):
         return {
             "time_utc_s": record.time_s if record.time_s >= _CLOCK_SET_S else None,
             "heading_rad": record.heading_rad,
@@ -187,7 +187,7 @@ def parse(body: str) -> Record | None:
             raise ValueError(f"not a wrp: {body}")
         time_s, x, y, z, sigma = (_number(text) for text in fields[:5])
         roll, pitch, heading = (math.radians(_number(text, 360.0)) for text in fields[5:8])
-        return Attitude(time_s, x, y, z, sigma, roll, pitch, heading, _integer(fields[8]))
+        return WaterLinkedAttitude(time_s, x, y, z, sigma, roll, pitch, heading, _integer(fields[8]))
     return None
 
 

@@ -20,11 +20,11 @@ from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.clocks import DeviceClock, wire_delay_s
 from drivers.navigation.corrections import (
-    Attitude,
-    Heading,
+    AttitudeReading,
+    HeadingReading,
     Position,
     Readings,
-    Speed,
+    SpeedReading,
     arm_north_east_down,
     moved,
     offset_m,
@@ -277,8 +277,8 @@ class NavMerge:
 
     def _arm(self, unit: NavUnitSettings) -> tuple[float, float, float] | None:
         """Lever arm in north, east, down; None if it cannot be told without a heading."""
-        heading: Heading | None = self._fresh("heading")
-        attitude: Attitude = self._fresh("attitude") or Attitude(0.0, 0.0)
+        heading: HeadingReading | None = self._fresh("heading")
+        attitude: AttitudeReading = self._fresh("attitude") or AttitudeReading(0.0, 0.0)
         if heading is None and unit.lever_arm_m[:2] != (0.0, 0.0):
             self.counters["nav.lever_arm_unknown"] += 1
             return None
@@ -297,7 +297,7 @@ class NavMerge:
     def _vertical(self, quantity: Quantity, value_m: float, unit: NavUnitSettings) -> float:
         if unit.lever_arm_m == (0.0, 0.0, 0.0):
             return value_m
-        attitude: Attitude = self._fresh("attitude") or Attitude(0.0, 0.0)
+        attitude: AttitudeReading = self._fresh("attitude") or AttitudeReading(0.0, 0.0)
         down_m = arm_north_east_down(unit.lever_arm_m, 0.0, *attitude)[2]
         return value_m - down_m if quantity == "depth" else value_m + down_m
 
@@ -463,11 +463,11 @@ def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:
         match reading:
             case Position():
                 told.update(latitude_deg=reading.latitude_deg, longitude_deg=reading.longitude_deg)
-            case Heading():
+            case HeadingReading():
                 told["heading_rad"] = reading.heading_rad
-            case Attitude():
+            case AttitudeReading():
                 told.update(pitch_rad=reading.pitch_rad, roll_rad=reading.roll_rad)
-            case Speed():
+            case SpeedReading():
                 told["speed_mps"] = reading.speed_mps
             case _:
                 told[f"{quantity}_m"] = reading

@@ -17,7 +17,7 @@ ADDRESS_CLAIM: Final = 60928
 GLOBAL: Final = 255
 
 
-class Field(NamedTuple):
+class N2kField(NamedTuple):
     """One number: n_bits from start_bit on, times resolution."""
 
     start_bit: int
@@ -150,14 +150,14 @@ Record: TypeAlias = (
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
-class Message(NamedTuple, Generic[R]):
+class N2kMessage(NamedTuple, Generic[R]):
     """n_bytes: what a whole message has at least; a longer one goes on with repeated groups."""
 
     pgn: int
     priority: int
     n_bytes: int
     make: Callable[..., R]
-    fields: tuple[Field, ...]
+    fields: tuple[N2kField, ...]
 
 
 class Identifier(NamedTuple):
@@ -221,54 +221,54 @@ def encode(record: Record) -> tuple[int, bytes]:
     return message.pgn, bits.to_bytes(message.n_bytes, "little")
 
 
-_SID: Final = Field(0, 8)
-_DATE: Final = Field(16, 16)
+_SID: Final = N2kField(0, 8)
+_DATE: Final = N2kField(16, 16)
 _ANGLE: Final = 1e-4
 
-MESSAGES: Final[dict[int, Message[Any]]] = {
+MESSAGES: Final[dict[int, N2kMessage[Any]]] = {
     message.pgn: message
     for message in (
-        Message(126992, 3, 8, SystemTime, (_SID, Field(8, 4), _DATE, Field(32, 32, False, 1e-4))),
-        Message(
+        N2kMessage(126992, 3, 8, SystemTime, (_SID, N2kField(8, 4), _DATE, N2kField(32, 32, False, 1e-4))),
+        N2kMessage(
             127250,
             2,
             8,
             Heading,
-            (_SID, Field(8, 16, False, _ANGLE), Field(24, 16, True, _ANGLE), Field(40, 16, True, _ANGLE), Field(56, 2)),
+            (_SID, N2kField(8, 16, False, _ANGLE), N2kField(24, 16, True, _ANGLE), N2kField(40, 16, True, _ANGLE), N2kField(56, 2)),
         ),
-        Message(127251, 2, 8, RateOfTurn, (_SID, Field(8, 32, True, 3.125e-8))),
-        Message(127252, 3, 8, Heave, (_SID, Field(8, 16, True, 0.01))),
-        Message(127257, 3, 8, Attitude, (_SID, *(Field(start, 16, True, _ANGLE) for start in (8, 24, 40)))),
-        Message(127258, 7, 6, MagneticVariation, (_SID, Field(8, 4), _DATE, Field(32, 16, True, _ANGLE))),
-        Message(128259, 2, 8, Speed, (_SID, Field(8, 16, False, 0.01), Field(24, 16, False, 0.01), Field(40, 8))),
-        Message(128267, 3, 8, WaterDepth, (_SID, Field(8, 32, False, 0.01), Field(40, 16, True, 1e-3), Field(56, 8, False, 10.0))),
-        Message(129025, 2, 8, RapidPosition, (Field(0, 32, True, 1e-7), Field(32, 32, True, 1e-7))),
-        Message(129026, 2, 8, RapidCourse, (_SID, Field(8, 2), Field(16, 16, False, _ANGLE), Field(32, 16, False, 0.01))),
-        Message(
+        N2kMessage(127251, 2, 8, RateOfTurn, (_SID, N2kField(8, 32, True, 3.125e-8))),
+        N2kMessage(127252, 3, 8, Heave, (_SID, N2kField(8, 16, True, 0.01))),
+        N2kMessage(127257, 3, 8, Attitude, (_SID, *(N2kField(start, 16, True, _ANGLE) for start in (8, 24, 40)))),
+        N2kMessage(127258, 7, 6, MagneticVariation, (_SID, N2kField(8, 4), _DATE, N2kField(32, 16, True, _ANGLE))),
+        N2kMessage(128259, 2, 8, Speed, (_SID, N2kField(8, 16, False, 0.01), N2kField(24, 16, False, 0.01), N2kField(40, 8))),
+        N2kMessage(128267, 3, 8, WaterDepth, (_SID, N2kField(8, 32, False, 0.01), N2kField(40, 16, True, 1e-3), N2kField(56, 8, False, 10.0))),
+        N2kMessage(129025, 2, 8, RapidPosition, (N2kField(0, 32, True, 1e-7), N2kField(32, 32, True, 1e-7))),
+        N2kMessage(129026, 2, 8, RapidCourse, (_SID, N2kField(8, 2), N2kField(16, 16, False, _ANGLE), N2kField(32, 16, False, 0.01))),
+        N2kMessage(
             129029,
             3,
             43,
             GnssPosition,
             (
                 _SID,
-                Field(8, 16),
-                Field(24, 32, False, 1e-4),
-                Field(56, 64, True, 1e-16),
-                Field(120, 64, True, 1e-16),
-                Field(184, 64, True, 1e-6),
-                Field(248, 4),
-                Field(252, 4),
-                Field(256, 2),
-                Field(264, 8),
-                Field(272, 16, True, 0.01),
-                Field(288, 16, True, 0.01),
-                Field(304, 32, True, 0.01),
-                Field(336, 8),
+                N2kField(8, 16),
+                N2kField(24, 32, False, 1e-4),
+                N2kField(56, 64, True, 1e-16),
+                N2kField(120, 64, True, 1e-16),
+                N2kField(184, 64, True, 1e-6),
+                N2kField(248, 4),
+                N2kField(252, 4),
+                N2kField(256, 2),
+                N2kField(264, 8),
+                N2kField(272, 16, True, 0.01),
+                N2kField(288, 16, True, 0.01),
+                N2kField(304, 32, True, 0.01),
+                N2kField(336, 8),
             ),
         ),
-        Message(130312, 5, 8, Temperature, (_SID, Field(8, 8), Field(16, 8), Field(24, 16, False, 0.01))),
-        Message(130314, 5, 8, Pressure, (_SID, Field(8, 8), Field(16, 8), Field(24, 32, True, 0.1))),
+        N2kMessage(130312, 5, 8, Temperature, (_SID, N2kField(8, 8), N2kField(16, 8), N2kField(24, 16, False, 0.01))),
+        N2kMessage(130314, 5, 8, Pressure, (_SID, N2kField(8, 8), N2kField(16, 8), N2kField(24, 32, True, 0.1))),
     )
 }
 FAST_PACKET_GROUPS: Final = frozenset(pgn for pgn, message in MESSAGES.items() if message.n_bytes > 8)
-_BY_RECORD: Final[dict[Any, Message[Any]]] = {message.make: message for message in MESSAGES.values()}
+_BY_RECORD: Final[dict[Any, N2kMessage[Any]]] = {message.make: message for message in MESSAGES.values()}

@@ -6,7 +6,7 @@ import math
 from typing import Final, NamedTuple
 
 from auv_mcm.records import NAN
-from drivers.navigation.corrections import Heading, Position, Speed, moved
+from drivers.navigation.corrections import HeadingReading, Position, SpeedReading, moved
 
 MAX_HOLD_S: Final = 1.5  # a velocity is taken to go on for this long, no longer
 
@@ -36,8 +36,8 @@ class Reckoner:
     def __init__(self) -> None:
         self._time_s = -math.inf
         self._velocity: tuple[float, float] | None = None  # east, north
-        self._heading: tuple[float, Heading] | None = None
-        self._speed: tuple[float, Speed] | None = None
+        self._heading: tuple[float, HeadingReading] | None = None
+        self._speed: tuple[float, SpeedReading] | None = None
         self._leg = 0
         self._east_m = self._north_m = self._distance_m = 0.0
         self._anchor: _Anchor | None = None
@@ -46,11 +46,11 @@ class Reckoner:
     def travelled(self) -> Travelled:
         return Travelled(self._leg, self._east_m, self._north_m)
 
-    def turn(self, time_s: float, heading: Heading) -> None:
+    def turn(self, time_s: float, heading: HeadingReading) -> None:
         self._heading = time_s, heading
         self._go_to(time_s)
 
-    def run(self, time_s: float, speed: Speed) -> None:
+    def run(self, time_s: float, speed: SpeedReading) -> None:
         self._speed = time_s, speed
         self._go_to(time_s)
 

@@ -27,7 +27,7 @@ from drivers.sonar.jsf_messages import (
     JsfMessage,
     SideScanData,
     SideScanHeader,
-    Units,
+    PositionUnits,
     Validity,
     amplitude,
     decode_data,
@@ -261,7 +261,7 @@ def _navigation(header: SideScanHeader, time_s: float, *, is_fix: bool) -> NavSa
     if not header.validity & _NAVIGATION:
         return None
     latitude_deg = longitude_deg = NAN
-    if is_fix and header.validity & Validity.POSITION and header.units == Units.ARC_MINUTES_1E_4:
+    if is_fix and header.validity & Validity.POSITION and header.units == PositionUnits.ARC_MINUTES_1E_4:
         latitude_deg, longitude_deg = header.latitude / 600_000.0, header.longitude / 600_000.0
         if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
             latitude_deg = longitude_deg = NAN

@@ -46,7 +46,7 @@ class Validity:
     SOUND_SPEED = 1 << 14
 
 
-class Units(IntEnum):
+class PositionUnits(IntEnum):
     """What longitude and latitude are counted in."""
 
     MILLIMETRES = 1
@@ -98,7 +98,7 @@ class SideScanHeader(NamedTuple):
     gap_filler_lateral_m: float = 0.0
     longitude: int = 0
     latitude: int = 0
-    units: int = Units.ARC_MINUTES_1E_4
+    units: int = PositionUnits.ARC_MINUTES_1E_4
     annotation: bytes = bytes(24)
     samples_low: int = 0
     interval_ns: int = 0

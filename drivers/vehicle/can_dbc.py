@@ -11,7 +11,7 @@ from typing import Final
 
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.vehicle import can_messages
-from drivers.vehicle.can_messages import CRC16_BYTES, CRC32_BYTES, FRAME_BYTES, MESSAGES, Message, Signal, can_id_of
+from drivers.vehicle.can_messages import CRC16_BYTES, CRC32_BYTES, FRAME_BYTES, MESSAGES, CanMessage, Signal, can_id_of
 
 _EXTENDED: Final = 1 << 31  # marks identifiers of 29 bits in a DBC file
 _NODES: Final = {"payload": "PAYLOAD", "vehicle": "VEHICLE"}
@@ -55,7 +55,7 @@ def dbc_text() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _signals(message: Message) -> Iterator[tuple[Signal, int, str]]:
+def _signals(message: CanMessage) -> Iterator[tuple[Signal, int, str]]:
     """Every signal with head and CRC, its first byte, and its mark: M for the part number, m1 for a signal of part 1."""
     if not message.is_transfer:
         for placed in message.placed:
@@ -70,7 +70,7 @@ def _signals(message: Message) -> Iterator[tuple[Signal, int, str]]:
     yield _CRC32, FRAME_BYTES - CRC32_BYTES, f"m{last} "
 
 
-def _signal_line(signal: Signal, first_byte: int, mark: str, message: Message) -> str:
+def _signal_line(signal: Signal, first_byte: int, mark: str, message: CanMessage) -> str:
     receiver = _NODES["vehicle" if message.sender == "payload" else "payload"]
     sign = "-" if signal.signed else "+"
     scale = 1 if signal.scale is None else signal.scale

@@ -194,7 +194,7 @@ class PlacedSignal(NamedTuple):
     signal: Signal
 
 
-class Message(NamedTuple):
+class CanMessage(NamedTuple):
     """parts: the signals of each frame, in the order of the record's fields. period_s: 0 for one that is sent when there is reason to."""
 
     number: int
@@ -220,7 +220,7 @@ class Message(NamedTuple):
                 at += signal.n_bytes
 
 
-def can_id_of(message: Message, address: int) -> int:
+def can_id_of(message: CanMessage, address: int) -> int:
     return message.priority << 26 | (_PAGES_AND_FORMAT | message.number) << 8 | address
 
 
@@ -250,7 +250,7 @@ def encode(record: Record, address: int, sequence: int = 0) -> list[CanFrame]:
     ]
 
 
-def decode(message: Message, contents: list[bytes]) -> Record:
+def decode(message: CanMessage, contents: list[bytes]) -> Record:
     """The record of frames without heads and CRC, whose CRC was right. Raises ValueError for a value that is out of its signal's range."""
     start = HEAD_BYTES if message.is_transfer else 0
     values = []
@@ -332,7 +332,7 @@ _REASON: Final = Signal("reason", 1, 0, 255, "why the grant is what it is; reade
 _COUNTER: Final = _number("counter", 1, "goes on by 1 with every frame; one that does not, or goes back, is no sign of life")
 
 MESSAGES: Final = (
-    Message(
+    CanMessage(
         0x01,
         "PAYLOAD_STATUS",
         "payload",
@@ -352,7 +352,7 @@ MESSAGES: Final = (
             ),
         ),
     ),
-    Message(
+    CanMessage(
         0x02,
         "GO_TO",
         "payload",
@@ -368,7 +368,7 @@ MESSAGES: Final = (
             (_COMMAND_NUMBER, _REQUEST_NUMBER),
         ),
     ),
-    Message(
+    CanMessage(
         0x03,
         "STEER",
         "payload",
@@ -378,7 +378,7 @@ MESSAGES: Final = (
         "Hold a heading, a depth or altitude, and a speed. Otherwise as GO_TO, with which it shares sequence and command numbers.",
         ((_VERTICAL, _REFERENCE, _VALID), (_HEADING, _SPEED, _COMMAND_NUMBER, _REQUEST_NUMBER), ()),
     ),
-    Message(
+    CanMessage(
         0x04,
         "CONTACT_REPORT",
         "payload",
@@ -408,7 +408,7 @@ MESSAGES: Final = (
             (),
         ),
     ),
-    Message(
+    CanMessage(
         0x05,
         "HEALTH_TEXT",
         "payload",
@@ -421,7 +421,7 @@ MESSAGES: Final = (
             (_number("text_8", 2, "first byte least significant"),),
         ),
     ),
-    Message(
+    CanMessage(
         0x81,
         "VEHICLE_STATUS",
         "vehicle",
@@ -441,7 +441,7 @@ MESSAGES: Final = (
             ),
         ),
     ),
-    Message(
+    CanMessage(
         0x82,
         "VEHICLE_STATE",
         "vehicle",
@@ -460,7 +460,7 @@ MESSAGES: Final = (
             (),
         ),
     ),
-    Message(
+    CanMessage(
         0x83,
         "REPORT_ANSWER",
         "vehicle",
@@ -477,5 +477,5 @@ MESSAGES: Final = (
         ),
     ),
 )
-BY_NUMBER: Final[dict[int, Message]] = {message.number: message for message in MESSAGES}
-BY_RECORD: Final[dict[Any, Message]] = {message.make: message for message in MESSAGES}
+BY_NUMBER: Final[dict[int, CanMessage]] = {message.number: message for message in MESSAGES}
+BY_RECORD: Final[dict[Any, CanMessage]] = {message.make: message for message in MESSAGES}

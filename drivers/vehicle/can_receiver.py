@@ -13,7 +13,7 @@ from drivers.vehicle.can_messages import (
     FRAME_BYTES,
     HEAD_BYTES,
     TRANSFER_S,
-    Message,
+    CanMessage,
     Record,
     Sender,
     crc16,
@@ -78,14 +78,14 @@ class CanReceiver:
             return self._single(message, frame.data)
         return None
 
-    def _single(self, message: Message, data: bytes) -> Received | None:
+    def _single(self, message: CanMessage, data: bytes) -> Received | None:
         content = data[:-CRC16_BYTES]
         if int.from_bytes(data[-CRC16_BYTES:], "little") != crc16(message.number, self._address, content):
             self._refuse("crc")
             return None
         return self._whole(message, [content], 0, 0)
 
-    def _part(self, message: Message, data: bytes, now_s: float) -> Received | None:
+    def _part(self, message: CanMessage, data: bytes, now_s: float) -> Received | None:
         part, sequence, content = data[0], data[1], data[HEAD_BYTES:]
         if part >= len(message.parts):
             self._refuse("part")
@@ -106,7 +106,7 @@ class CanReceiver:
         del self._open[message.number][sequence]
         return self._whole(message, contents, sequence, crc)
 
-    def _transfer(self, message: Message, sequence: int, now_s: float) -> _Transfer:
+    def _transfer(self, message: CanMessage, sequence: int, now_s: float) -> _Transfer:
         """The one under way, or a new one; those that take too long are dropped."""
         under_way = self._open[message.number]
         for old in [old for old, transfer in under_way.items() if not 0.0 <= now_s - transfer.begun_s <= TRANSFER_S]:
@@ -119,7 +119,7 @@ class CanReceiver:
             under_way[sequence] = _Transfer(now_s)
         return under_way[sequence]
 
-    def _whole(self, message: Message, contents: list[bytes], sequence: int, crc: int) -> Received | None:
+    def _whole(self, message: CanMessage, contents: list[bytes], sequence: int, crc: int) -> Received | None:
         try:
             record = decode(message, contents)
         except ValueError:

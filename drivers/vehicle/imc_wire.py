@@ -38,7 +38,7 @@ _BEGUN: Final = re.compile(rb"(?:\x54\xfe|\xfe\x54).{0,3}\Z", re.DOTALL)
 _START_OF: Final = re.Match.start
 
 
-class Packet(NamedTuple):
+class ImcPacket(NamedTuple):
     """A message as it travels. time_s: UTC seconds since 1970."""
 
     number: int
@@ -53,10 +53,10 @@ class Packet(NamedTuple):
 
 def packed(message: ImcMessage, source: int, *, entity: int = ANY_ENTITY, to: int = ANYONE, time_s: float = 0.0) -> bytes:
     """A message as the bytes of a packet. Raises as `encode` does."""
-    return to_wire(Packet(number_of(type(message)), encode(message), source, entity, to, ANY_ENTITY, time_s))
+    return to_wire(ImcPacket(number_of(type(message)), encode(message), source, entity, to, ANY_ENTITY, time_s))
 
 
-def to_wire(packet: Packet) -> bytes:
+def to_wire(packet: ImcPacket) -> bytes:
     """The packet as bytes, checksum included."""
     number, payload, source, source_entity, destination, destination_entity, time_s, order = packet
     head = _HEADERS[order].pack(SYNC, number, len(payload), time_s, source, source_entity, destination, destination_entity)
@@ -64,7 +64,7 @@ def to_wire(packet: Packet) -> bytes:
     return body + _CHECKSUMS[order].pack(crc16_arc(body))
 
 
-class ImcGrammar(Grammar[Packet]):
+class ImcGrammar(Grammar[ImcPacket]):
     """Length believed only if it is plausible for its message id."""
 
     name = "imc"
@@ -115,7 +115,7 @@ class ImcGrammar(Grammar[Packet]):
         begun = _BEGUN.search(buffer, max(start, n_there - _BEGINNING_BYTES + 1))
         return -1 if begun is None else begun.start(), n_checksum
 
-    def read(self, buffer: bytearray, at: int) -> tuple[Packet, int] | int | str:
+    def read(self, buffer: bytearray, at: int) -> tuple[ImcPacket, int] | int | str:
         n_there = len(buffer) - at
         if n_there < _BEGINNING_BYTES:
             return _BEGINNING_BYTES
@@ -132,7 +132,7 @@ class ImcGrammar(Grammar[Packet]):
             return "checksum"
         _, _, _, time_s, source, source_entity, destination, destination_entity = _HEADERS[order].unpack_from(buffer, at)
         payload = bytes(buffer[at + HEADER_BYTES : stop])
-        return Packet(number, payload, source, source_entity, destination, destination_entity, time_s, order), n_bytes
+        return ImcPacket(number, payload, source, source_entity, destination, destination_entity, time_s, order), n_bytes
 
     def forget(self, n_bytes: int) -> None:
         self._remainder.forget(n_bytes)

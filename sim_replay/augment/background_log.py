@@ -30,7 +30,7 @@ from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.logs.open_log import FORMAT_NAMES, log_format
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_header import SIDE_SCAN, channels
-from sim_replay.logs.xtf_packets import HEADER_BLOCK, Packet, header_bytes, read_packets
+from sim_replay.logs.xtf_packets import HEADER_BLOCK, XtfPacket, header_bytes, read_packets
 from sim_replay.simulator.echo import absorption_db_per_km
 from sim_replay.simulator.scene import Sonar
 
@@ -234,7 +234,7 @@ def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], S
         size = path.stat().st_size
         first = header_bytes(file, 0, size) or HEADER_BLOCK
         packets = read_packets(file, first, size, (_SONAR_PACKET,), lambda data: None)
-        channels = ((item.offset, item.data) for item in packets if isinstance(item, Packet) and item.kind == _SONAR_PACKET)
+        channels = ((item.offset, item.data) for item in packets if isinstance(item, XtfPacket) and item.kind == _SONAR_PACKET)
         for ping in pings:
             for offset, data in channels:
                 found = _matches(ping, data)

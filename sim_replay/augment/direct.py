@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-class Smoothed(NamedTuple):
+class SmoothedImage(NamedTuple):
     """intensity: (n_pings, n_columns) float64, 0 where not valid. looks: that a pixel has."""
 
     intensity: Array
@@ -84,7 +84,7 @@ def mean_spacing_m(along_m: Array) -> float:
     return float(along_m[-1] - along_m[0]) / (len(along_m) - 1) if len(along_m) > 1 else 1.0
 
 
-def multi_look(intensity: Array, valid: Bools) -> Smoothed:
+def multi_look(intensity: Array, valid: Bools) -> SmoothedImage:
     """The image smoothed, by as little as makes at least four looks of it but at most a standard deviation of 1.5 pixels."""
     weight = valid.astype(np.float64)
     smooth, looks = np.where(valid, intensity, 0.0), 1.0
@@ -93,7 +93,7 @@ def multi_look(intensity: Array, valid: Bools) -> Smoothed:
         looks = _measured_looks(smooth, valid, lag)
         if looks >= _MIN_LOOKS:
             break
-    return Smoothed(np.where(valid, smooth, 0.0), looks)
+    return SmoothedImage(np.where(valid, smooth, 0.0), looks)
 
 
 def _measured_looks(smooth: Array, valid: Bools, lag: int) -> float:

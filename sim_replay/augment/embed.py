@@ -27,7 +27,7 @@ from sim_replay.augment.direct import invert
 from sim_replay.augment.embed_render import REFERENCE_NORTH_M, Echoes, PingWindow, Relief, echoes
 from sim_replay.augment.forward import SeafloorScene
 from sim_replay.augment.line import Change, SampleScatter, measure_line, mixed, spread_over_taps
-from sim_replay.augment.shadows import Runs, shadow_runs
+from sim_replay.augment.shadows import ShadowRuns, shadow_runs
 from sim_replay.augment.targets import Placement
 from sim_replay.augment.track import SIGN, PingTrack
 from sim_replay.simulator.objects import PlacedObject
@@ -55,7 +55,7 @@ class EmbeddedPicture(NamedTuple):
 
     intensity: Floats
     valid: Bools
-    shadow: Runs
+    shadow: ShadowRuns
     altitude_m: Floats
     along_m: Floats
     column_spacing_m: float

@@ -22,7 +22,7 @@ _LEAST_LEVEL: Final = 0.03  # of the typical level: a floor cannot be darker
 Floats: TypeAlias = NDArray[np.float64]
 
 
-class Runs(NamedTuple):
+class ShadowRuns(NamedTuple):
     """Shadows of single pings, (n,) int64 each: row, first column and one past the last."""
 
     row: NDArray[np.int64]
@@ -38,7 +38,7 @@ class Runs(NamedTuple):
         return np.asarray(np.cumsum(step, axis=1)[:, :-1] > 0)
 
 
-def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, column_spacing_m: float) -> Runs:
+def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, column_spacing_m: float) -> ShadowRuns:
     """Shadows in an image (n_pings, n_columns) of linear intensity, 0 where nothing was recorded.
 
     noise: mean intensity of noise that broadcasts against it, None if not known. Columns may be slant or ground range.
@@ -61,7 +61,7 @@ def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, c
     reach = max(2, round(_BEFORE_M / column_spacing_m))
     bright = _brightest_before(box / np.maximum(np.maximum(level, typical), 1e-30), reach)
     caused = (stop - start >= max(3, round(MIN_SHADOW_M / column_spacing_m))) & (bright[row, start] > _CAUSE)
-    return Runs(row[caused], start[caused], stop[caused])
+    return ShadowRuns(row[caused], start[caused], stop[caused])
 
 
 def _brightest_before(image: Floats, reach: int) -> Floats:

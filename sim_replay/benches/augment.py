@@ -49,7 +49,7 @@ _RIDGE: Final = 3.0
 Floats: TypeAlias = NDArray[np.float64]
 
 
-class Chips(NamedTuple):
+class ChipStatistics(NamedTuple):
     """Statistics (n_chips, n_features) float64 of chips, whether each is embedded, and the mission it is from."""
 
     features: Floats
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
             parts.append(chips)
             n_targets += int(chips.embedded.sum())
             seconds += taken_s
-        joined = Chips(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        joined = ChipStatistics(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         verdict = discriminate(joined)
         rate = 60.0 * n_targets / seconds
         print(f"{name:12s} {n_targets:7d}  {rate:19.0f}  {100.0 * verdict.accuracy:8.1f} %  ({200.0 * verdict.sigma:.1f} %)")
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
 # --- the same targets, native and embedded ---
 
 
-def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number: int) -> tuple[Chips, float]:
+def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number: int) -> tuple[ChipStatistics, float]:
     """Chips of both kinds from one mission over a scene's floor, and how long embedding took, s."""
     plan = Lawnmower(heading_deg=20.0, n_legs=1, leg_m=_LEG_M)
     floor = replace(scene, seed=seed, scatter=(), objects=(), faults=(), navigation_error=EXACT, track=replace(scene.track, plan=plan))
@@ -112,7 +112,7 @@ def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number:
     augmented = read_survey(augmented_log, config)
     rows = [statistics_of(chip(survey, track, one)) for survey in (native, augmented) for one in placements]
     embedded = np.repeat([False, True], len(placements))
-    return Chips(np.array(rows), embedded, np.full(len(rows), number)), taken_s
+    return ChipStatistics(np.array(rows), embedded, np.full(len(rows), number)), taken_s
 
 
 def _things(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]]:
@@ -214,7 +214,7 @@ def statistics_of(image: Floats) -> Floats:
     return np.array(values)
 
 
-def discriminate(chips: Chips) -> ClassifierVerdict:
+def discriminate(chips: ChipStatistics) -> ClassifierVerdict:
     """Accuracy of a classifier of embedded and native chips; each mission is judged by what the others taught."""
     right = 0
     for mission in np.unique(chips.mission):

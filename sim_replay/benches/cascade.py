@@ -41,7 +41,7 @@ from auv_mcm.detect.prescreen import Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.errors import BadInputError
 from auv_mcm.kernels.cascade import (
     CODE_OF_MEAN,
-    Field,
+    WindowField,
     Opened,
     encode,
     encode_numpy,
@@ -271,7 +271,7 @@ def same_in_numpy(plane: Plane, model: CascadeModel, result: CascadeResult) -> b
     stride = plane.sums.shape[1]
     corner = plane.margin_rows * stride + plane.margin_near
     tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
-    windows = open_windows_numpy(Field(plane.sums, plane.counts, corner, usable, edges), tables, len(model.groups)).windows
+    windows = open_windows_numpy(WindowField(plane.sums, plane.counts, corner, usable, edges), tables, len(model.groups)).windows
     order = np.argsort(windows.place)
     told = corner + result.rows * stride + result.columns
     return np.array_equal(windows.place[order], told) and np.array_equal(windows.score[order], result.scores)
@@ -362,7 +362,7 @@ def _in_one_band(codes: NDArray[np.uint16], inside: tuple[slice, slice], model: 
     stride = plane.sums.shape[1]
     tables = tables_of(model, ROW_M, COLUMN_M, stride)._replace(least=np.zeros(N_BANDS, dtype=np.int32))
     corner = plane.margin_rows * stride + plane.margin_near
-    return plane, open_windows(Field(plane.sums, plane.counts, corner, usable, edges), tables, n_groups)
+    return plane, open_windows(WindowField(plane.sums, plane.counts, corner, usable, edges), tables, n_groups)
 
 
 def _map_of(plane: Plane, opened: Opened) -> NDArray[np.bool_]:

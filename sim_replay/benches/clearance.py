@@ -49,7 +49,7 @@ _HEADER = (
 )
 
 
-class Task(msgspec.Struct, frozen=True, kw_only=True):
+class ClearanceTask(msgspec.Struct, frozen=True, kw_only=True):
     """A mission over a named scene, with its mines or without."""
 
     scene: str
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    tasks = [Task(scene=name, seed=seed, with_targets=not arguments.without_mines) for name in names for seed in seeds]
+    tasks = [ClearanceTask(scene=name, seed=seed, with_targets=not arguments.without_mines) for name in names for seed in seeds]
     missions = list(_counted(run_tasks(judged, tasks, Farm(arguments.workers)), len(tasks)))
     print(f"{len(missions)} missions, seeds {seeds[0]} to {seeds[-1]} of each scene\n")
     print(report(missions, arguments.markdown))
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def judged(task: Task) -> JudgedClearance:
+def judged(task: ClearanceTask) -> JudgedClearance:
     """Fly one mission with the whole chain."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
     if not task.with_targets:

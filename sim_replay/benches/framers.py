@@ -36,7 +36,7 @@ from drivers.sonar.ping_protocol import PingDecoder, PingGrammar
 from drivers.vehicle import bluefin_sentences, can_messages, imc_messages, iver_sentences, recon_sentences
 from drivers.vehicle.bluefin_sentences import BluefinGrammar
 from drivers.vehicle.can_receiver import CanReceiver
-from drivers.vehicle.imc_wire import ImcGrammar, Packet, to_wire
+from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, to_wire
 from drivers.vehicle.iver_sentences import IverGrammar
 from drivers.vehicle.recon_sentences import ReconGrammar
 from sim_replay.arguments import count
@@ -58,7 +58,7 @@ _ARRIVED: Final = Stamp(0, 0)
 _VEHICLE_CAN_ADDRESS: Final = 96
 
 
-class Wire(NamedTuple):
+class FramedWire(NamedTuple):
     """One wire format, as the fault campaign sees it.
 
     messages: n intact messages as bytes, no two alike. read: runs a new framer over the chunks, to the end of the stream, and gives an
@@ -153,7 +153,7 @@ def n_missing(wanted: list[Hashable], found: list[Hashable]) -> int:
     return n_lost
 
 
-def campaign(wire: Wire, n_faults: int, seed: int) -> CampaignRow:
+def campaign(wire: FramedWire, n_faults: int, seed: int) -> CampaignRow:
     """At least so many faults on streams of the wire's messages. The same seed makes the same faults."""
     n_done = n_messages = n_intact = n_lost = n_other = n_false = 0
     stream_seed = 0
@@ -249,7 +249,7 @@ def _water_linked_messages(random: np.random.Generator, n: int) -> list[bytes]:
     for number in range(n):
         if number % 2:
             x_m, y_m, z_m = random.uniform(-90.0, 90.0, 3).tolist()
-            records.append(dvl_water_linked.Attitude(0.1 * number, x_m, y_m, z_m, 0.4, 0.01, -0.02, 1.0, 0))
+            records.append(dvl_water_linked.WaterLinkedAttitude(0.1 * number, x_m, y_m, z_m, 0.4, 0.01, -0.02, 1.0, 0))
             continue
         covariance = tuple(random.uniform(0.0, 1e-6, 9))
         validity_us = 1_700_000_000_000_000 + 125_000 * number
@@ -265,7 +265,7 @@ def _pd6_messages(random: np.random.Generator, n: int) -> list[bytes]:
     while len(lines) < n:
         number = len(lines)
         lines += [
-            dvl_pd6.Attitude(random.normal(0.0, 0.05), random.normal(0.0, 0.05), math.radians(0.1 * number)),
+            dvl_pd6.Pd6Attitude(random.normal(0.0, 0.05), random.normal(0.0, 0.05), math.radians(0.1 * number)),
             dvl_pd6.Water(1_700_000_000.0 + 0.1 * number, 35.0, 12.0, random.uniform(1.0, 90.0), 1500.0),
             dvl_pd6.ShipVelocity(1e-3 * number, random.normal(1.5, 0.1), 0.0, True),
             dvl_pd6.Bottom(float(number), random.uniform(-900.0, 900.0), 0.0, random.uniform(2.0, 20.0), 0.0),
@@ -287,10 +287,10 @@ def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
             reference = imc_messages.Reference(1, lat=random.uniform(-1.5, 1.5), lon=random.uniform(-3.0, 3.0))
             told = imc_messages.FollowRefState(0x6000, 255, reference, 2, 1)
         else:
-            wired.append(to_wire(Packet(276, random.bytes(int(random.integers(200))), 0x1E, time_s=float(number), order=order)))
+            wired.append(to_wire(ImcPacket(276, random.bytes(int(random.integers(200))), 0x1E, time_s=float(number), order=order)))
             continue
         payload = imc_messages.encode(told, order)
-        wired.append(to_wire(Packet(imc_messages.number_of(type(told)), payload, 0x1E, time_s=float(number), order=order)))
+        wired.append(to_wire(ImcPacket(imc_messages.number_of(type(told)), payload, 0x1E, time_s=float(number), order=order)))
     return wired
 
 
@@ -393,20 +393,20 @@ def _vehicle_can_read(chunks: Iterable[bytes]) -> list[Hashable]:
 
 
 WIRES: Final = (
-    Wire("ping_protocol", _ping_messages, read_with(PingGrammar, tuple)),
-    Wire("jsf", _jsf_messages, read_with(JsfGrammar, tuple)),
-    Wire("sportscan", _igx_messages, read_with(IgxGrammar, lambda ping: ping.echo.tobytes())),
-    Wire("nmea0183", _nmea_messages, read_with(NmeaGrammar, str)),
-    Wire("pixse", _pixse_messages, read_with(NmeaGrammar, str)),
-    Wire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar, str)),
-    Wire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar, tuple)),
-    Wire("imc", _imc_messages, read_with(ImcGrammar, tuple)),
-    Wire("bluefin", _bluefin_messages, read_with(BluefinGrammar, str)),
-    Wire("iver", _iver_messages, read_with(IverGrammar, str)),
-    Wire("recon", _recon_messages, read_with(ReconGrammar, str)),
-    Wire("slcan", _slcan_messages, _slcan_read),
-    Wire("fast_packet", _fast_packet_messages, _fast_packet_read),
-    Wire("vehicle_can", _vehicle_can_messages, _vehicle_can_read),
+    FramedWire("ping_protocol", _ping_messages, read_with(PingGrammar, tuple)),
+    FramedWire("jsf", _jsf_messages, read_with(JsfGrammar, tuple)),
+    FramedWire("sportscan", _igx_messages, read_with(IgxGrammar, lambda ping: ping.echo.tobytes())),
+    FramedWire("nmea0183", _nmea_messages, read_with(NmeaGrammar, str)),
+    FramedWire("pixse", _pixse_messages, read_with(NmeaGrammar, str)),
+    FramedWire("water_linked", _water_linked_messages, read_with(dvl_water_linked.TextGrammar, str)),
+    FramedWire("pd6", _pd6_messages, read_with(dvl_pd6.LineGrammar, tuple)),
+    FramedWire("imc", _imc_messages, read_with(ImcGrammar, tuple)),
+    FramedWire("bluefin", _bluefin_messages, read_with(BluefinGrammar, str)),
+    FramedWire("iver", _iver_messages, read_with(IverGrammar, str)),
+    FramedWire("recon", _recon_messages, read_with(ReconGrammar, str)),
+    FramedWire("slcan", _slcan_messages, _slcan_read),
+    FramedWire("fast_packet", _fast_packet_messages, _fast_packet_read),
+    FramedWire("vehicle_can", _vehicle_can_messages, _vehicle_can_read),
 )
 
 

@@ -109,7 +109,7 @@ class Rock(NamedTuple):
     called: bool
 
 
-class Flown(NamedTuple):
+class FlownLine(NamedTuple):
     """What every system of SYSTEMS reports of one line."""
 
     group: str
@@ -168,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(line: Line) -> Flown:
+def fly(line: Line) -> FlownLine:
     """One line as all systems report it."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     if isinstance(line, HeldOutSimulatedLine):
@@ -207,7 +207,7 @@ def comparison_model(name: str) -> bytes:
     return resources.files("sim_replay.benches").joinpath("models", f"{name}.json").read_bytes()
 
 
-def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]) -> Flown:
+def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]) -> FlownLine:
     place = f"{line.group}, seed {line.seed}"
     alone = unconfirmed(config)
     untrained = untrained_alone(config)
@@ -238,7 +238,7 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
         name: ScoredMission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()
     }
     reported["rival"] = ScoredMission(tuple(rival_contacts(kept)), truth, place)
-    return Flown(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
+    return FlownLine(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
 
 
 def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetections:
@@ -269,7 +269,7 @@ def _rocks(contacts: Sequence[Contact], mission: ScoredMission) -> Iterator[Rock
         yield Rock(0, False) if best is None else Rock(len(best.views), best.p_mine >= _ROCKS_P)
 
 
-def _groups(flown: Sequence[Flown]) -> Iterator[tuple[str, list[Flown]]]:
+def _groups(flown: Sequence[FlownLine]) -> Iterator[tuple[str, list[FlownLine]]]:
     """Missions by scene or log, then pooled: simulated ones on sea floors like those trained on, and recorded ones."""
     names = list(dict.fromkeys(one.group for one in flown))
     for name in names:

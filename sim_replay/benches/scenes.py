@@ -70,7 +70,7 @@ _STEP_HEADER: Final = (
 )
 
 
-class Flown(NamedTuple):
+class FlownMission(NamedTuple):
     """One mission as all systems reported it. detector: contrasts alone, without confirmation. steps: the chain as far as that step.
 
     n_looks: confirmations that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
@@ -117,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    flown: dict[str, list[Flown]] = {name: [] for name in names}
+    flown: dict[str, list[FlownMission]] = {name: [] for name in names}
     for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers, arguments.detector), 1):
         flown[name].append(mission)
         print(f"\r{done} of {len(names) * len(seeds)} missions flown", end="", file=sys.stderr, flush=True)
@@ -152,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(name: str, seed: int, detector: Detector) -> Flown:
+def fly(name: str, seed: int, detector: Detector) -> FlownMission:
     """One mission through a named scene, seen by all systems, the chain with one of the detectors."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
@@ -183,7 +183,7 @@ def fly(name: str, seed: int, detector: Detector) -> Flown:
         return ScoredMission(parse_contacts(json.loads(contacts_geojson(contacts)), place), truth, place)
 
     pings = [event.time_s for event in kept if isinstance(event, Ping)]
-    return Flown(
+    return FlownMission(
         chain=told(chain.contacts),
         detector=told(alone.contacts),
         rival=ScoredMission(tuple(rival_contacts(kept)), truth, place),
@@ -219,7 +219,7 @@ def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s
     }
 
 
-def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector) -> Iterator[tuple[str, Flown]]:
+def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector) -> Iterator[tuple[str, FlownMission]]:
     """Every scene with every seed, in order."""
     tasks = [(name, seed, detector) for name in names for seed in seeds]
     if workers == 1:
@@ -256,7 +256,7 @@ def _seabed_rows(scores: dict[System, Score]) -> Iterator[list[str]]:
                     yield [name.replace("_", " "), system, str(group.pd.of), area_text, share_cell(group.pd), density_cell(alarms)]
 
 
-def _step_rows(missions: Sequence[Flown], detector: Detector) -> Iterator[list[str]]:
+def _step_rows(missions: Sequence[FlownMission], detector: Detector) -> Iterator[list[str]]:
     hours = sum(mission.survey_s for mission in missions) / 3600.0
     alone = score_missions([mission.detector for mission in missions])
     wanted = _KEPT * (alone.at_threshold.pd.value or 0.0)

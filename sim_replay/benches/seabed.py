@@ -45,7 +45,7 @@ FIRST_SEED: Final = 91001  # nothing of the sea floor was ever fitted or tried o
 _QUALITY: Final = 62
 
 
-class Task(NamedTuple):
+class SeabedTask(NamedTuple):
     """A mission over a named scene. model: JSON of the model that serves it."""
 
     scene: str
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    tasks = [Task(name, seed, data) for name in names for seed in seeds]
+    tasks = [SeabedTask(name, seed, data) for name in names for seed in seeds]
     missions = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
     by_scene = {
         name: np.sum([each.confusion_m2 for task, each in zip(tasks, missions, strict=True) if task.scene == name], axis=0)
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def scored(task: Task) -> Scored:
+def scored(task: SeabedTask) -> Scored:
     """Fly a mission over a named scene and compare its map with the truth."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
     model = parse_seabed_model(task.model, "model")

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
 # --- cost ---
 
 
-class Task(NamedTuple):
+class RayTask(NamedTuple):
     """All rays of one pass along the square, in blocks of pings, and what the renderer needs with them."""
 
     scene: Scene
@@ -94,7 +94,7 @@ def _scene(cell_m: float, beam_lines: int) -> Scene:
     )
 
 
-def _task(what: Scene, world: SimulatedFloor) -> Task:
+def _task(what: Scene, world: SimulatedFloor) -> RayTask:
     """Pings to starboard every 5 cm along the western side of the square."""
     depth_m = what.world.depth_m - _ALTITUDE_M
     norths = np.arange(_N_PINGS) * (_SWATH_M / _N_PINGS)
@@ -111,10 +111,10 @@ def _task(what: Scene, world: SimulatedFloor) -> Task:
         part = Lines(**{name: values[own] for name, values in lines._asdict().items()})
         blocks.append(part._replace(ping=part.ping - first))
     beam = beam_table(what.sonar.vertical_beam_width_deg)
-    return Task(what, patches, floor_tables(what, world.covers), beam, tuple(blocks), fan.n_nodes)
+    return RayTask(what, patches, floor_tables(what, world.covers), beam, tuple(blocks), fan.n_nodes)
 
 
-def _render_all(task: Task, work: Callable[..., Rendered], speckle: Speckle | None) -> None:
+def _render_all(task: RayTask, work: Callable[..., Rendered], speckle: Speckle | None) -> None:
     """Energy of all pings; with speckle, recorded samples as well."""
     sonar = task.scene.sonar
     bin_m = sonar.range_m / sonar.n_samples

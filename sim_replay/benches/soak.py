@@ -113,7 +113,7 @@ class Watched(NamedTuple):
     ending: list[Memory]
 
 
-class Kill(NamedTuple):
+class KillOutcome(NamedTuple):
     """What was left of a service that was killed.
 
     lost_s: from the last recorded byte to the kill. n_pings: in the recording; n_pings_told: that the service had told of a second before
@@ -162,7 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def killed(n_kills: int, seed: int, folder: Path) -> Iterator[Kill]:
+def killed(n_kills: int, seed: int, folder: Path) -> Iterator[KillOutcome]:
     """Run and kill the service n_kills times; every other time right after a contact was announced, when most is at stake.
 
     Raises HardwareError for a run that ends before its kill.
@@ -216,7 +216,7 @@ def _bench_kills(n_kills: int, seed: int, folder: Path) -> None:
         raise SelfCheckError(f"{n_bad} of {n_kills} kills cost more than they may; the table says what")
 
 
-def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> Kill:
+def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:
     """Kill the service wait_s after a text came up in its log, and look at what is left."""
     over = threading.Event()
     with ThreadPoolExecutor(1) as pool:
@@ -236,7 +236,7 @@ def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> Kill:
     pings = [event for event in open_log(results / "recording", recorded_config(session)) if isinstance(event, Ping)]
     console = [line.text for line in evidence.lines]
     told = [n_pings for at_s, n_pings in _health(console) if at_s <= struck.utc_s - MOST_LOST_S]
-    return Kill(
+    return KillOutcome(
         at_s=struck.after_ready_s,
         lost_s=struck.mono_s - max((recorded.stamp.mono_ns for recorded in heard), default=0) / 1e9,
         n_bytes=sum(len(recorded.data) for recorded in heard),

@@ -72,7 +72,7 @@ class Pd6Unit:
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
         lines: list[dvl_pd6.Line] = []
         if all(map(math.isfinite, (sample.pitch_rad, sample.roll_rad, sample.heading_rad))):
-            lines.append(dvl_pd6.Attitude(sample.pitch_rad, sample.roll_rad, sample.heading_rad % _TURN))
+            lines.append(dvl_pd6.Pd6Attitude(sample.pitch_rad, sample.roll_rad, sample.heading_rad % _TURN))
         lines.append(dvl_pd6.Water(utc_s, 35.0, 12.0, _or_zero(sample.depth_m), 1500.0))
         good = math.isfinite(sample.speed_mps)
         lines.append(dvl_pd6.InstrumentVelocity(sample.speed_mps, 0.0, 0.0, 0.0, good))
@@ -101,7 +101,7 @@ class WaterLinkedUnit:
         message = dvl_water_linked.message_of(velocity)
         angles = sample.roll_rad, sample.pitch_rad, sample.heading_rad % _TURN
         if all(map(math.isfinite, angles)):
-            message += dvl_water_linked.message_of(dvl_water_linked.Attitude(utc_s, 0.0, 0.0, 0.0, 0.1, *angles, 0))
+            message += dvl_water_linked.message_of(dvl_water_linked.WaterLinkedAttitude(utc_s, 0.0, 0.0, 0.0, 0.1, *angles, 0))
         return [message]
 
 

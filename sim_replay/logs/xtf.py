@@ -39,7 +39,7 @@ from sim_replay.logs.xtf_header import (
     kind_name,
     name_channels,
 )
-from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, DamagedBytes, FileHeader, Packet, header_bytes, read_packets
+from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, DamagedBytes, FileHeader, XtfPacket, header_bytes, read_packets
 
 KNOT_MPS: Final = 1852.0 / 3600.0
 PROBE_PINGS: Final = 50
@@ -281,7 +281,7 @@ class XtfLog:
     def _inventory(self, file: BinaryIO) -> str:
         kinds: Counter[str] = Counter()
         for item in read_packets(file, self._first_packet, self.size_bytes, (), lambda _: None):
-            if isinstance(item, Packet):
+            if isinstance(item, XtfPacket):
                 kinds[kind_name(item.kind)] += 1
         return ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) + " packets" if kinds else "no packets"
 
@@ -346,7 +346,7 @@ class XtfLog:
             yield channel, offset, n_bytes, header
             offset += n_bytes
 
-    def _raw_ping(self, packet: Packet) -> _RawPing | None:
+    def _raw_ping(self, packet: XtfPacket) -> _RawPing | None:
         data = packet.data
         traces: dict[int, _Trace] = {}
         empty = False

@@ -20,7 +20,7 @@ _START: Final = struct.Struct("<2sBBHxxxxI")  # magic, type, sub-channel, channe
 _SEARCH_BYTES: Final = 1 << 16
 
 
-class Packet(NamedTuple):
+class XtfPacket(NamedTuple):
     """A whole packet of a wanted type, or the mere place of another (`data` is empty then)."""
 
     offset: int
@@ -44,7 +44,7 @@ class DamagedBytes(NamedTuple):
     at_end: bool
 
 
-Item: TypeAlias = Packet | FileHeader | DamagedBytes
+Item: TypeAlias = XtfPacket | FileHeader | DamagedBytes
 
 
 def read_packets(
@@ -69,11 +69,11 @@ def read_packets(
         if fault is None:
             if kind in wanted:
                 newest_wanted = (position, n_bytes)
-                yield Packet(position, kind, start + file.read(n_bytes - _START.size))
+                yield XtfPacket(position, kind, start + file.read(n_bytes - _START.size))
                 position += n_bytes
             else:
                 newest_wanted, search_from = None, position + _START.size
-                yield Packet(position, kind, b"")
+                yield XtfPacket(position, kind, b"")
                 position += n_bytes
                 file.seek(position)
             continue

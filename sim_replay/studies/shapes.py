@@ -45,7 +45,7 @@ _ALTITUDE_ERROR: Final = 0.1
 _SHADOW: Final = 0.1  # of the floor: -10 dB
 
 
-class Drawn(NamedTuple):
+class DrawnObject(NamedTuple):
     """One object and its views 90 degrees apart. sizes_m: (n,) in the order of SIZES."""
 
     solid: Solid
@@ -143,7 +143,7 @@ def numpy_ratio(region: Region, n: int = 64) -> float:
     return cost_s[0] / cost_s[1]
 
 
-def draw_object(solid: Solid, seed: int) -> Drawn:
+def draw_object(solid: Solid, seed: int) -> DrawnObject:
     """An object of usual size, scaled by up to 15 %, at 10 to 45 m, rendered from two sides with altitudes told up to 10 % wrong."""
     random = np.random.Generator(np.random.PCG64(seed))
     range_m, azimuth_deg = float(random.uniform(10.0, 45.0)), float(random.uniform(0.0, 360.0))
@@ -165,7 +165,7 @@ def draw_object(solid: Solid, seed: int) -> Drawn:
         rendered_region(thing, 2 * seed, altitude_error=_ALTITUDE_ERROR * error),
         rendered_region(turned, 2 * seed + 1, altitude_error=-_ALTITUDE_ERROR * error),
     )
-    return Drawn(solid, np.array(sizes), range_m, views)
+    return DrawnObject(solid, np.array(sizes), range_m, views)
 
 
 def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.0) -> Region:

@@ -63,7 +63,7 @@ _BESIDE_M: Final = 0.75  # from the middle of a target's end to a detection of i
 _CLEAR_M: Final = 3.0
 
 
-class Drawn(NamedTuple):
+class DrawnRegion(NamedTuple):
     """A single-look region and the true masks of highlight and shadow."""
 
     region: Region
@@ -118,7 +118,7 @@ class OddsRow(NamedTuple):
     n_lost: int
 
 
-def drawn_pair(seed: int) -> Drawn:
+def drawn_pair(seed: int) -> DrawnRegion:
     """White single-look speckle over a highlight of +8 dB and its shadow of -10 dB, outlines in closed form: leaning parallelograms for
     even seeds, half ellipses for odd ones, of an object 0.35 to 0.8 m high and 0.8 to 2.2 m long."""
     random = np.random.Generator(np.random.PCG64(seed))
@@ -140,7 +140,7 @@ def drawn_pair(seed: int) -> Drawn:
     highlight = reached & (columns >= start - depth) & (columns < start)
     mean = np.where(shadow, _SHADOW, np.where(highlight, _HIGHLIGHT, 1.0))
     region = plain_region(mean * random.exponential(1.0, _SHAPE), row=centre, column=foot - 0.5 * depth)
-    return Drawn(region, highlight, shadow)
+    return DrawnRegion(region, highlight, shadow)
 
 
 def plain_region(intensity: NDArray[np.float64], *, row: float, column: float) -> Region:
@@ -158,7 +158,7 @@ def plain_region(intensity: NDArray[np.float64], *, row: float, column: float) -
     )
 
 
-def random_start(drawn: Drawn, seed: int) -> Start:
+def random_start(drawn: DrawnRegion, seed: int) -> Start:
     """Boxes off by up to 4 pixels either way and 0.4 to 1.3 times as large as the truth."""
     random = np.random.Generator(np.random.PCG64(seed))
     rows, columns = np.nonzero(drawn.shadow)
@@ -182,7 +182,7 @@ def snake_rows(n_images: int = 10, n_starts: int = 5) -> list[SnakeRow]:
     return [_row(name, drawings, n_starts, *schedules) for name, schedules in SCHEDULES.items()]
 
 
-def _row(name: str, drawings: list[Drawn], n_starts: int, coarse: Schedule, fine: Schedule) -> SnakeRow:
+def _row(name: str, drawings: list[DrawnRegion], n_starts: int, coarse: Schedule, fine: Schedule) -> SnakeRow:
     shadow_iou, highlight_iou, pair_s, proposed = [], [], [], []
     for number, drawn in enumerate(drawings):
         table = snake.row_sums(drawn.region.intensity, drawn.region.valid).table

@@ -10,7 +10,7 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.errors import SelfCheckError
 from sim_replay.benches import soak
-from sim_replay.benches.soak import MOST_LOST_S, Kill, killed, not_in_journal
+from sim_replay.benches.soak import MOST_LOST_S, KillOutcome, killed, not_in_journal
 
 LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 views"
 
@@ -24,8 +24,8 @@ def record(contact_id: str = "C00012", p_mine: float = 0.9123, longitude_deg: fl
     return json.dumps({"time": "2026-01-01T00:00:00Z", "contact": feature}).encode() + b"\n"
 
 
-def a_kill(lost_s: float = 0.4, n_pings: int = 100, n_holes: int = 0, missing: tuple[str, ...] = ()) -> Kill:
-    return Kill(
+def a_kill(lost_s: float = 0.4, n_pings: int = 100, n_holes: int = 0, missing: tuple[str, ...] = ()) -> KillOutcome:
+    return KillOutcome(
         at_s=3.0,
         lost_s=lost_s,
         n_bytes=1,
@@ -72,7 +72,7 @@ def test_a_line_of_the_journal_that_was_cut_off_holds_nothing() -> None:
     ],
 )
 def test_whatever_is_lost_is_said_and_told_by_the_exit_code(
-    kill: Kill, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kill: KillOutcome, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(soak, "killed", lambda n_kills, seed, folder: iter([a_kill(), kill]))
     assert main(["bench", "soak", "--kills", "2"]) == SelfCheckError.exit_code

@@ -19,7 +19,7 @@ from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
 from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane, tables_of
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
-from auv_mcm.kernels.cascade import Field, open_windows, open_windows_numpy, run_groups, run_groups_numpy
+from auv_mcm.kernels.cascade import WindowField, open_windows, open_windows_numpy, run_groups, run_groups_numpy
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
@@ -180,7 +180,7 @@ def test_c_and_numpy_agree_on_ties_and_on_the_darkest_and_brightest_codes(seed: 
     plane, model = make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35), drawn_model(seed, largest=largest)
     tables = tables_of(model, 0.3, 0.35, plane.sums.shape[1])
     corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
-    field = Field(plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35))
+    field = WindowField(plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35))
     (windows, n_windows, _), twin = open_windows(field, tables, 1), open_windows_numpy(field, tables, 1)
     assert n_windows == twin.n_windows
     for one, other in zip(windows, twin.windows, strict=True):

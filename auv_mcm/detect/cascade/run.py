@@ -18,7 +18,7 @@ from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, areas, band_edges, ban
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, Plane, plane_of_tile
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.errors import UsageError
-from auv_mcm.kernels.cascade import STUMP, Field, Tables, Windows, corners, open_windows, rank, run_groups
+from auv_mcm.kernels.cascade import STUMP, WindowField, Tables, Windows, corners, open_windows, rank, run_groups
 from auv_mcm.records import Tile
 
 OPENING_STUMPS: Final = 16
@@ -206,7 +206,7 @@ class _Run:
 
     def _opened(self, n_groups: int) -> tuple[int, Windows]:
         plane = self._plane
-        opened = open_windows(Field(plane.sums, plane.counts, self.corner, plane.usable, self._edges), self._tables, n_groups)
+        opened = open_windows(WindowField(plane.sums, plane.counts, self.corner, plane.usable, self._edges), self._tables, n_groups)
         self._account(opened.n_windows, 0, opened.n_alive)
         return opened.n_windows, opened.windows
 

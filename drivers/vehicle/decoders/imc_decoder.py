@@ -14,7 +14,7 @@ from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import Said, VehicleState, fix_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, decode
-from drivers.vehicle.imc_wire import ImcGrammar, Packet
+from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
 _MAX_OFFSET_M: Final = 1e5
@@ -53,7 +53,7 @@ class ImcDecoder:
         """See `VehicleDecoder.feed`."""
         return [self._said(packet, received) for packet, received, _ in self._framer.feed(data, stamp)]
 
-    def _said(self, packet: Packet, received: Stamp) -> Said:
+    def _said(self, packet: ImcPacket, received: Stamp) -> Said:
         if packet.source == self._own_id:
             self.counters["imc.other_source"] += 1  # what we sent ourselves, on a wire that many hear
             return Said(None, received)

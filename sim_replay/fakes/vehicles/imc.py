@@ -32,7 +32,7 @@ from drivers.vehicle.imc_messages import (
     decode,
     number_of,
 )
-from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, Packet, packed, to_wire
+from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, ImcPacket, packed, to_wire
 
 ADDRESS: Final = 0x001E
 PLAN_ID: Final = "survey"  # its own
@@ -46,7 +46,7 @@ _VERTICAL_TOLERANCE_M: Final = 2.0
 _SECOND_S: Final = 1.0
 _ANNOUNCE_S: Final = 10.0
 _UNDER_WATER: Final = 2  # Announce.sys_type
-_CPU_USAGE: Final = Packet(7, b"\x21", ADDRESS)  # of the many messages that are nothing to the payload
+_CPU_USAGE: Final = ImcPacket(7, b"\x21", ADDRESS)  # of the many messages that are nothing to the payload
 
 
 class FakeImc:
@@ -145,7 +145,7 @@ class FakeImc:
         messages, self._outbox = self._outbox, []
         return [self._wired(message) for message in messages]
 
-    def _take(self, message: ImcMessage, packet: Packet, now_s: float) -> None:
+    def _take(self, message: ImcMessage, packet: ImcPacket, now_s: float) -> None:
         match message:
             case imc.PlanControl(type=PlanType.REQUEST):
                 self._control(message, now_s)
@@ -187,7 +187,7 @@ class FakeImc:
         self._following, self._reference_s = RefState.WAIT, now_s
         self._outbox += [self._plan_state(), self._follow_state(Proximity.FAR)]
 
-    def _refer(self, message: imc.Reference, packet: Packet, now_s: float) -> None:
+    def _refer(self, message: imc.Reference, packet: ImcPacket, now_s: float) -> None:
         follow = self._follow
         if follow is None or follow.control_src not in (packet.source, ANYONE):
             self._counters["vehicle.commands_refused"] += 1

@@ -50,7 +50,7 @@ class Outcomes(NamedTuple):
     found: NDArray[np.bool_]
 
 
-class Smoothed(NamedTuple):
+class SmoothedBands(NamedTuple):
     """Per band: mean, and 95 % interval."""
 
     p: Array
@@ -177,7 +177,7 @@ def _closed_forms() -> Array:
     return np.stack([p_found(middle_m, _ALTITUDE_M, texture) for texture in _TEXTURES])
 
 
-def smoothed(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> Smoothed:
+def smoothed(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> SmoothedBands:
     """Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with range while
     shadows grow, and falls as echoes fade.
 
@@ -189,7 +189,7 @@ def smoothed(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) 
     k, n = np.bincount(block, found)[block], np.bincount(block, looks)[block]
     p = k / n
     a, b = np.maximum(k, 0.5), np.maximum(n - k, 0.5)
-    return Smoothed(p, np.minimum(betaincinv(a, b, _TAIL), p), np.maximum(betaincinv(a, b, 1.0 - _TAIL), p))
+    return SmoothedBands(p, np.minimum(betaincinv(a, b, _TAIL), p), np.maximum(betaincinv(a, b, 1.0 - _TAIL), p))
 
 
 def one_hump(value: Array, weight: Array) -> Ints:

@@ -9,7 +9,7 @@ import numpy as np
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.seabed.seabed_model import INPUTS, Layer, SeabedModel, as_stored, bounded, fitted_gaussian, standardised
-from sim_replay.fitting.seabed.network import Units, fitted_network
+from sim_replay.fitting.seabed.network import NetworkLayer, fitted_network
 from sim_replay.fitting.seabed.samples import KINDS, SeabedSamples
 from sim_replay.fitting.seabed.seabed_missions import FIRST_LIKE_SCENE
 
@@ -60,7 +60,7 @@ def fit_seabed_model(samples: SeabedSamples, fitted_on: str) -> SeabedModel:
     )
 
 
-def _stored(units: Units) -> Layer:
+def _stored(units: NetworkLayer) -> Layer:
     weights, constants = (part.astype(np.float64) for part in (units.weights.T, units.constants))
     return Layer(weights=tuple(map(as_stored, weights)), constants=as_stored(constants))
 

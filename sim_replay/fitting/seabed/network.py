@@ -21,21 +21,21 @@ _SQUARE_DECAY: Final = 0.999
 _EPSILON: Final = 1e-8
 
 
-class Units(NamedTuple):
+class NetworkLayer(NamedTuple):
     """One layer: weights (n_inputs, n_units) and constants (n_units,)."""
 
     weights: Floats
     constants: Floats
 
 
-def log_odds(network: Sequence[Units], x: Floats) -> Floats:
+def log_odds(network: Sequence[NetworkLayer], x: Floats) -> Floats:
     """Weigh inputs (n, n_inputs), up to what is the same for all kinds: (n, n_kinds)."""
     return _activations(network, x)[-1]
 
 
 def fitted_network(
     x: Floats, shares: Floats, weight: Floats, *, n_hidden: Sequence[int], epochs: int, weight_decay: float, seed: int
-) -> list[Units]:
+) -> list[NetworkLayer]:
     """Minimise the weighted cross-entropy of shares (n, n_kinds) by inputs (n, n_inputs).
 
     weight: (n,). n_hidden: units of each hidden layer. The same seed makes the same network on one computer.
@@ -43,7 +43,7 @@ def fitted_network(
     rng = np.random.Generator(np.random.PCG64(seed))
     sizes = [x.shape[1], *n_hidden, shares.shape[1]]
     network = [
-        Units(rng.normal(0.0, 1.0 / math.sqrt(before), (before, after)).astype(np.float32), np.zeros(after, dtype=np.float32))
+        NetworkLayer(rng.normal(0.0, 1.0 / math.sqrt(before), (before, after)).astype(np.float32), np.zeros(after, dtype=np.float32))
         for before, after in pairwise(sizes)
     ]
     parts = [part for units in network for part in units]  # changed in place below
@@ -65,7 +65,7 @@ def fitted_network(
     return network
 
 
-def slopes(network: Sequence[Units], x: Floats, shares: Floats, weight: Floats) -> list[Floats]:
+def slopes(network: Sequence[NetworkLayer], x: Floats, shares: Floats, weight: Floats) -> list[Floats]:
     """Differentiate the mean weighted cross-entropy by weights and constants of each layer, in order."""
     units = _activations(network, x)
     p = np.exp(units[-1] - units[-1].max(axis=1, keepdims=True))
@@ -80,7 +80,7 @@ def slopes(network: Sequence[Units], x: Floats, shares: Floats, weight: Floats) 
     return found
 
 
-def _activations(network: Sequence[Units], x: Floats) -> list[Floats]:
+def _activations(network: Sequence[NetworkLayer], x: Floats) -> list[Floats]:
     """The inputs, what each hidden layer makes of them, and the sums of the last."""
     units = [x]
     for number, layer in enumerate(network):

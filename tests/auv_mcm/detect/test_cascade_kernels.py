@@ -13,7 +13,7 @@ from auv_mcm import kernels
 from auv_mcm.detect.cascade.bands import band_edges
 from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.kernels.cascade import (
-    Field,
+    WindowField,
     Opened,
     Tables,
     Windows,
@@ -40,12 +40,12 @@ def assert_same(one: Windows, other: Windows) -> None:
         np.testing.assert_array_equal(a, b, strict=True)
 
 
-def draw_field(seed: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Field, Tables]:
+def draw_field(seed: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[WindowField, Tables]:
     plane, model = draw_ground(seed, *shape).plane(), draw_model(seed, kind=kind)
     tables = tables_of(model, ROW_M, COLUMN_M, plane.sums.shape[1])
     corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
     edges = band_edges(plane.first_return_m, plane.n_columns, COLUMN_M)
-    return Field(plane.sums, plane.counts, corner, plane.usable, edges), tables
+    return WindowField(plane.sums, plane.counts, corner, plane.usable, edges), tables
 
 
 def opened_both_ways(seed: int, n_groups: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Opened, Opened]:

@@ -18,7 +18,7 @@ from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subse
 VELOCITY = st.floats(-19.9, 19.9)
 ANGLE = st.floats(0.0, 6.28)
 LINES: st.SearchStrategy[pd6.Line] = st.one_of(
-    st.builds(pd6.Attitude, st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), ANGLE),
+    st.builds(pd6.Pd6Attitude, st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), ANGLE),
     st.builds(pd6.Water, st.floats(1e9, 4e9), st.floats(0, 40), st.floats(-2, 40), st.floats(0, 6000), st.floats(1400, 1600), st.just(0.0)),
     st.builds(pd6.InstrumentVelocity, VELOCITY, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
     st.builds(pd6.ShipVelocity, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
@@ -38,7 +38,7 @@ RECORDS: st.SearchStrategy[wl.Record] = st.one_of(
         st.floats(0, 999),
         st.integers(0, 1),
     ),
-    st.builds(wl.Attitude, st.floats(0, 2e9), *(st.floats(-1e4, 1e4),) * 3, st.floats(0, 99), *(st.floats(-3.1, 3.1),) * 3, st.just(0)),
+    st.builds(wl.WaterLinkedAttitude, st.floats(0, 2e9), *(st.floats(-1e4, 1e4),) * 3, st.floats(0, 99), *(st.floats(-3.1, 3.1),) * 3, st.just(0)),
 )
 GROUP = (
     b":SA, -2.31, +4.92, 12.34\r\n:TS,23111422132050,35.0,+14.0, 12.5,1500.0,  0\r\n:BI,   +24,   -7,  +12,   +3,A\r\n"
@@ -48,7 +48,7 @@ NO_LOCK = GROUP.replace(b",A\r", b",V\r")
 WRZ = b"wrz,0.120,-0.400,2.000,y,1.30,1.855,1e-07;0;1.4;0;1.2;0;0.2;0;1e+09,7,14,123.00,1*50\r\n"
 WRU = b"wru,0,0.070,1.10,-40,-95*9c\r\n"
 PD6_LINES = GROUP.splitlines(keepends=True)
-WL_LINES = [WRZ, WRU, wl.message_of(wl.Attitude(1.7e9, 1.0, 2.0, 3.0, 0.1, 0.1, -0.2, 3.0, 0))]
+WL_LINES = [WRZ, WRU, wl.message_of(wl.WaterLinkedAttitude(1.7e9, 1.0, 2.0, 3.0, 0.1, 0.1, -0.2, 3.0, 0))]
 
 
 def close(one: Any, other: Any, within: float) -> bool:
@@ -75,7 +75,7 @@ def test_water_linked_messages_are_read_back_within_their_last_digit(record: wl.
     assert again is not None
     assert type(again) is type(record)
     assert wl.message_of(again) == wire
-    if isinstance(record, wl.Attitude):
+    if isinstance(record, wl.WaterLinkedAttitude):
         assert close(again, record, 0.001)
     else:
         assert close(again[:3], record[:3], 0.0006)

@@ -24,7 +24,7 @@ from drivers.sonar.jsf_messages import (
     JsfMessage,
     SideScanData,
     SideScanHeader,
-    Units,
+    PositionUnits,
     Validity,
     decode_data,
     encode_data,
@@ -203,7 +203,7 @@ def test_only_what_is_valid_is_told() -> None:
     assert frame.navigation.depth_m == 12.5
     others = [frame.navigation.latitude_deg, frame.navigation.heading_rad, frame.navigation.roll_rad, frame.navigation.speed_mps]
     assert all(map(math.isnan, [*others, frame.altitude_m]))
-    for change in ({"units": Units.DECIMETRES}, {"latitude": 91 * 600_000}):
+    for change in ({"units": PositionUnits.DECIMETRES}, {"latitude": 91 * 600_000}):
         (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **told | change))
         assert frame.navigation is not None
         assert math.isnan(frame.navigation.latitude_deg + frame.navigation.longitude_deg)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.vehicle.can_messages import MESSAGES, Message, Record, Signal
+from drivers.vehicle.can_messages import MESSAGES, CanMessage, Record, Signal
 
 
 def at(seconds: float) -> Stamp:
@@ -25,7 +25,7 @@ def value_of(signal: Signal, raw: int) -> float:
 
 
 @st.composite
-def records(draw: st.DrawFn, messages: tuple[Message, ...] = MESSAGES) -> Record:
+def records(draw: st.DrawFn, messages: tuple[CanMessage, ...] = MESSAGES) -> Record:
     message = draw(st.sampled_from(messages))
     values = []
     for placed in message.placed:
@@ -35,6 +35,6 @@ def records(draw: st.DrawFn, messages: tuple[Message, ...] = MESSAGES) -> Record
     return made
 
 
-def random_record(message: Message, random: np.random.Generator) -> Record:
+def random_record(message: CanMessage, random: np.random.Generator) -> Record:
     ranges = [(placed.signal, *bounds(placed.signal)) for placed in message.placed]
     return message.make(*[value_of(signal, low + int(random.random() * (high - low))) for signal, low, high in ranges])

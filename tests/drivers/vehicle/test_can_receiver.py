@@ -13,7 +13,7 @@ from drivers.vehicle.can_messages import (
     GRANTS,
     MESSAGES,
     TRANSFER_S,
-    Message,
+    CanMessage,
     Record,
     StateMessage,
     VehicleStatus,
@@ -169,7 +169,7 @@ def test_frames_of_others_are_counted_and_left_alone(record: Record) -> None:
     st.lists(st.tuples(st.sampled_from(MESSAGES), st.integers(0, 255), st.binary(max_size=64), st.booleans()), max_size=60),
     st.floats(0.0, 1.0),
 )
-def test_no_frames_raise_or_are_believed(frames: list[tuple[Message, int, bytes, bool]], step_s: float) -> None:
+def test_no_frames_raise_or_are_believed(frames: list[tuple[CanMessage, int, bytes, bool]], step_s: float) -> None:
     receiver = CanReceiver("can", "vehicle", VEHICLE, Counter())
     status = VehicleStatus(2, 0, 1, 1, 4, 200)
     for number, (message, address, data, extended) in enumerate(frames):

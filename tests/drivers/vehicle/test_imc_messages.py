@@ -17,7 +17,7 @@ from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import ContactReport
 from drivers.vehicle.imc_contact import CLASSES, contact_of, report_of, target_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, Many, Numbers, One, decode, encode, number_of
-from drivers.vehicle.imc_wire import HEADER_BYTES, Packet, packed, to_wire
+from drivers.vehicle.imc_wire import HEADER_BYTES, ImcPacket, packed, to_wire
 
 NEEDS_IMCPY = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the oracle, is not installed: pip install imcpy")
 OWN = (imc.MineContact, imc.MineContactTaken)
@@ -135,7 +135,7 @@ def test_imcpy_writes_and_reads_the_same(message: ImcMessage) -> None:
     other.src, other.src_ent, other.dst, other.dst_ent, other.timestamp = 0x6000, 5, 0x1E, 255, TIME_S
     wired = packed(message, 0x6000, entity=5, to=0x1E, time_s=TIME_S)
     assert wired == imcpy.Packet.serialize(other)
-    turned = to_wire(Packet(number_of(type(message)), encode(message, ">"), 0x6000, 5, 0x1E, 255, TIME_S, ">"))
+    turned = to_wire(ImcPacket(number_of(type(message)), encode(message, ">"), 0x6000, 5, 0x1E, 255, TIME_S, ">"))
     for either in (wired, turned):
         assert imcpy.Packet.serialize(imcpy.Packet.deserialize(either)) == wired
 

@@ -44,7 +44,7 @@ from drivers.vehicle.imc_messages import (
     ZUnits,
     decode,
 )
-from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, Packet, packed
+from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket, packed
 from drivers.vehicle.talkers.imc_talker import PLAN_ID
 from drivers.vehicle.vehicles import talker_of
 from tests.sim_replay.conversation import Conversation
@@ -64,7 +64,7 @@ class Talk:
         self.dialect.connected(now_s)
         self.said()
 
-    def packets(self) -> list[Packet]:
+    def packets(self) -> list[ImcPacket]:
         framer = Framer(ImcGrammar())
         return [framed.message for item in self.dialect.take_outgoing(self.now_s) for framed in framer.feed(item)]
 

@@ -10,13 +10,13 @@ from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.imc_crc import crc16_arc
 from drivers.vehicle.imc_messages import MAX_PAYLOAD_BYTES, encode
-from drivers.vehicle.imc_wire import ImcGrammar, Packet, packed, to_wire
+from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, packed, to_wire
 
 HEARTBEAT = bytes.fromhex("54fe9600000000001040fc54d9410060051e00ff4a31")
 SONAR_DATA = bytes.fromhex("54fe1401160000001040fc54d9410060051e00ff00d0dd060000003200100000803f0000040001000200553d")
 
 
-def found(stream: bytes) -> tuple[list[Packet], Framer[Packet]]:
+def found(stream: bytes) -> tuple[list[ImcPacket], Framer[ImcPacket]]:
     framer = Framer(ImcGrammar())
     return [framed.message for framed in framer.feed(stream)], framer
 
@@ -48,7 +48,7 @@ def test_a_packet_is_read_and_written_whether_its_kind_is_known_or_not(golden: b
 
 def test_both_byte_orders_in_one_stream() -> None:
     message = imc.Target("MLC-00001", 0.7, -0.1)
-    packets = [Packet(800, encode(message, order), 0x1E, time_s=1.5, order=order) for order in ("<", ">", ">", "<")]
+    packets = [ImcPacket(800, encode(message, order), 0x1E, time_s=1.5, order=order) for order in ("<", ">", ">", "<")]
     again, _ = found(b"\x54" + b"".join(map(to_wire, packets)))
     assert again == packets
 
@@ -62,7 +62,7 @@ def test_a_wrong_length_of_a_known_message_costs_nothing_behind_it(n_payload: in
 
 
 def test_a_wrong_length_of_another_message_is_not_waited_for_beyond_the_longest() -> None:
-    promise = Packet(9999, bytes(MAX_PAYLOAD_BYTES), 0x1E)
+    promise = ImcPacket(9999, bytes(MAX_PAYLOAD_BYTES), 0x1E)
     assert found(to_wire(promise))[0] == [promise]
     packets, framer = found(to_wire(promise)[:40] + 200 * HEARTBEAT)
     assert len(packets) == 200

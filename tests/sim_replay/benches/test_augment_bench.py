@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_replay.benches.augment import Chips, discriminate, statistics_of
+from sim_replay.benches.augment import ChipStatistics, discriminate, statistics_of
 
 
-def chips(shift: float, n: int = 400) -> Chips:
+def chips(shift: float, n: int = 400) -> ChipStatistics:
     """Speckle images of four missions, every other one brighter by `shift` nepers in its middle."""
     random = np.random.Generator(np.random.PCG64(4))
     embedded = np.arange(n) % 2 == 1
@@ -17,7 +17,7 @@ def chips(shift: float, n: int = 400) -> Chips:
         image = np.log(random.exponential(size=(29, 40)))
         image[12:17, 10:20] += shift * one
         rows.append(statistics_of(image))
-    return Chips(np.array(rows), embedded, np.arange(n) // (n // 4))
+    return ChipStatistics(np.array(rows), embedded, np.arange(n) // (n // 4))
 
 
 def test_images_of_one_law_cannot_be_told_apart() -> None:

@@ -55,7 +55,7 @@ def test_the_chain_looks_at_what_the_detector_asked_for_finds(
 ) -> None:
     asked = []
 
-    def fly(name: str, seed: int, detector: Detector) -> scenes.Flown:
+    def fly(name: str, seed: int, detector: Detector) -> scenes.FlownMission:
         asked.append((name, seed, detector))
         raise UsageError("enough")
 

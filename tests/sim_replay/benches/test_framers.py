@@ -17,7 +17,7 @@ from sim_replay.benches.framers import (
     MAX_S_PER_MB,
     WIRES,
     JunkRow,
-    Wire,
+    FramedWire,
     campaign,
     campaign_lines,
     cut,
@@ -73,7 +73,7 @@ def test_missing_items_are_counted_in_order() -> None:
 
 
 @pytest.mark.parametrize("wire", WIRES, ids=lambda wire: wire.name)
-def test_no_intact_message_is_lost(wire: Wire) -> None:
+def test_no_intact_message_is_lost(wire: FramedWire) -> None:
     row = campaign(wire, 300, seed=11)
     assert row.n_faults >= 300
     assert row.n_lost == 0
@@ -93,7 +93,7 @@ def test_messages_that_nobody_sent_are_counted() -> None:
         pieces = list(chunks)
         return good.read(pieces) + ["never sent"] * (len(pieces) != 200)
 
-    honest, row = (campaign(Wire("inventive", good.messages, read), 50, seed=1) for read in (good.read, inventive))
+    honest, row = (campaign(FramedWire("inventive", good.messages, read), 50, seed=1) for read in (good.read, inventive))
     assert row.n_false > honest.n_false
     assert row.n_other - honest.n_other == row.n_false - honest.n_false
 
@@ -109,7 +109,7 @@ def test_a_framer_that_believes_lengths_is_found_out() -> None:
             at = stop
         return found
 
-    assert campaign(Wire("trusting", good.messages, trusting), 100, seed=1).n_lost > 0
+    assert campaign(FramedWire("trusting", good.messages, trusting), 100, seed=1).n_lost > 0
 
 
 def test_every_protocol_of_a_configuration_is_in_the_campaign() -> None:
@@ -119,7 +119,7 @@ def test_every_protocol_of_a_configuration_is_in_the_campaign() -> None:
 
 
 @pytest.mark.parametrize("wire", WIRES, ids=lambda wire: wire.name)
-def test_messages_of_a_wire_differ_from_each_other(wire: Wire) -> None:
+def test_messages_of_a_wire_differ_from_each_other(wire: FramedWire) -> None:
     keys = wire.read(wire.messages(np.random.Generator(np.random.PCG64(3)), 200))
     assert len(set(keys)) == len(keys) == 200
 

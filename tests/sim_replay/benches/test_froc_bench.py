@@ -11,7 +11,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
-from sim_replay.benches.froc import SYSTEMS, Flown, HeldOutAugmentedLine, HeldOutSimulatedLine, best_pd, outdone
+from sim_replay.benches.froc import SYSTEMS, FlownLine, HeldOutAugmentedLine, HeldOutSimulatedLine, best_pd, outdone
 from sim_replay.missions import config_for
 from sim_replay.scoring import ScoredMission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
@@ -84,8 +84,8 @@ def test_rocks_count_by_views_and_by_the_most_mine_like_contact_near_them() -> N
 
 
 def test_missions_are_pooled_without_the_sea_floor_held_out() -> None:
-    def flown(group: str) -> Flown:
-        return Flown(group, {}, ())
+    def flown(group: str) -> FlownLine:
+        return FlownLine(group, {}, ())
 
     groups = dict(froc._groups([flown("flat"), flown("ripple"), flown("seagrass"), flown("log1"), flown("log2")]))
     assert [one.group for one in groups["all simulated but held-out sea floors"]] == ["flat", "ripple"]

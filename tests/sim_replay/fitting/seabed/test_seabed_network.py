@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim_replay.fitting.seabed.network import Units, fitted_network, log_odds, slopes
+from sim_replay.fitting.seabed.network import NetworkLayer, fitted_network, log_odds, slopes
 
 Floats = NDArray[np.float32]
 
@@ -21,7 +21,7 @@ def crossed(n: int, seed: int) -> tuple[Floats, Floats]:
     return x, np.eye(2, dtype=np.float32)[kind]
 
 
-def fitted(seed: int = 1) -> list[Units]:
+def fitted(seed: int = 1) -> list[NetworkLayer]:
     x, shares = crossed(20_000, 2)
     return fitted_network(x, shares, np.ones(len(x), dtype=np.float32), n_hidden=(16, 8), epochs=60, weight_decay=0.01, seed=seed)
 
@@ -40,7 +40,7 @@ def test_the_same_seed_makes_the_same_network() -> None:
 def test_slopes_are_those_of_the_cross_entropy() -> None:
     rng = np.random.Generator(np.random.PCG64(4))
     sizes = (3, 4, 2)
-    network = [Units(rng.normal(size=(before, after)), rng.normal(size=after)) for before, after in pairwise(sizes)]
+    network = [NetworkLayer(rng.normal(size=(before, after)), rng.normal(size=after)) for before, after in pairwise(sizes)]
     x, weight = rng.normal(size=(7, 3)), rng.uniform(0.5, 2.0, 7)
     shares = rng.dirichlet((1.0, 1.0), 7)
 
