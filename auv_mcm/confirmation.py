@@ -21,14 +21,14 @@ from auv_mcm.classify.details import contour_details, detection_details, solid_d
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
 from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
 from auv_mcm.classify.fit import Effort, ShapeFit, ShapeFits, fit_to
-from auv_mcm.classify.likelihood import labels_cost_of, row_sums
+from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
-from auv_mcm.kernels.shape import RowSums
+from auv_mcm.kernels.shape import ImageRowSums
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import unpack_snippet
@@ -169,7 +169,7 @@ def examine(
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
     done("second contours")
-    image = row_sums(region, area)
+    image = image_row_sums(region, area)
     fits = fit_to(image, region, contour_cost(image, region, contours, area), effort)
     done("solids")
     found = before | contour_features(contours) | outline_features(contours, region)
@@ -199,10 +199,10 @@ def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] 
     return np.where(parts == int(counts.argmax()), labels, np.uint8(BACKGROUND)).astype(np.uint8)
 
 
-def contour_cost(image: RowSums | None, region: Region, contours: Contours, correlation_area: float) -> float:
+def contour_cost(image: ImageRowSums | None, region: Region, contours: Contours, correlation_area: float) -> float:
     """Weigh the free contours in nats, with the code length of their nodes, to compare with what solids cost.
 
-    image: the region's `likelihood.row_sums`.
+    image: the region's `likelihood.image_row_sums`.
     """
     labels = np.zeros(region.intensity.shape, dtype=np.uint8)
     for nodes, label in ((contours.shadow, SHADOW), (contours.highlight, HIGHLIGHT)):

@@ -49,7 +49,7 @@ from auv_mcm.records import (
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import configured_seabed_model
 from auv_mcm.settings.config import Config
-from auv_mcm.waterfall.law_watch import LawWatch, Verdict
+from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
 from auv_mcm.waterfall.sample_checks import SampleCheck
 from auv_mcm.waterfall.waterfall import Waterfall
 
@@ -186,7 +186,7 @@ class Pipeline:
             return None
         return self._samples[side].scaled(trace)
 
-    def _begin(self, verdict: Verdict) -> list[PipelineEvent]:
+    def _begin(self, verdict: LawVerdict) -> list[PipelineEvent]:
         """Run the pings that waited for the first verdict, which names their transfer."""
         assert verdict.transfer is not None
         self._waterfall = Waterfall(self._config, verdict.transfer, OVERLAP_M, self._counts)

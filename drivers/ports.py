@@ -18,7 +18,7 @@ from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.sonar.sonar_decoder import SonarSettings
 from drivers.sonar.sonars import sonar_named
 from drivers.vehicle.guard import Guard
-from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, settings_of
+from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, vehicle_settings_of
 
 PULSE: Final = "pulse"
 """The device of a port that only says when a second begins."""
@@ -116,7 +116,7 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
         commands=commands,
         ask_every_s=sonar.ping_interval_s if asked and commands else None,
         unit=unit,
-        vehicle=settings_of(port) if is_vehicle else None,
+        vehicle=vehicle_settings_of(port) if is_vehicle else None,
     )
 
 

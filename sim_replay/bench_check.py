@@ -15,7 +15,7 @@ _NAME = "simulator kernels"
 
 def bench_findings() -> Iterator[Finding]:
     """Compare the simulator's C kernels with numpy."""
-    loaded = backend.loaded()
+    loaded = backend.simulator_library()
     if loaded.library is None:
         yield Finding(_NAME, "warning", f"numpy does their work, more slowly: {loaded.reason}")
         return

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.classify.evidence import size_plausibility
-from auv_mcm.classify.likelihood import beam_of, parameter_cost, row_sums
+from auv_mcm.classify.likelihood import beam_of, image_row_sums, parameter_cost
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import (
     FIELDS,
@@ -17,7 +17,7 @@ from auv_mcm.kernels.shape import (
     FORBIDDEN,
     PENCIL,
     Beam,
-    RowSums,
+    ImageRowSums,
     Solid,
     intervals,
     shape_costs,
@@ -177,13 +177,13 @@ def fit_shapes(
 
     contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost of what it encloses
     plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at least 1. Everything is the same in
-    every run. Raises ValueError as row_sums does.
+    every run. Raises ValueError as image_row_sums does.
     """
-    return fit_to(row_sums(region, correlation_area, looks=looks), region, contour_cost, Effort() if effort is None else effort)
+    return fit_to(image_row_sums(region, correlation_area, looks=looks), region, contour_cost, Effort() if effort is None else effort)
 
 
-def fit_to(image: RowSums | None, region: Region, contour_cost: float | None, effort: Effort) -> ShapeFits:
-    """Find the best solid of every class in a region whose `likelihood.row_sums` are known; see `fit_shapes`."""
+def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | None, effort: Effort) -> ShapeFits:
+    """Find the best solid of every class in a region whose `likelihood.image_row_sums` are known; see `fit_shapes`."""
     if image is None:
         return ShapeFits(fits=(), contour_cost=contour_cost, n_hypotheses=0, flags=("no_data",))
     beam = beam_of(region)
@@ -219,7 +219,7 @@ def hypotheses_of(solid: Solid, points: Array) -> Array:
     return hypotheses_at(_TERMS[solid], points)
 
 
-def _look(solid: Solid, region: Region, image: RowSums, effort: Effort) -> _Class:
+def _look(solid: Solid, region: Region, image: ImageRowSums, effort: Effort) -> _Class:
     along_m = region.row * image.row_spacing_m
     across_m = image.first_ground_range_m + region.column * image.column_spacing_m
     place = (
@@ -234,12 +234,12 @@ def _look(solid: Solid, region: Region, image: RowSums, effort: Effort) -> _Clas
     return _Class(chart, search_shapes(chart, image, PENCIL, effort.n_starts, walk))
 
 
-def _refine(entry: _Class, image: RowSums, beam: Beam, effort: Effort) -> _Class:
+def _refine(entry: _Class, image: ImageRowSums, beam: Beam, effort: Effort) -> _Class:
     walk = Walk(effort.n_fine_walks, effort.n_fine_steps, effort.n_fine_tries, first_stride=1.2)
     return entry._replace(found=refine_shapes(entry.chart, image, beam, entry.found, walk), refined=True)
 
 
-def _fit(entry: _Class, region: Region, image: RowSums) -> ShapeFit:
+def _fit(entry: _Class, region: Region, image: ImageRowSums) -> ShapeFit:
     point = entry.box.points(entry.found.unit[:1])
     return ShapeFit(
         solid=entry.solid,
@@ -249,7 +249,7 @@ def _fit(entry: _Class, region: Region, image: RowSums) -> ShapeFit:
     )
 
 
-def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: RowSums, beam: Beam) -> ShapeFit:
+def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: ImageRowSums, beam: Beam) -> ShapeFit:
     """Add what is known of the best of all classes alone."""
     found = apart(entry.found, entry.box, 2)
     points = entry.box.points(found.unit)
@@ -285,7 +285,7 @@ def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: RowSums, 
     )
 
 
-def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image: RowSums) -> Optimum:
+def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image: ImageRowSums) -> Optimum:
     """Back from slices to the image and the track: a slice squinted ahead meets greater ranges in later rows."""
     squint = region.squint_rad
     across_m = float(hypothesis[1]) * math.cos(squint)
@@ -305,7 +305,7 @@ def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image
     )
 
 
-def _sigma(entry: _Class, beam: Beam, region: Region, image: RowSums) -> dict[str, float]:
+def _sigma(entry: _Class, beam: Beam, region: Region, image: ImageRowSums) -> dict[str, float]:
     """Of place and fields: what speckle leaves open, doubled for what the model leaves out, and what resolution and altitude do."""
     point = entry.box.points(entry.found.unit[:1])[0]
     hypothesis = hypotheses_of(entry.solid, point[np.newaxis])[0]
@@ -334,7 +334,7 @@ def _sigma(entry: _Class, beam: Beam, region: Region, image: RowSums) -> dict[st
     return sigma
 
 
-def _highlight(ends: Array, mean: Array, image: RowSums) -> Highlight:
+def _highlight(ends: Array, mean: Array, image: ImageRowSums) -> Highlight:
     """ends: (n_rows, 3) columns of the solid; mean: of highlight, shadow and floor."""
     rows = np.flatnonzero(ends[:, 1] > ends[:, 0])
     if rows.size == 0:

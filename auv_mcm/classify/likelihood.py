@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels.order import median
-from auv_mcm.kernels.shape import LEAST_MEAN, PENCIL, Array, Beam, RowSums
+from auv_mcm.kernels.shape import LEAST_MEAN, PENCIL, Array, Beam, ImageRowSums
 
 _CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is as strong
 _QUADRATURE: Final = (
@@ -20,7 +20,7 @@ _QUADRATURE: Final = (
 _NARROW: Final = 0.3  # rows that a beam must cover before its width counts
 
 
-def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> RowSums | None:
+def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> ImageRowSums | None:
     """Cumulative sums along the slices of a region, None if nothing in it was measured.
 
     correlation_area: pixels over which speckle is correlated, at least 1. Pixels that are not valid, not finite or negative have no part.
@@ -50,7 +50,7 @@ def row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> 
         intensity, counted = _deskewed(region, intensity), _deskewed(region, counted.astype(np.float64)) > 0.0
     cosine = math.cos(region.squint_rad)
     mean = float(intensity.sum() / counted.sum())
-    return RowSums(
+    return ImageRowSums(
         echoes=cumulative(intensity / mean),
         counts=cumulative(counted.astype(np.float64)),
         row_spacing_m=region.row_spacing_m * cosine,
@@ -67,13 +67,13 @@ def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: flo
     """Weigh what labels of pixels explain, in nats against a floor without an object like the costs of solids; 0 if nothing was measured.
 
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added, this is what a free
-    contour costs. Raises ValueError as row_sums does, and for labels of another shape.
+    contour costs. Raises ValueError as image_row_sums does, and for labels of another shape.
     """
-    return labels_cost_of(row_sums(region, correlation_area, looks=looks), region, labels)
+    return labels_cost_of(image_row_sums(region, correlation_area, looks=looks), region, labels)
 
 
-def labels_cost_of(image: RowSums | None, region: Region, labels: NDArray[np.uint8]) -> float:
-    """Weigh labels in a region whose `row_sums` are known; see `labels_cost`."""
+def labels_cost_of(image: ImageRowSums | None, region: Region, labels: NDArray[np.uint8]) -> float:
+    """Weigh labels in a region whose `image_row_sums` are known; see `labels_cost`."""
     if labels.shape != region.intensity.shape:
         raise ValueError(f"labels must have the region's shape {region.intensity.shape}, not {labels.shape}")
     if image is None:
@@ -106,7 +106,7 @@ def beam_of(region: Region) -> Beam:
     return Beam(region.beam_width_rad * off * np.array([-1.0, 0.0, 1.0]), np.array([share, 1.0 - 2.0 * share, share]))
 
 
-def parameter_cost(n_parameters: int, image: RowSums) -> float:
+def parameter_cost(n_parameters: int, image: ImageRowSums) -> float:
     """What stating the parameters costs, nats: half of ln n each, n independent samples (J. Rissanen, Automatica 14, 1978)."""
     n = image.samples_per_pixel * float(image.counts[:, -1].sum())
     return 0.5 * n_parameters * math.log(max(n, 1.0))

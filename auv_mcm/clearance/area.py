@@ -27,7 +27,7 @@ class Area(NamedTuple):
     @property
     def frame(self) -> LocalFrame:
         """Of the plane that the cells lie in."""
-        return plane_of(self.ground)
+        return frame_of(self.ground)
 
 
 class AreaState(NamedTuple):
@@ -52,7 +52,7 @@ class AreaState(NamedTuple):
         return told + " reached" * self.is_reached
 
 
-def plane_of(clearance: Clearance) -> LocalFrame:
+def frame_of(clearance: Clearance) -> LocalFrame:
     """The plane that its cells lie in."""
     return LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
 
@@ -69,7 +69,7 @@ def over_area(clearance: Clearance | None, corners_deg: Sequence[tuple[float, fl
     corners_deg: three or more latitudes and longitudes in order.
     """
     known = clearance or unsearched(*corners_deg[0], cell_m)
-    corners = in_plane(corners_deg, plane_of(known))
+    corners = in_plane(corners_deg, frame_of(known))
     first = np.floor(corners.min(axis=0) / known.cell_m).astype(int)
     n_east, n_north = (np.floor(corners.max(axis=0) / known.cell_m).astype(int) - first + 1).tolist()
     ground = clearance_over(known, int(first[0]), int(first[1]), (n_north, n_east))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from auv_mcm.confirm.likelihoods import BackgroundLaw, choose_background_law
 from auv_mcm.confirm.markov_estimate import estimate_smoothness
 from auv_mcm.confirm.mean_field import SPIKE, ClassMeans, data_costs, fit_means, start_means
-from auv_mcm.confirm.mrf_priors import pair_costs, without_odd_clusters
+from auv_mcm.confirm.mrf_priors import prior_pair_costs, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation, block_means, looks_of_blocks, measure_correlation, nyquist_factors
 from auv_mcm.kernels.order import median
@@ -115,7 +115,7 @@ def segment(
     weight = edge_weights(smoothness, factors, correlation)
 
     def prior(labels: Labels) -> Plane:
-        return pair_costs(labels, region, factors) * np.minimum(samples, 1.0)
+        return prior_pair_costs(labels, region, factors) * np.minimum(samples, 1.0)
 
     first_law = BackgroundLaw(nominal_looks, math.inf)
     means, probability = fit_means(blocks, samples, information, start_means(1.0), first_law, weight, prior)

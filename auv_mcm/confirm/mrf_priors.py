@@ -30,7 +30,7 @@ _CLUSTER_AREA_M2: Final = (0.02, 4.0)
 _CLUSTER_EXTENT_M: Final = 3.5
 
 
-def pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plane:
+def prior_pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plane:
     """Weigh each label of each cell, in nats, given where highlights and shadows were: (3, n_rows, n_columns) float64.
 
     labels: (n_rows, n_columns) uint8 of cells of `factors` pixels of the region. Looks along the line of sight, one row to either

@@ -60,7 +60,7 @@ class RegionContext(NamedTuple):
     """What contours in a region share wherever they start. boxes: the start at the detection; spot: what is special about it there."""
 
     region: Region
-    sums: snake.RowSums
+    sums: snake.WindowRowSums
     settings: Settings
     boxes: Start
     spot: snake_rules.Spot
@@ -100,7 +100,7 @@ def start_from_detection(region: Region) -> Start:
     if a number of the region's geometry is none that a sonar can have.
     """
     require_sound(region)
-    return _boxes_at(region, snake.row_sums(region.intensity, region.valid).table)
+    return _boxes_at(region, snake.window_row_sums(region.intensity, region.valid).table)
 
 
 def _boxes_at(region: Region, table: Nodes) -> Start:
@@ -173,11 +173,11 @@ def survey(region: Region, correlation_px: float) -> RegionContext | Contours:
         require_sound(region)
     except ValueError:
         return _nothing(("geometry_unknown",))
-    sums = snake.row_sums(region.intensity, region.valid)
+    sums = snake.window_row_sums(region.intensity, region.valid)
     if sums.mean == 0.0:
         return _nothing(("no_echo",))
     boxes = _boxes_at(region, sums.table)
-    return RegionContext(region, sums, settings_of(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes))
+    return RegionContext(region, sums, snake_settings(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes))
 
 
 def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
@@ -195,7 +195,7 @@ def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARS
 
 
 def _judged(
-    region: Region, sums: snake.RowSums, findings: snake_rules.Findings, moved: Moved, n_moves: int, notes: tuple[str, ...]
+    region: Region, sums: snake.WindowRowSums, findings: snake_rules.Findings, moved: Moved, n_moves: int, notes: tuple[str, ...]
 ) -> Contours:
     if len(moved.highlight) == 0:
         notes = (*notes, "no_highlight")
@@ -243,8 +243,8 @@ def _nothing(reasons: tuple[str, ...]) -> Contours:
     )
 
 
-def settings_of(region: Region, table: NDArray[np.float64], correlation_px: float) -> Settings:
-    """What the criterion knows of a region; table: its `kernels.snake.row_sums`."""
+def snake_settings(region: Region, table: NDArray[np.float64], correlation_px: float) -> Settings:
+    """What the criterion knows of a region; table: its `kernels.snake.window_row_sums`."""
     total, count = table[:, -1].sum(axis=0).tolist()
     return Settings(
         row_spacing_m=region.row_spacing_m,

@@ -94,12 +94,12 @@ class Ledger:
         for detection, match in zip(detections, self._assign(detections, places_m, near), strict=True):
             if match is None:
                 match = len(self._kept)
-                changed[match] = contact_of(contact_id(match + 1), (detection,), self._prior)
+                changed[match] = contact_from_views(contact_id(match + 1), (detection,), self._prior)
                 self._kept.append(changed[match])
             else:
                 known = near[match]
                 views = tuple(sorted([*known.views, detection], key=lambda d: d.time_s))
-                changed[match] = self._kept[match] = contact_of(known.id, views, self._prior)
+                changed[match] = self._kept[match] = contact_from_views(known.id, views, self._prior)
         moved = sorted(changed)
         self._positions_m = _with_room(self._positions_m, len(self._kept))
         self._positions_m[moved] = self._east_north([changed[number] for number in moved])
@@ -201,7 +201,7 @@ def _turned_rad(a: Detection, b: Detection) -> float:
     return abs(math.remainder(a.heading_rad - b.heading_rad, 2.0 * math.pi))
 
 
-def contact_of(name: str, views: tuple[Detection, ...], prior: float) -> Contact:
+def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) -> Contact:
     """What views of one object, in order of time, say together, under the id `name`. prior: log-odds that each view's p_mine contains."""
     latitude, longitude, covariance = _fused_position(views)
     verdict = fuse(views, prior)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.belief import contrast_odds
-from auv_mcm.detect.cascade.codes import Plane
+from auv_mcm.detect.cascade.codes import CodePlane
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
-from auv_mcm.detect.cascade.peaks import apart
+from auv_mcm.detect.cascade.peaks import spaced_apart
 from auv_mcm.detect.cascade.run import core_plane, run_plane, trace_plane
 from auv_mcm.detect.contrasts import Contrasts, contrasts
 from auv_mcm.detect.gate import Gate, may_reach, place_features
@@ -52,7 +52,7 @@ class FaintPlaces(NamedTuple):
 NO_FAINT_PLACES: Final = FaintPlaces(np.empty(0), np.empty(0), np.empty(0))
 
 
-class Found(NamedTuple):
+class TileCandidates(NamedTuple):
     """Hold the candidates of a tile's core, best first. n_over_budget: more there were. faint: places that cannot become contacts.
 
     n_windows, n_evaluations, n_cut: of the cascade, as in CascadeResult; 0 without.
@@ -66,7 +66,7 @@ class Found(NamedTuple):
     n_cut: int = 0
 
 
-def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine: float) -> Found:
+def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine: float) -> TileCandidates:
     """Find peaks of the contrast of highlight and shadow against the sea floor around. gate, min_p_mine: as for by_both."""
     contrast = contrasts(tile, config.p_false_alarm)
     peaks = contrast.peaks(STEP_M)
@@ -77,12 +77,12 @@ def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine:
     taken = [peaks[k] for k in passing[: config.max_candidates_per_tile].tolist()]
     candidates = [Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
     faint = _faint([peaks[k] for k in np.flatnonzero(~reaching).tolist()], scores[~reaching])
-    return Found(candidates, len(passing) - len(taken), faint)
+    return TileCandidates(candidates, len(passing) - len(taken), faint)
 
 
 def by_both(
     tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluations: int | None, gate: Gate | None, min_p_mine: float
-) -> Found:
+) -> TileCandidates:
     """Find the best of the windows that pass the trained cascade, and peaks of contrast that it rejects, each with the score of both.
 
     A cascade knows what it was trained on. What stands out clearly and is nothing like it is no less worth a look, with odds that say so.
@@ -100,13 +100,13 @@ def by_both(
     heard = contrast.background[passed.rows, passed.columns] > NO_ECHO
     windows = _Places(passed.rows, passed.columns, passed.scores / SCORE_UNIT).some(heard)
     n_kept = _KEPT_PER_CANDIDATE * most + _KEPT_AT_LEAST
-    windows = windows.some(apart(windows.rows, windows.columns, windows.scores, half_rows, half_columns, n_kept))
+    windows = windows.some(spaced_apart(windows.rows, windows.columns, windows.scores, half_rows, half_columns, n_kept))
     places = [*_clearest(contrast, windows.rows.tolist(), windows.columns.tolist(), int(half_rows), int(half_columns)), *peaks]
     cascade_scores = np.concatenate((windows.scores, peak_scores / SCORE_UNIT))
     rows, columns = (np.array([place[k] for place in places], dtype=np.int64) for k in (1, 2))
     contrast_scores = np.array([max(place.score, _FAINTEST) for place in places])
     strength = cascade_scores + CONTRAST_SHARE * contrast_scores
-    kept = apart(rows, columns, strength, half_rows, half_columns, len(places))
+    kept = spaced_apart(rows, columns, strength, half_rows, half_columns, len(places))
     kept = kept[(rows[kept] >= tile.core_start) & (rows[kept] < tile.core_stop)]
     features = place_features(
         *_ranges(tile, [places[k] for k in kept.tolist()]), cascade=cascade_scores[kept], contrast=contrast_scores[kept]
@@ -119,7 +119,7 @@ def by_both(
         Candidate(places[k], contrast.floor(places[k].row, places[k].column), odd, float(cascade_scores[k]))
         for k, odd in zip(taken.tolist(), odds, strict=True)
     ]
-    return Found(
+    return TileCandidates(
         candidates,
         n_over_budget=len(passing) - len(taken),
         faint=_faint([places[k] for k in faint.tolist()], strength[faint]),
@@ -130,7 +130,7 @@ def by_both(
 
 
 def _scores_of(
-    plane: Plane, model: CascadeModel, peaks: Sequence[Peak], most: int, max_evaluations: int | None
+    plane: CodePlane, model: CascadeModel, peaks: Sequence[Peak], most: int, max_evaluations: int | None
 ) -> tuple[NDArray[np.int32], int]:
     """Score each peak's best window within AROUND_PX by the cascade, whatever it rejects: (n_peaks,) int32, and the evaluations that took.
 

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect import prescreen
 from auv_mcm.detect.ftest import f_deviate
-from auv_mcm.detect.prescreen import Floor, Grid, Peak, Spread, combined, decay_of, glint, saturate_shadow, worth
+from auv_mcm.detect.prescreen import Floor, Peak, PixelGrid, Spread, combined, decay_of, glint, saturate_shadow, worth
 from auv_mcm.kernels.contrast import (
     Blocks,
     Frame,
     Places,
     Shadows,
-    Sums,
+    TileSums,
     background,
     box_means,
     bright_places,
@@ -59,10 +59,10 @@ class Contrasts(NamedTuple):
     """
 
     tile: Tile
-    grid: Grid
+    grid: PixelGrid
     rows: tuple[int, int]
     shadows: Shadows
-    sums: Sums
+    sums: TileSums
     background: Values
     known: NDArray[np.bool_]
     thin: Values
@@ -109,7 +109,7 @@ class Contrasts(NamedTuple):
 
 def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
     """Find all that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle."""
-    grid = Grid(tile.row_spacing_m, tile.column_spacing_m)
+    grid = PixelGrid(tile.row_spacing_m, tile.column_spacing_m)
     margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
     rows = max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])
     sums = image_sums(tile.intensity, tile.mask, prescreen.MAX_RATIO, prescreen.BACKGROUND_CLIP)
@@ -319,7 +319,7 @@ def _shadows_at(tile: Contrasts, places: Places) -> Values:
     return -lowest
 
 
-def _shadows(tile: Tile, grid: Grid) -> Shadows:
+def _shadows(tile: Tile, grid: PixelGrid) -> Shadows:
     return Shadows(
         half_rows=np.array([grid.rows(along_m) // 2 for along_m, _ in prescreen.SHADOWS_M], dtype=np.int64),
         height_m=np.array([height_m for _, height_m in prescreen.SHADOWS_M]),

@@ -105,7 +105,7 @@ class Peak(NamedTuple):
     column: int
 
 
-class Grid(NamedTuple):
+class PixelGrid(NamedTuple):
     """A tile's pixels: lengths in whole pixels, at least one, and boxes as half-open offsets from a pixel."""
 
     row_m: float
@@ -138,7 +138,7 @@ class _Boxes:
 
     def __init__(self, tile: Tile) -> None:
         valid = (tile.mask & VALID) != 0
-        self.grid = grid = Grid(tile.row_spacing_m, tile.column_spacing_m)
+        self.grid = grid = PixelGrid(tile.row_spacing_m, tile.column_spacing_m)
         intensity = np.where(valid, np.minimum(tile.intensity, np.float32(MAX_RATIO)), np.float32(0.0))
         pad = (grid.rows(FRAME_ROWS_M) + 2, grid.columns(SHADOW_LENGTH_M[1]) + 4)
         self._intensity = PaddedIntegral(intensity, *pad)

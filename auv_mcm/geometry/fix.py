@@ -29,7 +29,7 @@ def fix_at(time_s: float, latitude_deg: float, longitude_deg: float) -> Fix:
     return Fix(time_s, x, y, prime_vertical * (1.0 - ECCENTRICITY_SQUARED) * sine, latitude, longitude)
 
 
-def distance_m(a: Fix, b: Fix) -> float:
+def chord_m(a: Fix, b: Fix) -> float:
     """Measure the chord between two fixes."""
     return math.hypot(b.x - a.x, b.y - a.y, b.z - a.z)
 

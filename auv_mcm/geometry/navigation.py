@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.fix import Fix, course_rad, distance_m, fix_at
+from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
 from auv_mcm.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES, HeadingCheck
@@ -93,7 +93,7 @@ class NavBuffer:
         self._last_heading: float | None = None
         self._last_course: float | None = None
         self._leap: NavSample | None = None
-        self._agreement = FixAgreement(distance_m, _reach_m, AGREE_S)
+        self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
         self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
@@ -217,7 +217,7 @@ class NavBuffer:
         self._newest_s = self._oldest_s = -math.inf
         for channel in self._all:
             channel.clear()
-        self._agreement = FixAgreement(distance_m, _reach_m, AGREE_S)
+        self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
         self._last_offered_s = -math.inf
         self._last_fix = self._chord_start = None
         self._last_heading = self._last_course = None
@@ -340,7 +340,7 @@ class NavBuffer:
         if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
             self._chord_start = fix
             return
-        distance, duration = distance_m(start, fix), fix.time_s - start.time_s
+        distance, duration = chord_m(start, fix), fix.time_s - start.time_s
         if duration < CHORD_MIN_S or (distance < CHORD_M and duration < CHORD_MAX_S):
             return
         self._chord_start = fix

@@ -29,7 +29,7 @@ Boxes = NDArray[np.int32]
 _P, _I, _W, _F, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_int32, ctypes.c_float, ctypes.c_double
 
 
-class Sums(NamedTuple):
+class TileSums(NamedTuple):
     """Integral images of a tile, (n_rows + 1, n_columns + 1): intensity where valid and number of valid pixels; the same of the sea
     floor, without saturated pixels and with bright ones bounded. total, floor_total: float64; n_valid, n_floor: int32."""
 
@@ -76,28 +76,28 @@ class Shadows(NamedTuple):
     least_share: float
 
 
-def image_sums(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> Sums:
+def image_sums(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> TileSums:
     """Integral images of a tile. intensity (n_rows, n_columns) is bounded by `most`, on the sea floor by floor_most."""
     shape = (intensity.shape[0] + 1, intensity.shape[1] + 1)
     function = _c("contrast_sums", _I, _I, _P, _P, _W, _W, _F, _F, *[_P] * 4)
     if function is None:
         return image_sums_numpy(intensity, mask, most, floor_most)
-    sums = Sums(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.int32))
+    sums = TileSums(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.int32))
     intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
     function(*intensity.shape, *_pointers(intensity, mask), VALID, SATURATED, most, floor_most, *_pointers(*sums))
     return sums
 
 
-def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> Sums:
+def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> TileSums:
     """image_sums in numpy alone."""
     valid = (mask & VALID) != 0
     seabed = valid & ((mask & SATURATED) == 0)
     bounded = np.where(valid, np.minimum(intensity, np.float32(most)), np.float32(0.0))
     floor = np.where(seabed, np.minimum(bounded, np.float32(floor_most)), np.float32(0.0))
-    return Sums(_integral(bounded, np.float64), _integral(floor, np.float64), _integral(valid, np.int32), _integral(seabed, np.int32))
+    return TileSums(_integral(bounded, np.float64), _integral(floor, np.float64), _integral(valid, np.int32), _integral(seabed, np.int32))
 
 
-def background(sums: Sums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
+def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
     """Mean of the sea floor in the frame around each pixel, at least least_mean; and where pixel and frame are valid and echo more."""
     function = _c("contrast_background", _I, _I, _P, _P, _P, _W, _P, _P, _D, _D, _I, *[_P] * 4)
     if function is None:
@@ -117,7 +117,7 @@ def background(sums: Sums, mask: NDArray[np.uint8], frame: Frame, least_mean: np
     return mean, known
 
 
-def background_numpy(sums: Sums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
+def background_numpy(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
     """background in numpy alone."""
     total = _box(sums.floor_total, frame.outer) - _box(sums.floor_total, frame.hollow)
     count = _box(sums.n_floor, frame.outer) - _box(sums.n_floor, frame.hollow)
@@ -125,7 +125,7 @@ def background_numpy(sums: Sums, mask: NDArray[np.uint8], frame: Frame, least_me
     return mean, (count >= frame.least_count) & (mean > least_mean) & ((mask & VALID) != 0)
 
 
-def ratios(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
+def ratios(sums: TileSums, level: Plane, boxes: Boxes, least: float) -> Plane:
     """Means of boxes (n_boxes, 4) over the level (n_rows, n_columns) of each pixel, at least `least`; (n_boxes, n_rows, n_columns)."""
     function = _c("contrast_ratios", _I, _I, _P, _P, _P, _I, _P, _F, _I, *[_P] * 3)
     if function is None:
@@ -136,7 +136,7 @@ def ratios(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
     return found
 
 
-def ratios_numpy(sums: Sums, level: Plane, boxes: Boxes, least: float) -> Plane:
+def ratios_numpy(sums: TileSums, level: Plane, boxes: Boxes, least: float) -> Plane:
     """ratios in numpy alone."""
     means = [(_box(sums.total, box) / np.maximum(_box(sums.n_valid, box), 1)).astype(np.float32) for box in boxes]
     return np.stack([np.maximum(mean / level, np.float32(least)) for mean in means])
@@ -194,7 +194,7 @@ def extremes_numpy(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
 
 
 def bright_places(
-    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
+    sums: TileSums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
     """For each box (n_boxes, 4) the known pixels of rows [start, stop) around which its sum is at least limit times level times number of
     valid pixels.
@@ -222,7 +222,7 @@ def bright_places(
 
 
 def bright_places_numpy(
-    sums: Sums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
+    sums: TileSums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
     """bright_places in numpy alone."""
     found = []
@@ -233,7 +233,7 @@ def bright_places_numpy(
 
 
 def dark_places(
-    sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
+    sums: TileSums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
     """For each height the pixels of rows [start, stop) where shadows begin whose sum is at most limit times level times number of valid
     pixels. limits: (n_heights, blocks down, blocks across). Places rise."""
@@ -262,7 +262,7 @@ def dark_places(
 
 
 def dark_places_numpy(
-    sums: Sums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
+    sums: TileSums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
     """dark_places in numpy alone."""
     every_row, every_column = np.indices(sums.shape, sparse=True)
@@ -287,7 +287,7 @@ def shadow_columns(shadows: Shadows, k: int, row: NDArray[np.integer], column: N
     return np.asarray(np.maximum(np.rint(length_m / shadows.column_m), 1.0), dtype=np.intp)
 
 
-def box_means(sums: Sums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def box_means(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Mean of one box (n, 4) at each of n places, and its number of valid pixels, (n,) each."""
     function = _c("contrast_means", _I, _I, _P, _P, _I, *[_P] * 4)
     if function is None:
@@ -298,7 +298,7 @@ def box_means(sums: Sums, places: Places, boxes: Boxes) -> tuple[NDArray[np.floa
     return mean, count
 
 
-def box_means_numpy(sums: Sums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def box_means_numpy(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """box_means in numpy alone."""
     n_rows, n_columns = sums.shape
     row, column = np.divmod(places, n_columns)
@@ -355,7 +355,7 @@ def _places_of(found: Flags, rows: tuple[int, int]) -> Places:
     return np.asarray(np.flatnonzero(found[rows[0] : rows[1]]) + first, dtype=np.int32)
 
 
-def _bands(sums: Sums, n: int, *boxes: NDArray[np.integer]) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+def _bands(sums: TileSums, n: int, *boxes: NDArray[np.integer]) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
     """How far boxes reach along rows, and room for n differences of rows that much longer on either side."""
     pad = max(int(np.abs(box).max()) for box in boxes)
     width = sums.shape[1] + 1 + 2 * pad

@@ -66,7 +66,7 @@ _CLEARANCE: Final = 1.2  # altitude over the height of a solid, at least
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
-class RowSums(NamedTuple):
+class ImageRowSums(NamedTuple):
     """Image as cumulative sums along its rows; row i was seen from (i + 1/2) row_spacing_m along the track.
 
     echoes: (n_rows, n_columns + 1) float64, of intensity where valid, relative to its mean. counts: likewise of valid pixels.
@@ -106,7 +106,7 @@ class Costs(NamedTuple):
     mean: Array
 
 
-def shape_costs(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Costs:
+def shape_costs(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Costs:
     """Costs of solids of one kind.
 
     hypotheses: (n, 8) float64: place along the track (m, from the near edge of row 0), ground range (m), altitude over that of the image,
@@ -144,7 +144,7 @@ def single_solid(solid: Solid, fields: Array) -> Shape:
     return _CLASSES[solid](**dict(zip(FIELDS[solid], fields.tolist(), strict=False)))
 
 
-def intervals(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Array:
+def intervals(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Array:
     """Where highlights begin, shadows begin and shadows end in an image, (n, n_rows, n_taps, 3) float64 columns with edges at whole
     numbers, cut at the image's edges; three times 0 where a slice misses the solid.
 
@@ -164,7 +164,7 @@ def intervals(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENC
     return ends
 
 
-def intervals_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Array:
+def intervals_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Array:
     """intervals in numpy alone."""
     n_rows, n_edges = image.echoes.shape
     along, across, altitude = (hypotheses[:, k, np.newaxis] for k in range(FIRST_FIELD))
@@ -186,7 +186,7 @@ def intervals_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam 
     return ends.reshape(len(hypotheses), n_rows, beam.share.size, 3)
 
 
-def shape_costs_numpy(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam = PENCIL) -> Costs:
+def shape_costs_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Costs:
     """shape_costs in numpy alone."""
     costs = Costs(np.full(len(hypotheses), FORBIDDEN), np.full((len(hypotheses), 3), np.nan))
     clear = hypotheses[:, 1] > reach_m(solid, hypotheses) * (1.0 + abs(image.shear))
@@ -256,7 +256,7 @@ def _wedge_foot(fields: Array, offset: Array) -> Array:
     return np.asarray(np.where(near <= far, near, np.nan), dtype=np.float64)
 
 
-def _costs(ends: Array, image: RowSums, beam: Beam) -> Costs:
+def _costs(ends: Array, image: ImageRowSums, beam: Beam) -> Costs:
     """ends: (n, n_rows, n_taps, 3) columns."""
     whole = np.array([image.counts[:, -1].sum(), image.echoes[:, -1].sum()])
     middle = ends[:, :, beam.share.size // 2]
@@ -278,7 +278,7 @@ def _costs(ends: Array, image: RowSums, beam: Beam) -> Costs:
     return costs
 
 
-def _pieces(ends: Array, image: RowSums, beam: Beam, whole: Array) -> tuple[Array, Array, Array]:
+def _pieces(ends: Array, image: ImageRowSums, beam: Beam, whole: Array) -> tuple[Array, Array, Array]:
     """Counts (n, m), sums (n, m) and shares (n, m, 3) of pieces of rows of one mixture each, some empty; the last is all the rest."""
     seen = ends[:, :, :, 2].any(axis=(0, 2))
     ends = ends[:, seen]
@@ -307,7 +307,7 @@ def _improved(count: Array, total: Array, share: Array, mean: Array) -> Array:
     return np.asarray(np.maximum(mean * np.exp(np.clip(step, -1.0, 1.0)), LEAST_MEAN), dtype=np.float64)
 
 
-def _check(solid: Solid, hypotheses: Array, image: RowSums, beam: Beam) -> None:
+def _check(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam) -> None:
     if hypotheses.ndim != 2 or hypotheses.shape[1] != N_COLUMNS:
         raise ValueError(f"hypotheses must have shape (n, {N_COLUMNS}), not {hypotheses.shape}")
     n_fields = len(FIELDS[solid])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
-from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, RowSums, Solid, kind_of, shape_costs
+from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, ImageRowSums, Solid, kind_of, shape_costs
 from auv_mcm.solids.box_search import APART, GROWTH, LEAST_STRIDE, SHRINKAGE, Optima, SearchBox, apart, directions, look_around, spread
 from auv_mcm.solids.box_search import walk as walk_down
 
@@ -55,7 +55,7 @@ def hypotheses_at(terms: Array, points: Array) -> Array:
     return np.asarray(terms[:, 0] * factors[:, first] * factors[:, second], dtype=np.float64)
 
 
-def costs_at(chart: WalkSpace, points: Array, image: RowSums, beam: Beam) -> Array:
+def costs_at(chart: WalkSpace, points: Array, image: ImageRowSums, beam: Beam) -> Array:
     """Costs (n,) of points (n, d) with what an altitude that is wrong and a burial cost, half their squares in sigmas."""
     hypotheses = hypotheses_at(chart.terms, points)
     altitude = (hypotheses[:, 2] - 1.0) / chart.sigma[0]
@@ -72,7 +72,7 @@ class Walk(NamedTuple):
     first_stride: float
 
 
-def search_shapes(chart: WalkSpace, image: RowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
+def search_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
     """Find the lowest costs from n_starts places spread over the box: the best of those that lie apart walk downhill.
 
     The box must hold only points that stand for solids that can be.
@@ -84,13 +84,13 @@ def search_shapes(chart: WalkSpace, image: RowSums, beam: Beam, n_starts: int, w
     return _run(function, chart, image, beam, Optima(starts, np.empty(n_starts)), _UNKNOWN, walk)
 
 
-def search_shapes_numpy(chart: WalkSpace, image: RowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
+def search_shapes_numpy(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
     """search_shapes in numpy, but for the costs."""
     starts = look_around(lambda points: costs_at(chart, points, image, beam), chart.box, n_starts, walk.n_walks)
     return _walked(chart, image, beam, starts, walk)
 
 
-def refine_shapes(chart: WalkSpace, image: RowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
+def refine_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
     """Walk on from the best of those found that lie apart, which a single slice was weighed for, with the costs of this beam."""
     function = _function()
     if function is None:
@@ -98,7 +98,7 @@ def refine_shapes(chart: WalkSpace, image: RowSums, beam: Beam, found: Optima, w
     return _run(function, chart, image, beam, found, _OF_ONE_SLICE if beam.share.size > 1 else _KNOWN, walk)
 
 
-def refine_shapes_numpy(chart: WalkSpace, image: RowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
+def refine_shapes_numpy(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
     """refine_shapes in numpy, but for the costs."""
     starts = apart(found, chart.box, walk.n_walks)
     if beam.share.size > 1:
@@ -106,7 +106,7 @@ def refine_shapes_numpy(chart: WalkSpace, image: RowSums, beam: Beam, found: Opt
     return _walked(chart, image, beam, starts, walk)
 
 
-def _walked(chart: WalkSpace, image: RowSums, beam: Beam, starts: Optima, walk: Walk) -> Optima:
+def _walked(chart: WalkSpace, image: ImageRowSums, beam: Beam, starts: Optima, walk: Walk) -> Optima:
     return walk_down(
         lambda points: costs_at(chart, points, image, beam),
         chart.box,
@@ -117,7 +117,9 @@ def _walked(chart: WalkSpace, image: RowSums, beam: Beam, starts: Optima, walk: 
     )
 
 
-def _run(function: Callable[..., None], chart: WalkSpace, image: RowSums, beam: Beam, starts: Optima, known: int, walk: Walk) -> Optima:
+def _run(
+    function: Callable[..., None], chart: WalkSpace, image: ImageRowSums, beam: Beam, starts: Optima, known: int, walk: Walk
+) -> Optima:
     box = chart.box
     n, d = starts.unit.shape
     span = box.high - box.low

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from auv_mcm import kernels
 from auv_mcm.kernels import snake_twin
 from auv_mcm.kernels.order import median
-from auv_mcm.kernels.snake_twin import Moved, Settings, Sums
+from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
 
 MAX_NODES: Final = 64
 NAMES: Final = ("highlight", "shadow")
@@ -49,7 +49,7 @@ _NONE: Final = np.empty((0, 2))
 _NO_STAGES: Final = np.empty((0, 3))
 
 
-class RowSums(NamedTuple):
+class WindowRowSums(NamedTuple):
     """Cumulative sums along rows of a window.
 
     table: (n_rows, n_columns + 1, 2) float64, table[r, k] = sum over columns below k of (intensity over its mean, 1) where valid.
@@ -61,7 +61,7 @@ class RowSums(NamedTuple):
     mean: float
 
 
-def row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> RowSums:
+def window_row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> WindowRowSums:
     """Row sums of a (n_rows, n_columns) window. Pixels that are not valid, or hold no finite number >= 0, count as not measured."""
     counted = valid & (intensity >= 0.0) & (intensity < np.inf)
     measured = np.where(counted, intensity, 0.0)
@@ -73,11 +73,11 @@ def row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> RowSum
     table = np.zeros((intensity.shape[0], intensity.shape[1] + 1, 2))
     np.cumsum(counted, axis=1, out=table[:, 1:, 1])
     if highest <= 0.0:
-        return RowSums(table, 0.0)
+        return WindowRowSums(table, 0.0)
     relative_mean = float((measured / highest).sum()) / n_counted  # no overflow, no denormals, whatever the gain
     normalised = np.minimum(measured / highest / relative_mean, _BRIGHTEST)
     np.cumsum(np.rint(normalised / QUANTUM) * QUANTUM, axis=1, out=table[:, 1:, 0])
-    return RowSums(table, highest * relative_mean)
+    return WindowRowSums(table, highest * relative_mean)
 
 
 def move_pair(
@@ -89,7 +89,7 @@ def move_pair(
 ) -> Moved:
     """The pair after all stages of the schedule.
 
-    table: of `row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the length of moves in pixels
+    table: of `window_row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the length of moves in pixels
     (whole multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead. highlight, shadow: (n, 2) float64 nodes inside
     the window, from the near upper corner over the far one on; (0, 2) for a polygon that does not exist. Nodes are rounded to 2^-20 pixel.
     Raises ValueError if shapes do not fit, a polygon has 1, 2 or more than 64 nodes, lies outside the window, holds no measured pixel or
@@ -120,15 +120,15 @@ def checked(
 
 def moved_of(nodes: NDArray[np.float64], n_nodes: list[int], out: list[float]) -> Moved:
     """Take apart what C leaves: nodes (2, MAX_NODES, 2), their numbers, and criterion, moves, proposals and both sums."""
-    n_sums = len(Sums._fields)
+    n_sums = len(EdgeSums._fields)
     return Moved(
         nodes[0, : n_nodes[0]].copy(),
         nodes[1, : n_nodes[1]].copy(),
         out[0],
         int(out[1]),
         int(out[2]),
-        Sums(*out[3 : 3 + n_sums]),
-        Sums(*out[3 + n_sums :]),
+        EdgeSums(*out[3 : 3 + n_sums]),
+        EdgeSums(*out[3 + n_sums :]),
     )
 
 
@@ -193,7 +193,7 @@ def _run(
     n_nodes = np.array([len(nodes) for nodes in parts], dtype=np.int64)
     for which, nodes in enumerate(parts):
         room[which, : len(nodes)] = nodes
-    bound, out, faults = np.empty(len(table)), np.empty(3 + 2 * len(Sums._fields)), np.empty(2, dtype=np.int64)
+    bound, out, faults = np.empty(len(table)), np.empty(3 + 2 * len(EdgeSums._fields)), np.empty(2, dtype=np.int64)
     numbers = np.array(settings, dtype=np.float64)
     c_snake(
         table.shape[0],
@@ -227,7 +227,7 @@ def c_kernel() -> Callable[..., None] | None:
 
 def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: list[NDArray[np.float64]]) -> None:
     if table.ndim != 3 or table.shape[1] < 2 or table.shape[2] != 2:
-        raise ValueError(f"table must have shape (n_rows, n_columns + 1, 2) as row_sums makes it, not {table.shape}")
+        raise ValueError(f"table must have shape (n_rows, n_columns + 1, 2) as window_row_sums makes it, not {table.shape}")
     if schedule.ndim != 2 or schedule.shape[1] != 3 or not ((schedule >= 0.0) & (schedule <= MAX_NODES)).all():
         raise ValueError(f"schedule must hold rows of (nodes, pixels, sweeps), each 0 to {MAX_NODES}")
     if (np.rint(schedule[:, 1] * _STEPS_PER_PX) != schedule[:, 1] * _STEPS_PER_PX).any():

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.kernels import snake
-from auv_mcm.kernels.snake_twin import Moved, Settings, Sums
+from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
 
 Nodes = NDArray[np.float64]
 Schedule = tuple[tuple[int, float, int], ...]
@@ -56,7 +56,7 @@ def descend(
     for which, nodes in enumerate(parts):
         room[which, : len(nodes)] = nodes
     numbers, bound = np.array(settings, dtype=np.float64), np.empty(len(table))
-    out, faults, moves = np.empty(3 + 2 * len(Sums._fields)), np.empty(2, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    out, faults, moves = np.empty(3 + 2 * len(EdgeSums._fields)), np.empty(2, dtype=np.int64), np.zeros(1, dtype=np.int64)
     arrays = (table, numbers, n_stages, schedule, room, n_nodes, bound, out, faults, moves)
     at = [array.ctypes.data for array in arrays]
     shadow_at = at[4] + room[0].nbytes

@@ -54,7 +54,7 @@ class Settings(NamedTuple):
     log_window: float
 
 
-class Sums(NamedTuple):
+class EdgeSums(NamedTuple):
     """What edges add up over the rows they cross, and polygons over their edges. Downward edges count positive.
 
     total, measured: intensity and number of measured pixels inside. area: pixels inside. far: columns of the far side. rows: crossed.
@@ -79,11 +79,11 @@ class Moved(NamedTuple):
     criterion: float
     n_moves: int
     n_proposed: int
-    highlight_sums: Sums
-    shadow_sums: Sums
+    highlight_sums: EdgeSums
+    shadow_sums: EdgeSums
 
 
-_NOTHING: Final = Sums(*[0.0] * len(Sums._fields))
+_NOTHING: Final = EdgeSums(*[0.0] * len(EdgeSums._fields))
 
 
 def crossings(a: Nodes, b: Nodes, n_rows: int, n_columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -98,12 +98,12 @@ def crossings(a: Nodes, b: Nodes, n_rows: int, n_columns: int) -> tuple[NDArray[
     return rows, np.clip(columns, 0, n_columns).astype(np.int64)
 
 
-def sums_of(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, nodes: Nodes) -> list[Sums]:
+def sums_of(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, nodes: Nodes) -> list[EdgeSums]:
     """Per edge of polygon `which`. bound: (n_rows,) float64, the facing side of the other polygon, -1 where there is none."""
     return [_edge_sums(table, bound, which, a, b) for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True)]
 
 
-def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, a: Nodes, b: Nodes) -> Sums:
+def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, a: Nodes, b: Nodes) -> EdgeSums:
     rows, columns = crossings(a, b, table.shape[0], table.shape[1] - 1)
     downward = bool(b[0] > a[0])
     sign = 1.0 if downward else -1.0
@@ -115,7 +115,7 @@ def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: in
         between = (bound[rows] - columns if which == HIGHLIGHT else columns - bound[rows])[facing]
         gap, overlap, shared = float(between[between > 0.0].sum()), float(-between[between < 0.0].sum()), float(facing.sum())
     far, n_rows = (area, float(len(rows))) if downward else (0.0, 0.0)
-    return Sums(sign * float(total), sign * float(count), sign * area, far, n_rows, gap, shared, overlap)
+    return EdgeSums(sign * float(total), sign * float(count), sign * area, far, n_rows, gap, shared, overlap)
 
 
 def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArray[np.float64]:
@@ -148,7 +148,7 @@ def parameter_code(settings: Settings, count: float) -> float:
     return 0.5 * math.log(samples) if samples > 1.0 else 0.0
 
 
-def polygon_cost(settings: Settings, which: int, nodes: Nodes, sums: Sums) -> float:
+def polygon_cost(settings: Settings, which: int, nodes: Nodes, sums: EdgeSums) -> float:
     """What a polygon costs by itself: its region's likelihood, its nodes, its mean."""
     n = float(len(nodes))
     row_step, column_step = np.abs(np.roll(nodes, -1, axis=0) - nodes).sum(axis=0).tolist()
@@ -157,7 +157,7 @@ def polygon_cost(settings: Settings, which: int, nodes: Nodes, sums: Sums) -> fl
     return likelihood(settings, which, sums.total, sums.measured) + code + parameter_code(settings, sums.measured)
 
 
-def height_m(settings: Settings, sums: Sums) -> float:
+def height_m(settings: Settings, sums: EdgeSums) -> float:
     """Height of what casts a shadow of mean length and place: z = H (1 - r_start / r_end) by similar triangles."""
     far_m = settings.first_ground_range_m + sums.far / sums.rows * settings.column_spacing_m
     near_m = far_m - sums.area / sums.rows * settings.column_spacing_m
@@ -170,7 +170,7 @@ def _beyond(excess_m: float, sigma_m: float) -> float:
     return 0.5 * deviation * deviation
 
 
-def shadow_cost(settings: Settings, sums: Sums) -> float:
+def shadow_cost(settings: Settings, sums: EdgeSums) -> float:
     height = height_m(settings, sums)
     cost = _beyond(height - settings.height_limit_m, settings.height_sigma_m)
     if height > settings.height_bound_m:
@@ -178,7 +178,7 @@ def shadow_cost(settings: Settings, sums: Sums) -> float:
     return cost
 
 
-def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: Sums) -> float:
+def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: EdgeSums) -> float:
     """What it costs that highlight and shadow do not fit each other. moved: of either, its gap and overlap being against the other."""
     top, bottom = (abs(end(highlight[:, 0]) - end(shadow[:, 0])) * settings.row_spacing_m for end in (np.min, np.max))
     cost = _beyond(float(top) - settings.extent_tolerance_m, settings.extent_sigma_m)
@@ -192,7 +192,7 @@ def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: Sums
     return cost + settings.forbidden * ahead if ahead > 0.0 else cost
 
 
-def criterion(settings: Settings, nodes: tuple[Nodes, Nodes], sums: tuple[Sums, Sums], moved: int) -> float:
+def criterion(settings: Settings, nodes: tuple[Nodes, Nodes], sums: tuple[EdgeSums, EdgeSums], moved: int) -> float:
     """J of a pair. moved: the polygon whose sums hold gap and overlap."""
     present = [which for which in (HIGHLIGHT, SHADOW) if len(nodes[which])]
     cost = polygon_cost(settings, present[0], nodes[present[0]], sums[present[0]])
@@ -283,10 +283,10 @@ def fault_of(table: NDArray[np.float64], settings: Settings, nodes: Nodes) -> in
     return 0 if is_sound(nodes) else 2
 
 
-def _total(edges: list[Sums]) -> Sums:
+def _total(edges: list[EdgeSums]) -> EdgeSums:
     total = _NOTHING
     for edge in edges:
-        total = Sums(*(a + b for a, b in zip(total, edge, strict=True)))
+        total = EdgeSums(*(a + b for a, b in zip(total, edge, strict=True)))
     return total
 
 
@@ -319,7 +319,7 @@ class _Pair:
         self.sums[which] = _total(sums_of(self.table, self.bound, which, self.nodes[which]))
         return self.value(which, self.nodes[which], self.sums[which])
 
-    def value(self, which: int, nodes: Nodes, sums: Sums) -> float:
+    def value(self, which: int, nodes: Nodes, sums: EdgeSums) -> float:
         """The criterion with other nodes for polygon `which`."""
         both_nodes, both_sums = list(self.nodes), list(self.sums)
         both_nodes[which], both_sums[which] = nodes, sums
@@ -354,7 +354,7 @@ class _Pair:
                 moved += 1
         return moved
 
-    def tried(self, which: int, nodes: Nodes, edges: list[Sums], changed: range) -> float:
+    def tried(self, which: int, nodes: Nodes, edges: list[EdgeSums], changed: range) -> float:
         """The criterion of nodes that differ at the edges `changed`, infinite where it is no better or not allowed."""
         n = len(nodes)
         window = self.table.shape[0], self.table.shape[1] - 1

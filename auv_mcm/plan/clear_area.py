@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.clearance.area import Area, area_state, in_plane, middles_m, over_area, plane_of
+from auv_mcm.clearance.area import Area, area_state, frame_of, in_plane, middles_m, over_area
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, LookModel, look_bit
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import PlanePose
@@ -143,7 +143,7 @@ class ClearArea:
     def _judge(self, leg: _Flown, area: Area, limits: Limits) -> None:
         """Which cells were passed in vain."""
         before = over_area(leg.before, self._config.plan.area_deg, area.ground.cell_m).ground
-        was = before.exponent if plane_of(before) == area.frame else np.zeros(area.cells.shape)
+        was = before.exponent if frame_of(before) == area.frame else np.zeros(area.cells.shape)
         promised = self._with_look(area.ground, leg, limits, was) - was
         seen = promised > 0.0
         vain = area.ground.exponent - was < _VAIN * promised
@@ -154,7 +154,7 @@ class ClearArea:
         for leg in self._untold:
             exponent = self._with_look(ground, leg, limits, ground.exponent)
             looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(np.uint8)
-            heading = _heading_rad(in_plane(leg.ends_deg, plane_of(ground)))
+            heading = _heading_rad(in_plane(leg.ends_deg, frame_of(ground)))
             both_sides = np.bitwise_or.reduce(look_bit([heading - 0.5 * math.pi, heading + 0.5 * math.pi]))
             towards = np.where(exponent > ground.exponent, ground.towards | both_sides, ground.towards)
             ground = msgspec.structs.replace(ground, exponent=exponent, looks=looks, towards=towards)
@@ -162,7 +162,7 @@ class ClearArea:
 
     def _with_look(self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]) -> NDArray[np.float64]:
         """Miss exponents, with a look from the leg where cells lie abeam of its run, less the settling."""
-        entry, leave = in_plane(leg.ends_deg, plane_of(ground))
+        entry, leave = in_plane(leg.ends_deg, frame_of(ground))
         along = (leave - entry) / max(float(np.hypot(*(leave - entry))), 1e-9)
         place = middles_m(ground) - entry
         ahead_m = place @ along

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from auv_mcm.geometry.fix import Fix, course_rad, distance_m, fix_at
+from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.records import NAN, NavSample, Notice, Ping, SourceEvent
 
 # A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
@@ -67,7 +67,7 @@ class Tally:
             return
         last, fix = self._fix, fix_at(sample.time_s, sample.latitude_deg, sample.longitude_deg)
         if last is not None:
-            step_m = distance_m(last, fix)
+            step_m = chord_m(last, fix)
             if 0.0 < step_m <= MAX_STEP_M and abs(fix.time_s - last.time_s) <= MAX_STEP_S:
                 self.distance_m += step_m
                 self._course_rad = course_rad(last, fix)

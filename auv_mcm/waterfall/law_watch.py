@@ -39,7 +39,7 @@ _RECENT_BLOCKS: Final = 32  # 512 pings
 _SPREAD_BLOCKS: Final = 32
 
 
-class Verdict(NamedTuple):
+class LawVerdict(NamedTuple):
     """The transfer from here on, None if it stays, and what a person should know."""
 
     transfer: Transfer | None
@@ -65,7 +65,7 @@ class LawWatch:
         self._next_decibels = 0
         self._in_doubt = False
 
-    def add(self, ping: Ping) -> Verdict | None:
+    def add(self, ping: Ping) -> LawVerdict | None:
         """Take a ping; a verdict where one is due. The first verdict always names a transfer; no ping can be read before."""
         self._note_time(ping)
         self._collect(ping)
@@ -73,7 +73,7 @@ class LawWatch:
             return self._decide(ping.transfer) if self._is_time_to_decide(ping) else None
         return self._check(ping.place) if self._n_blocks >= self._next_check else None
 
-    def finish(self) -> Verdict | None:
+    def finish(self) -> LawVerdict | None:
         """Decide from the pings that came, or check once, where more were awaited for it."""
         if self._transfer is None:
             return self._decide(None) if self._n_pings else None
@@ -126,7 +126,7 @@ class LawWatch:
     def _odds(self) -> LawOdds:
         return weigh_laws(summarise(self._blocks))
 
-    def _decide(self, stated: TransferKind | None) -> Verdict:
+    def _decide(self, stated: TransferKind | None) -> LawVerdict:
         known = stated if self._sonar.transfer == "auto" else self._sonar.transfer
         odds = self._odds()
         kind = odds.likeliest if known is None else known
@@ -136,12 +136,12 @@ class LawWatch:
         self._next_check = self._n_blocks + DECIDE_PINGS // BLOCK_PINGS
         self._next_decibels = 2 * max(self._n_blocks, 1)
         if self._kind_known:
-            return Verdict(self._transfer, self._doubts(odds, "") if self._is_checked else ())
+            return LawVerdict(self._transfer, self._doubts(odds, "") if self._is_checked else ())
         if not self._is_checked:
-            return Verdict(self._transfer, (_unchecked(kind),))
-        return Verdict(self._transfer, (_chosen(self._transfer, odds, self._n_pings),))
+            return LawVerdict(self._transfer, (_unchecked(kind),))
+        return LawVerdict(self._transfer, (_chosen(self._transfer, odds, self._n_pings),))
 
-    def _check(self, place: str) -> Verdict | None:
+    def _check(self, place: str) -> LawVerdict | None:
         assert self._transfer is not None
         odds = self._odds()
         self._is_checked = True
@@ -150,7 +150,7 @@ class LawWatch:
             return None
         if self._kind_known:
             notices = self._doubts(odds, place)
-            return Verdict(None, notices) if notices else None
+            return LawVerdict(None, notices) if notices else None
         held, likeliest = self._transfer, odds.likeliest
         if likeliest != held.kind:
             if odds.of(held.kind) >= _STRONG:
@@ -166,7 +166,7 @@ class LawWatch:
         # What is older may speak of another recorder.
         while len(self._blocks) > DECIDE_PINGS // BLOCK_PINGS:
             self._blocks.popleft()
-        return Verdict(self._transfer, (_turned(held, self._transfer, odds, place),))
+        return LawVerdict(self._transfer, (_turned(held, self._transfer, odds, place),))
 
     def _decibels_turned(self, odds: LawOdds) -> bool:
         held = self._transfer

@@ -166,7 +166,7 @@ def _median(values: Collection[float]) -> float:
     return 0.5 * (in_order[(len(in_order) - 1) // 2] + in_order[len(in_order) // 2])
 
 
-def row_medians(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+def ping_levels(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Median of the usable values of each row, (n_rows,) float64; NaN where fewer than 24 are usable."""
     return medians_of_rows(values, None if usable.all() else usable, _MIN_LEVEL_SAMPLES)
 

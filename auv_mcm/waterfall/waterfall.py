@@ -18,7 +18,7 @@ from auv_mcm.waterfall.grid import LEVEL_COLUMNS, AlongTrackGrid, SideImage, Swa
 from auv_mcm.waterfall.ground import Traces, mean_between
 from auv_mcm.waterfall.pixel_geometry import PixelGeometry, pixel_geometry, runs
 from auv_mcm.waterfall.quality import TraceChecker
-from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, row_medians
+from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, ping_levels
 from auv_mcm.waterfall.tiles import TileCutter
 
 _MIN_SPEED_MPS: Final = 0.2
@@ -114,7 +114,7 @@ class Waterfall:
         positive = ground.valid & (ground.intensity > 0.0)
         log_intensity = _logarithms(ground.intensity, positive)
         learnable = positive & ~ground.saturated
-        seabed_level = row_medians(log_intensity, learnable)
+        seabed_level = ping_levels(log_intensity, learnable)
         gain, n_steps = self._gains[side].corrections(seabed_level, self._water_level(traces, first_return_m))
         self._counters[f"radiometry.{side}_gain_step"] += n_steps
         if gain.any():
@@ -150,7 +150,7 @@ class Waterfall:
         edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * spacing_m
         means = mean_between(traces, edges[None, :])
         usable = means.valid & (means.intensity > 0.0) & (edges[None, 1:] < _WATER_FRACTION * first_return_m[:, None])
-        return row_medians(_logarithms(means.intensity, usable), usable)
+        return ping_levels(_logarithms(means.intensity, usable), usable)
 
 
 def _logarithms(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:

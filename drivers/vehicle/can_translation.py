@@ -81,7 +81,7 @@ def report_message(report: ContactReport, ticket: int) -> ReportMessage:
     )
 
 
-def report_of(message: ReportMessage) -> ContactReport:
+def report_from_can(message: ReportMessage) -> ContactReport:
     shares = {name: float(getattr(message, f"belief_{name}")) for name in CLASSES}
     return ContactReport(
         session=message.session,

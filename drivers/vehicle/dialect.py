@@ -101,7 +101,7 @@ class PayloadHealth(NamedTuple):
     text: str
 
 
-class VehicleState(NamedTuple):
+class ReportedState(NamedTuple):
     """Where the vehicle says it is."""
 
     received: Stamp
@@ -115,7 +115,7 @@ class VehicleState(NamedTuple):
     speed_mps: float = NAN
 
 
-def fix_of(source: str, state: VehicleState) -> NavFix:
+def fix_of(source: str, state: ReportedState) -> NavFix:
     """The state for the navigation. source: the port that it came from."""
     return NavFix(
         source=source,
@@ -166,7 +166,7 @@ class Doubted(NamedTuple):
     reason: str
 
 
-VehicleEvent: TypeAlias = VehicleState | Granted | Withheld | PlaceReached | Acknowledged | Rejected | Doubted
+VehicleEvent: TypeAlias = ReportedState | Granted | Withheld | PlaceReached | Acknowledged | Rejected | Doubted
 
 
 class Said(NamedTuple):
@@ -178,7 +178,7 @@ class Said(NamedTuple):
 
     record: Any
     received: Stamp
-    state: VehicleState | None = None
+    state: ReportedState | None = None
     fixes: tuple[NavFix, ...] = ()
     of_vehicle: bool = True
 

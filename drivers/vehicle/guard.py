@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.vehicle_settings import VehicleConfig
-from drivers.vehicle.dialect import Command, GoTo, Steer, VehicleState, Vertical
-from drivers.vehicle.plane import Plane, Point, distance_m, distance_to_line_m
+from drivers.vehicle.dialect import Command, GoTo, ReportedState, Steer, Vertical
+from drivers.vehicle.plane import LocalPlane, Point, distance_m, distance_to_line_m
 
 MAX_FENCE_RADIUS_M: Final = 50_000.0  # farther out a flat chart bends straight lines
 _ROUNDING_M: Final = 1e-3
@@ -35,7 +35,7 @@ class Fence:
     """
 
     def __init__(self, corners_deg: Sequence[tuple[float, float]]) -> None:
-        self._plane = Plane(*_middle_deg(corners_deg))
+        self._plane = LocalPlane(*_middle_deg(corners_deg))
         corners = [self._plane.point(*corner) for corner in corners_deg]
         if not all(math.hypot(*corner) <= MAX_FENCE_RADIUS_M for corner in corners):
             raise UsageError(
@@ -109,7 +109,7 @@ class Guard:
                 return Refusal("plan_outside_fence", where + what)
         return None
 
-    def state(self, state: VehicleState | None) -> Refusal | None:
+    def state(self, state: ReportedState | None) -> Refusal | None:
         """Why a vehicle that is there must not be commanded. What is not known cannot be judged, and so is refused."""
         if self._fence is None:
             return _NO_FENCE
@@ -140,7 +140,7 @@ class Guard:
             return Refusal("plan_expired", f"the plan is {age_s:.0f} s old, plan_valid_s is {self._config.plan_valid_s:g}")
         return None
 
-    def command(self, command: Command, state: VehicleState | None) -> Refusal | None:
+    def command(self, command: Command, state: ReportedState | None) -> Refusal | None:
         """Why a command must not be sent to a vehicle in this state."""
         if (refusal := self.state(state)) is not None:
             return refusal
@@ -157,7 +157,7 @@ class Guard:
             return Refusal("speed", f"speed {command.speed_mps:g} m/s is not within 0 and speed_mps ({self._config.speed_mps:g})")
         return None
 
-    def _vertical(self, vertical: Vertical, state: VehicleState) -> Refusal | None:
+    def _vertical(self, vertical: Vertical, state: ReportedState) -> Refusal | None:
         """Both ways of telling are judged by both bounds, over the sea floor as it is below the vehicle now."""
         if not 0.0 <= vertical.value_m < math.inf:
             return Refusal("vertical", f"{vertical.reference} {vertical.value_m:g} m is none")
@@ -172,7 +172,7 @@ class Guard:
             return Refusal("commands_too_deep", f"depth {depth_m:.1f} m would be beyond max_depth_m ({self._config.max_depth_m:g})")
         return None
 
-    def _go_to(self, command: GoTo, state: VehicleState, fence: Fence) -> Refusal | None:
+    def _go_to(self, command: GoTo, state: ReportedState, fence: Fence) -> Refusal | None:
         if not 0.0 < command.radius_m < math.inf:
             return Refusal("radius", f"radius {command.radius_m:g} m is none")
         here, there = fence.point(state.latitude_deg, state.longitude_deg), fence.point(command.latitude_deg, command.longitude_deg)
@@ -182,7 +182,7 @@ class Guard:
             return Refusal("target_near_fence", f"the place to go to is not {self._config.fence_margin_m:g} m inside the fence")
         return None
 
-    def _steer(self, command: Steer, state: VehicleState, fence: Fence) -> Refusal | None:
+    def _steer(self, command: Steer, state: ReportedState, fence: Fence) -> Refusal | None:
         if not math.isfinite(state.heading_rad):
             return Refusal("heading_unknown", "the vehicle's heading is not known")
         if not 0.0 <= command.heading_rad < _TURN:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from drivers.vehicle.plane import Plane, Point, distance_to_line_m
+from drivers.vehicle.plane import LocalPlane, Point, distance_to_line_m
 
 CURRENT_SETTLES_S: Final = 8.0  # both poles of the observer: noise of positions is not to be seen, a turn's length is
 MAX_CURRENT_SHARE: Final = 0.95  # of the speed: beyond, no heading holds a track
@@ -67,7 +67,7 @@ class WaypointTrack:
 
     def nearest(self, position_deg: tuple[float, float], first: int, last: int) -> int:
         """Which of the places `first` to `last` to go on to from a position: the end of the nearest leg, of several the last."""
-        chart = Plane(*position_deg)
+        chart = LocalPlane(*position_deg)
         best, nearest_m = first, math.inf
         for index in range(first, last + 1):
             start, end = chart.point(*self._places_deg[index - 1]), chart.point(*self._places_deg[index])
@@ -105,7 +105,7 @@ class WaypointTrack:
         """The chart of the leg, its origin the place to go to; `_along` points down the leg."""
         if self.finished:
             return
-        self._chart = Plane(*self.target_deg)
+        self._chart = LocalPlane(*self.target_deg)
         start = self._chart.point(*self._from_deg)
         length_m = math.hypot(*start)
         self._length_m = length_m
@@ -145,7 +145,7 @@ class CurrentEstimate:
     def __init__(self) -> None:
         self._east_mps = 0.0
         self._north_mps = 0.0
-        self._chart = Plane(0.0, 0.0)
+        self._chart = LocalPlane(0.0, 0.0)
         self._last: _Sailed | None = None
 
     def restart(self) -> None:
@@ -187,7 +187,7 @@ class CurrentEstimate:
         east_mps, north_mps = self._east_mps, self._north_mps
         self._east_mps = east_mps * north.north_m - north_mps * north.east_m
         self._north_mps = east_mps * north.east_m + north_mps * north.north_m
-        self._chart, self._last = Plane(*position_deg), None
+        self._chart, self._last = LocalPlane(*position_deg), None
 
 
 class LineOfSight:

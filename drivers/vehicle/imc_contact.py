@@ -25,7 +25,7 @@ def target_of(report: ContactReport) -> Target:
     )
 
 
-def contact_of(report: ContactReport) -> MineContact:
+def imc_contact_of(report: ContactReport) -> MineContact:
     """The whole report. Session and number keep their lower 32 bits, revision and views 16."""
     masses = {f"belief_{name}": report.belief.get(name, 0.0) for name in CLASSES}
     return MineContact(
@@ -50,7 +50,7 @@ def contact_of(report: ContactReport) -> MineContact:
     )
 
 
-def report_of(contact: MineContact) -> ContactReport:
+def report_from_imc(contact: MineContact) -> ContactReport:
     """The report in a message. Raises ValueError for a class that is none."""
     if contact.classification >= len(CLASSES):
         raise ValueError(f"class {contact.classification} is none of {', '.join(CLASSES)}")

@@ -27,10 +27,10 @@ from drivers.vehicle.dialect import (
     PayloadHealth,
     PlaceReached,
     Rejected,
+    ReportedState,
     Said,
     Steer,
     Talker,
-    VehicleState,
     Vertical,
     Withheld,
 )
@@ -159,7 +159,7 @@ class Pilot(Generic[W]):
             self._authority.heard(now_s)
         for event in events:
             match event:
-                case VehicleState():
+                case ReportedState():
                     self._whereabouts.hear(event, now_s)
                 case Granted():
                     self._authority.granted(event.reason, now_s)
@@ -252,7 +252,7 @@ class Pilot(Generic[W]):
         elif (refusal := self._guard.plan_age(now_s - self._plan.approved_s)) is not None:
             self._drop_plan(refusal, now_s)
 
-    def _why_not(self, state: VehicleState | None, age_s: float) -> Refusal | None:
+    def _why_not(self, state: ReportedState | None, age_s: float) -> Refusal | None:
         """Why there must be no command now, whatever it says; before control is had, also why the first would be refused."""
         if self._plan is None or self._authority.state == "down":
             return None
@@ -267,7 +267,7 @@ class Pilot(Generic[W]):
         first = self._plan.waypoints[self._plan.entry((state.latitude_deg, state.longitude_deg))]
         return self._guard.command(self._go_to(first.latitude_deg, first.longitude_deg), state)
 
-    def _fly(self, plan: _Plan, state: VehicleState, now_s: float) -> None:
+    def _fly(self, plan: _Plan, state: ReportedState, now_s: float) -> None:
         """The next command, if it is one that may be given."""
         position_deg = state.latitude_deg, state.longitude_deg
         if not self._joined:

@@ -27,7 +27,7 @@ class Point(NamedTuple):
     north_m: float
 
 
-class Plane:
+class LocalPlane:
     """East and north in metres from an origin, at sea level."""
 
     def __init__(self, latitude_deg: float, longitude_deg: float) -> None:

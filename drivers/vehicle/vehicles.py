@@ -47,7 +47,7 @@ VEHICLES: Final[Mapping[str, VehicleKind]] = MappingProxyType(
 )
 
 
-def settings_of(port: PortConfig) -> VehicleSettings:
+def vehicle_settings_of(port: PortConfig) -> VehicleSettings:
     """The settings of a vehicle's port, its dialect's defaults where it gives none."""
     given: VehicleSettings | None = getattr(port, port.device)  # each section is called like its device
     return VEHICLES[port.device].settings() if given is None else given

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from auv_mcm.records import NAN
-from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.dialect import ReportedState
 
 _QUANTITIES: Final = ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
 
@@ -24,7 +24,7 @@ class Whereabouts:
         self._valid_s = valid_s
         self._told: dict[str, tuple[float, float]] = {}  # quantity: value, when
         self._position_s = -math.inf
-        self._state: VehicleState | None = None
+        self._state: ReportedState | None = None
 
     @property
     def position_s(self) -> float:
@@ -36,7 +36,7 @@ class Whereabouts:
         """The last latitude, longitude, however old; NaN if there was none."""
         return self._told.get("latitude_deg", _NEVER)[0], self._told.get("longitude_deg", _NEVER)[0]
 
-    def hear(self, state: VehicleState, now_s: float) -> None:
+    def hear(self, state: ReportedState, now_s: float) -> None:
         self._state = state
         latitude_deg, longitude_deg = state.latitude_deg, state.longitude_deg
         possible = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0.0, 0.0)
@@ -48,9 +48,9 @@ class Whereabouts:
             if math.isfinite(value):
                 self._told[quantity] = (value, now_s)
 
-    def at(self, now_s: float) -> VehicleState | None:
+    def at(self, now_s: float) -> ReportedState | None:
         """What is known now, NaN where nothing is; None if the vehicle never told anything."""
         if self._state is None:
             return None
         known = {quantity: value if now_s - told_s <= self._valid_s else NAN for quantity, (value, told_s) in self._told.items()}
-        return VehicleState(self._state.received, **known)
+        return ReportedState(self._state.received, **known)

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"\r{done} of {len(seeds)} worlds flown", end="", file=sys.stderr, flush=True)
 
     missions: list[Compared] = []
-    for mission in run_tasks(fly, seeds, Farm(arguments.workers), progress):
+    for mission in run_tasks(fly_both, seeds, Farm(arguments.workers), progress):
         missions.append(mission)
         if arguments.json is not None:
             _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(missions), indent=1))
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(seed: int) -> Compared:
+def fly_both(seed: int) -> Compared:
     """One world, both ways."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     return compare(seed)

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.detect.candidates import STEP_M
-from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, Box, band_edges, margins_px
-from auv_mcm.detect.cascade.codes import Plane, codes_of, make_plane
+from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, FeatureBox, band_edges, margins_px
+from auv_mcm.detect.cascade.codes import CodePlane, codes_of, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, Calibration, CascadeModel, Stump, check_model, parse_model
 from auv_mcm.detect.cascade.run import CascadeResult, opening_groups, run_plane, tables_of
 from auv_mcm.detect.cascade.speed import budget_for, measure_speed
@@ -41,8 +41,8 @@ from auv_mcm.detect.prescreen import Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.errors import BadInputError
 from auv_mcm.kernels.cascade import (
     CODE_OF_MEAN,
-    WindowField,
     Opened,
+    WindowField,
     encode,
     encode_numpy,
     integral,
@@ -151,7 +151,7 @@ def drawn_tiles(shape: tuple[int, int]) -> dict[str, Image]:
     }
 
 
-def plane_of(image: Image) -> Plane:
+def code_plane_of(image: Image) -> CodePlane:
     """All of it valid."""
     everywhere = np.ones(image.shape, dtype=np.bool_)
     first_return_m = np.full(image.shape[0], _FIRST_RETURN_M)
@@ -172,7 +172,7 @@ def drawn_model(kind: str) -> CascadeModel:
         reject=(_ANY_SCORE,) * len(groups),
         groups=groups,
     )
-    plane = plane_of(drawn_tiles((192, SHAPE[1]))["quiet"])
+    plane = code_plane_of(drawn_tiles((192, SHAPE[1]))["quiet"])
     reject: list[int] = []
     for group in range(len(groups)):
         part = msgspec.structs.replace(model, groups=groups[: group + 1], reject=(*reject, _ANY_SCORE))
@@ -191,8 +191,8 @@ def tile_rows(model: CascadeModel, shape: tuple[int, int], n_repeats: int) -> li
     sizes, first, n_pixels = [len(group) for group in model.groups], opening_groups(model), shape[0] * shape[1]
     endless = msgspec.structs.replace(model, reject=(_ANY_SCORE,) * len(sizes))
     budget = sum(sizes[:first]) * n_pixels + sum(sizes[first:]) * (n_pixels // _FINISHED)
-    jobs = [_Job(name, plane_of(image), image, model, None) for name, image in images.items()]
-    jobs.append(_Job("adversarial", plane_of(images["quiet"]), images["quiet"], endless, budget))
+    jobs = [_Job(name, code_plane_of(image), image, model, None) for name, image in images.items()]
+    jobs.append(_Job("adversarial", code_plane_of(images["quiet"]), images["quiet"], endless, budget))
     times_ms = cpu_ms([step for job in jobs for step in (job.prepare, job.run)], n_repeats)
     rows = []
     for k, job in enumerate(jobs):
@@ -261,7 +261,7 @@ def tile_of(image: Image) -> Tile:
     )
 
 
-def same_in_numpy(plane: Plane, model: CascadeModel, result: CascadeResult) -> bool:
+def same_in_numpy(plane: CodePlane, model: CascadeModel, result: CascadeResult) -> bool:
     """Whether numpy alone gives every window of a result its score, and passes no other window if the budget did not cut."""
     usable = plane.usable
     if result.n_cut:
@@ -291,7 +291,7 @@ def against_opencv(model: CascadeModel, image: Image, n_repeats: int) -> Against
 
     codes = greys.astype(np.uint16) * np.uint16(_CODES_PER_GREY)
 
-    def ours(n_groups: int = len(model.groups)) -> tuple[Plane, Opened]:
+    def ours(n_groups: int = len(model.groups)) -> tuple[CodePlane, Opened]:
         return _in_one_band(codes, inside, model, n_groups)
 
     def theirs() -> Sequence[Sequence[int]]:
@@ -340,19 +340,19 @@ def cpu_ms(steps: Sequence[Callable[[], object]], n_repeats: int) -> list[float]
 
 class _Job(NamedTuple):
     name: str
-    plane: Plane
+    plane: CodePlane
     image: Image
     model: CascadeModel
     budget: int | None
 
-    def prepare(self) -> Plane:
-        return plane_of(self.image)
+    def prepare(self) -> CodePlane:
+        return code_plane_of(self.image)
 
     def run(self) -> CascadeResult:
         return run_plane(self.plane, self.model, self.budget)
 
 
-def _in_one_band(codes: NDArray[np.uint16], inside: tuple[slice, slice], model: CascadeModel, n_groups: int) -> tuple[Plane, Opened]:
+def _in_one_band(codes: NDArray[np.uint16], inside: tuple[slice, slice], model: CascadeModel, n_groups: int) -> tuple[CodePlane, Opened]:
     """The first groups on windows centred `inside`, as if all of the tile were in one band and however much of a window is valid."""
     everywhere, usable = np.ones(codes.shape, dtype=np.bool_), np.zeros(codes.shape, dtype=np.bool_)
     usable[inside] = True
@@ -365,7 +365,7 @@ def _in_one_band(codes: NDArray[np.uint16], inside: tuple[slice, slice], model: 
     return plane, open_windows(WindowField(plane.sums, plane.counts, corner, usable, edges), tables, n_groups)
 
 
-def _map_of(plane: Plane, opened: Opened) -> NDArray[np.bool_]:
+def _map_of(plane: CodePlane, opened: Opened) -> NDArray[np.bool_]:
     rows, columns = np.divmod(opened.windows.place, plane.sums.shape[1])
     passed = np.zeros(plane.usable.shape, dtype=np.bool_)
     passed[rows - plane.margin_rows, columns - plane.margin_near] = True
@@ -375,13 +375,13 @@ def _map_of(plane: Plane, opened: Opened) -> NDArray[np.bool_]:
 def _drawn_stump(random: np.random.Generator) -> Stump:
     """Highlight or shadow of some size in an object's place against a box beside it; more often than not it tells an object."""
     low, high = sorted(random.uniform(-0.45, 0.45, 2).tolist())
-    beside = WINDOW if random.random() < 0.5 else Box(*((0.5, 1.0) if random.random() < 0.5 else (-1.0, -0.5)), -0.8, 0.0, 0.8, 0.8)
+    beside = WINDOW if random.random() < 0.5 else FeatureBox(*((0.5, 1.0) if random.random() < 0.5 else (-1.0, -0.5)), -0.8, 0.0, 0.8, 0.8)
     sure = int(random.integers(100, 500))
     if random.random() < 0.5:
-        inner = Box(low, high + 0.1, -0.3, 0.0, float(random.uniform(-0.1, 0.3)), 0.0)
+        inner = FeatureBox(low, high + 0.1, -0.3, 0.0, float(random.uniform(-0.1, 0.3)), 0.0)
         threshold, below, above = float(random.uniform(1.1, 1.8)), -sure, sure
     else:
-        inner = Box(low, high + 0.1, 0.2, 0.0, float(random.uniform(0.3, 0.6)), float(random.uniform(0.3, 0.9)))
+        inner = FeatureBox(low, high + 0.1, 0.2, 0.0, float(random.uniform(0.3, 0.6)), float(random.uniform(0.3, 0.9)))
         threshold, below, above = float(random.uniform(0.5, 0.9)), sure, -sure
     if random.random() < 0.7:
         return Stump(kind="ratio", a=inner, b=beside, threshold=threshold, below=below, above=above)

@@ -130,10 +130,12 @@ def judged(task: ClearanceTask) -> JudgedClearance:
     clearance = searched.snapshot()
     assert clearance is not None  # a named scene is seen
     targets = [item for item in mission.truth()["objects"] if item["is_target"] and item["looks"]]
-    return judge(task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets])
+    return judge_mission(task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets])
 
 
-def judge(scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]) -> JudgedClearance:
+def judge_mission(
+    scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]
+) -> JudgedClearance:
     """Compare a search with where targets really lie, latitude and longitude in degrees."""
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
     at_m = np.array([frame.to_enu(*place, 0.0)[:2] for place in targets_deg]).reshape(-1, 2)

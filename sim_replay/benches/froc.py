@@ -143,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
     def progress(done: int) -> None:
         print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
 
-    flown = list(run_tasks(fly, lines, Farm(arguments.workers, arguments.scheduler), progress))
+    flown = list(run_tasks(fly_line, lines, Farm(arguments.workers, arguments.scheduler), progress))
     print(file=sys.stderr)
     scores = {
         (group, system): score_missions([one.reported[system] for one in some]) for group, some in _groups(flown) for system in SYSTEMS
@@ -168,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(line: Line) -> FlownLine:
+def fly_line(line: Line) -> FlownLine:
     """One line as all systems report it."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     if isinstance(line, HeldOutSimulatedLine):

@@ -115,7 +115,7 @@ def stored(intensity: NDArray[np.float64], store: Store) -> NDArray[Any]:
     return np.rint(np.clip(counts, 0.0, full)).astype(np.uint8 if store.bits == 8 else np.uint16)
 
 
-def judge(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0) -> JudgedLaw:
+def judge_law(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0) -> JudgedLaw:
     """Let a mission of these echoes be decided, and doubted when configured rightly."""
     pings = [
         Ping(
@@ -146,7 +146,7 @@ def judged_missions(task: tuple[str, int, int]) -> list[JudgedLaw]:
     """All recorders over one floor: scene, seed, looks."""
     scene, seed, looks = task
     intensity = floor_intensity(scene, seed, looks)
-    return [judge(scene, seed, looks, store, intensity.copy()) for store in STORES]
+    return [judge_law(scene, seed, looks, store, intensity.copy()) for store in STORES]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             random = np.random.default_rng((arguments.seed, number))
             path, kinds = arguments.logs[int(random.integers(len(arguments.logs)))], kinds_of(number)
             data = mutated(split(logs[path], arguments.pings), kinds, random)
-            mutant = judged(number, path.name, kinds, data, Path(scratch), arguments.keep)
+            mutant = judge_mutant(number, path.name, kinds, data, Path(scratch), arguments.keep)
             mutants.append(mutant)
             if mutant.failures:
                 print(f"FAILED {number} of {mutant.log}, {' + '.join(kinds)}: {'; '.join(mutant.failures)}", flush=True)
@@ -101,7 +101,7 @@ def kinds_of(number: int) -> tuple[str, ...]:
     return (first,) if second == first else (first, second)
 
 
-def judged(number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None) -> Mutant:
+def judge_mutant(number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None) -> Mutant:
     """Replay one damaged log in a process of its own and look at what comes of it."""
     path, out, console, usage = (scratch / name for name in ("mutant.xtf", "out", "console.txt", "usage.json"))
     path.write_bytes(data)

@@ -16,7 +16,7 @@ from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
 from sim_replay.fitting.detection_performance.fit_performance import outcomes
-from sim_replay.fitting.detection_performance.judge import LEAST_LOOKS, JudgedPredictions, PerformanceShare, judge, mean_error
+from sim_replay.fitting.detection_performance.judge import LEAST_LOOKS, JudgedPredictions, PerformanceShare, judge_predictions, mean_error
 from sim_replay.scoring.intervals import wilson_interval
 from sim_replay.text_tables import NOTHING, columns, markdown
 
@@ -49,14 +49,14 @@ def run(arguments: argparse.Namespace) -> int:
     looks = [look for mission in missions for look in mission]
     if not looks:
         raise UsageError(f"--seeds {arguments.seeds}: no target was seen. Fly more missions")
-    found = judge(performance, outcomes(looks))
+    found = judge_predictions(performance, outcomes(looks))
     print(f"judged on seeds {seeds[0]} to {seeds[-1]}; fitted on {performance.fitted_on}\n")
     laid_out = markdown if arguments.markdown else columns
     print(tables(performance, laid_out))
     print()
     print(report(found, arguments.markdown))
     if arguments.plot is not None:
-        plot(found, arguments.plot)
+        plot_performance(found, arguments.plot)
     return 0
 
 
@@ -83,7 +83,7 @@ def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
     return "\n".join(lines) + "\n\n" + laid_out(header, [*rows, *two])
 
 
-def plot(found: JudgedPredictions, path: Path) -> None:
+def plot_performance(found: JudgedPredictions, path: Path) -> None:
     """Realised against predicted: groups of looks with 95 % intervals, and kinds and bands. Raises UsageError if it cannot be written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -152,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def fly(name: str, seed: int, detector: Detector) -> FlownMission:
+def fly_mission(name: str, seed: int, detector: Detector) -> FlownMission:
     """One mission through a named scene, seen by all systems, the chain with one of the detectors."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
@@ -223,10 +223,10 @@ def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector:
     """Every scene with every seed, in order."""
     tasks = [(name, seed, detector) for name in names for seed in seeds]
     if workers == 1:
-        yield from ((name, fly(name, seed, detector)) for name, seed, _ in tasks)
+        yield from ((name, fly_mission(name, seed, detector)) for name, seed, _ in tasks)
         return
     with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=get_context("spawn")) as pool:
-        for (name, *_), mission in zip(tasks, pool.map(fly, *zip(*tasks, strict=True)), strict=True):
+        for (name, *_), mission in zip(tasks, pool.map(fly_mission, *zip(*tasks, strict=True)), strict=True):
             yield name, mission
 
 

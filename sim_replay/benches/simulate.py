@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measures and prints; returns the exit code."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    print(f"CPU time of one core, C library: {backend.loaded().reason}, median of {arguments.repeat} interleaved repetitions\n")
+    print(f"CPU time of one core, C library: {backend.simulator_library().reason}, median of {arguments.repeat} interleaved repetitions\n")
     _print_rendering(arguments.repeat)
     _print_accuracy(arguments.repeat)
     _print_mission(arguments.minutes)

@@ -62,7 +62,7 @@ class PixseUnit:
         return [_sentences(records)]
 
 
-class Pd6Unit:
+class FakePd6Unit:
     """A DVL with PD6 text: attitude, velocity over ground, range to the bottom."""
 
     def __init__(self) -> None:
@@ -87,7 +87,7 @@ class Pd6Unit:
         return [b"".join(map(dvl_pd6.line_of, lines))]
 
 
-class WaterLinkedUnit:
+class FakeWaterLinkedUnit:
     """A Water Linked DVL: velocity with altitude, and attitude with its own dead reckoning, which stays at its start."""
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
@@ -137,8 +137,8 @@ NAVIGATION_UNITS: Final[Mapping[str, Callable[[], FakeNavigation]]] = MappingPro
     {
         "nmea0183": Nmea0183Unit,
         "pixse": PixseUnit,
-        "pd6": Pd6Unit,
-        "water_linked": WaterLinkedUnit,
+        "pd6": FakePd6Unit,
+        "water_linked": FakeWaterLinkedUnit,
         "nmea2000": Nmea2000Unit,
     }
 )

@@ -64,7 +64,7 @@ def view_picture(view: Detection, *, panels: bool) -> ViewPicture:
     centroid = in_picture(view, np.array([[view.snippet_row, view.snippet_column]]))[0]
     bar_m = next((step for step in _BARS_M if step <= 0.4 * width_m), 0.1)
     found = outlines(view, view.confirmation) if view.confirmation else ()
-    labels = labelled(view, view.confirmation.labels) if view.confirmation else ()
+    labels = labelled_panel(view, view.confirmation.labels) if view.confirmation else ()
     plain, told_apart, contoured = Panel("As seen", ()), Panel("Pixels told apart", labels), Panel(_contour_title(found), found)
     separate = plain, *(panel for panel in (told_apart, contoured) if panel.strokes)
     return ViewPicture(
@@ -92,7 +92,7 @@ def outlines(view: Detection, found: Confirmation) -> tuple[Stroke, ...]:
     return tuple(stroke for stroke in strokes if stroke.path)
 
 
-def labelled(view: Detection, labels: NDArray[np.uint8]) -> tuple[Stroke, ...]:
+def labelled_panel(view: Detection, labels: NDArray[np.uint8]) -> tuple[Stroke, ...]:
     """Pixels of echo and of shadow, as areas."""
     strokes = (Stroke("l-echo", _runs(view, labels == HIGHLIGHT), "echo"), Stroke("l-shadow", _runs(view, labels == SHADOW), "shadow"))
     return tuple(stroke for stroke in strokes if stroke.path)

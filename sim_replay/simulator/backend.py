@@ -13,14 +13,14 @@ VERSION: Final = 2  # of the C signatures; a library that reports another one is
 
 
 @functools.cache
-def loaded() -> Loaded:
+def simulator_library() -> Loaded:
     """The library, looked for once beside this file."""
     return load_library(Path(__file__).parent, "_simulator", VERSION, _declare)
 
 
 def library() -> ctypes.CDLL | None:
     """The library, None if numpy serves instead."""
-    return loaded().library
+    return simulator_library().library
 
 
 def _declare(library: ctypes.CDLL) -> None:

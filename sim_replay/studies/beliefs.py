@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import EVERYTHING, FRAME, N_CLASSES, Array, ViewMass, belief, combine, pignistic, subset
 from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, appriou_mass, view_mass
 from auv_mcm.classify.fit import SOLIDS, fit_shapes, hypotheses_of, plausibility
-from auv_mcm.classify.likelihood import labels_cost, row_sums
+from auv_mcm.classify.likelihood import image_row_sums, labels_cost
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Nodes, converge, start_from_detection
 from auv_mcm.confirm.snake_rules import contour_mask
@@ -223,7 +223,7 @@ def _membership_cost(distance_m: float) -> float:
 
 def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, float]:
     """Distance of the nearest simulated shadow, m, and how plausible its solid's size is."""
-    image = row_sums(region, CORRELATION_AREA)
+    image = image_row_sums(region, CORRELATION_AREA)
     assert image is not None
     rows, columns = np.nonzero(shadow)
     along_m = 0.5 * float(rows.min() + rows.max() + 1) * region.row_spacing_m

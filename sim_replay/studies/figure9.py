@@ -127,7 +127,9 @@ def run(arguments: argparse.Namespace) -> int:
         chosen = [part for line, part in zip(lines, parts, strict=True) if line.background.startswith("flat/") or not experiment.flat_only]
         samples = of_kinds(merged(chosen), [TYPES[name] for name in experiment.learned])
         models = {name: fit_classical_model(samples, families) for name, families in FEATURES.items()}
-        images = list(run_tasks(judge, image_tasks(experiment, models, arguments.images), farm, _progress("images", arguments.images)))
+        images = list(
+            run_tasks(judge_figure, image_tasks(experiment, models, arguments.images), farm, _progress("images", arguments.images))
+        )
         print(f"\n{experiment.name}; {len(images)} images, {sum(image.area_km2 for image in images):.3f} km² in all")
         print(f"learned from {next(iter(models.values())).trained_on}")
         print(f"source paper, in one image with central filters: {experiment.paper}\n")
@@ -186,7 +188,7 @@ def image_tasks(experiment: Experiment, models: dict[str, ClassicalModel], n_ima
     return tuple(tasks)
 
 
-def judge(task: _Task) -> Image:
+def judge_figure(task: _Task) -> Image:
     """Fly over an image and judge every candidate in it with every model."""
     sightings: dict[str, list[Sighting]] = {name: [] for name in task.models}
     n_objects: dict[str, int] = {}

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.shape import Array, RowSums, Solid, intervals
+from auv_mcm.kernels.shape import Array, ImageRowSums, Solid, intervals
 
 Mask = NDArray[np.bool_]
 
@@ -38,7 +38,7 @@ def contour_distance_m(observed: Mask, simulated: Mask, row_spacing_m: float, co
     return max(float(np.quantile(gap, quantile)) for gap in gaps)
 
 
-def shadow_mask(solid: Solid, hypothesis: Array, image: RowSums) -> Mask:
+def shadow_mask(solid: Solid, hypothesis: Array, image: ImageRowSums) -> Mask:
     """Pixels (n_rows, n_columns) whose middle lies in the shadow of a solid; hypothesis: (8,) as for shape_costs."""
     ends = intervals(solid, hypothesis[np.newaxis], image)[0, :, 0]
     middle = np.arange(image.echoes.shape[1] - 1) + 0.5

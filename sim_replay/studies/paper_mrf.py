@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.markov_estimate import MarkovEstimate, estimate_smoothness
 from auv_mcm.confirm.mrf import edge_weights
-from auv_mcm.confirm.mrf_priors import pair_costs, without_odd_clusters
+from auv_mcm.confirm.mrf_priors import prior_pair_costs, without_odd_clusters
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.soft_edges import smeared
@@ -62,7 +62,7 @@ def segment_as_paper(region: Region) -> PaperSegmentation:
     labels[usable] = _clusters((smeared(amplitude, window, window) / number)[usable])
     for _ in range(_ROUNDS):
         markov = estimate_smoothness(labels, _PRIOR_SMOOTHNESS)
-        cost = np.where(usable, _data_costs(amplitude, labels, usable), 0.0) + pair_costs(labels, region, (1, 1))
+        cost = np.where(usable, _data_costs(amplitude, labels, usable), 0.0) + prior_pair_costs(labels, region, (1, 1))
         labels, _ = icm(np.moveaxis(cost, 0, 2), edge_weights(markov.smoothness, (1, 1), _SINGLE_PIXELS), labels, _ICM_SWEEPS)
     labels = without_odd_clusters(labels, region.row_spacing_m, region.column_spacing_m)
     return PaperSegmentation(labels=labels, markov=markov)

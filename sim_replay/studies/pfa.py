@@ -18,7 +18,7 @@ _M2_PER_KM2: Final = 1e6
 _PAPER_PIXEL_M: Final = (0.12, 0.058)  # along and across track, section 4.3
 
 
-class Grid(NamedTuple):
+class DecisionGrid(NamedTuple):
     """How a detector lays its decisions on the sea floor, metres apart along and across track."""
 
     name: str
@@ -45,15 +45,15 @@ def false_alarms_per_km2(probability: float, per_km2: float) -> float:
     return probability * per_km2
 
 
-def grids() -> tuple[Grid, ...]:
+def grids() -> tuple[DecisionGrid, ...]:
     """One decision per pixel of the source paper's images and of this package's, and one per two pixels by two."""
     waterfall = Config().waterfall
     along_m, across_m = waterfall.row_spacing_m, waterfall.column_spacing_m
     return (
-        Grid("each pixel of the source paper", *_PAPER_PIXEL_M),
-        Grid("each second row and column of it", *(2.0 * side for side in _PAPER_PIXEL_M)),
-        Grid("each pixel of the default grid", along_m, across_m),
-        Grid("each second row and column of it", 2.0 * along_m, 2.0 * across_m),
+        DecisionGrid("each pixel of the source paper", *_PAPER_PIXEL_M),
+        DecisionGrid("each second row and column of it", *(2.0 * side for side in _PAPER_PIXEL_M)),
+        DecisionGrid("each pixel of the default grid", along_m, across_m),
+        DecisionGrid("each second row and column of it", 2.0 * along_m, 2.0 * across_m),
     )
 
 

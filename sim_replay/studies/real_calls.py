@@ -10,7 +10,7 @@ from auv_mcm.classify.odds import MineOdds
 from auv_mcm.confirmation import confirm_detection
 from auv_mcm.records import Detection
 from sim_replay.studies.real_pictures import Picture
-from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of
+from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of_picture
 
 CALLED: Final = (0.5, 0.2)
 """p_mine from which a detection counts as a call."""
@@ -33,7 +33,7 @@ class Called(NamedTuple):
 
 def call(picture: Picture, geometry: Geometry, odds: MineOdds) -> Called:
     """What is called mine-like in a picture without the object."""
-    tile, config = tile_of(picture, geometry), config_of(geometry)
+    tile, config = tile_of_picture(picture, geometry), config_of(geometry)
     detections = detections_of(tile, config)
     beam_width_rad = math.radians(geometry.beam_width_deg)
     looked_at = tuple(confirm_detection(detection, beam_width_rad, odds, config.confirm) for detection in detections)

@@ -22,7 +22,7 @@ from auv_mcm.records import Detection
 from auv_mcm.shell.whole_files import make_directory
 from sim_replay.studies.picture_speckle import picture_speckle
 from sim_replay.studies.real_calls import CALLED, Called, call, is_call, n_kept
-from sim_replay.studies.real_outlines import JudgedOutline, Overlaps, judge
+from sim_replay.studies.real_outlines import JudgedOutline, Overlaps, judge_outlines
 from sim_replay.studies.real_pictures import EFFIGY_M, Picture, clutter, effigies, length_px, snippets
 from sim_replay.studies.real_sheets import write_sheets
 from sim_replay.studies.real_tiles import SAS, SIDE_SCAN
@@ -48,7 +48,7 @@ def run(chosen: argparse.Namespace) -> int:
     odds = shipped_odds("contrast")
     pictures = effigies(chosen.data)
     _print_pictures(pictures)
-    judged = [judge(picture, SIDE_SCAN, odds) for picture in pictures]
+    judged = [judge_outlines(picture, SIDE_SCAN, odds) for picture in pictures]
     _print_overlaps(judged)
     _print_scales([picture for picture in pictures if not picture.cut], odds)
     by_tile = [call(picture, SIDE_SCAN, odds) for picture in clutter(chosen.data)]
@@ -119,7 +119,7 @@ def _print_quartiles(title: str, part: Sequence[JudgedOutline]) -> None:
 def _print_scales(whole: Sequence[Picture], odds: MineOdds) -> None:
     print("\nmedians over whole tiles, place given, for other sizes of a pixel")
     for pixel_m in OTHER_SCALES_M:
-        part = [judge(picture, SIDE_SCAN._replace(pixel_m=pixel_m), odds) for picture in whole]
+        part = [judge_outlines(picture, SIDE_SCAN._replace(pixel_m=pixel_m), odds) for picture in whole]
         iou = [statistics.median(j.given.iou[k] for j in part) for k in range(len(Overlaps._fields))]
         told = ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in zip(Overlaps._fields, iou, strict=True))
         print(f"  {100.0 * pixel_m:.1f} cm: {told}; {sum(j.detected for j in part)} of {len(part)} detected")

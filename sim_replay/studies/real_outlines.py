@@ -19,7 +19,7 @@ from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import VALID, Detection, Tile
 from sim_replay.scoring.overlap import overlap
 from sim_replay.studies.real_pictures import Mask, Picture, Plane
-from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of
+from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of_picture
 
 _NEAR_M: Final = 0.5  # from the mask, for a detection to be of the object
 _SNAKE_NODES: Final = max(nodes for nodes, _, _ in FINE)
@@ -78,10 +78,10 @@ class JudgedOutline(NamedTuple):
     contrast_db: float
 
 
-def judge(picture: Picture, geometry: Geometry, odds: MineOdds) -> JudgedOutline:
+def judge_outlines(picture: Picture, geometry: Geometry, odds: MineOdds) -> JudgedOutline:
     """Find and outline the object in a picture that has a mask."""
     assert picture.mask is not None
-    tile, config = tile_of(picture, geometry), config_of(geometry)
+    tile, config = tile_of_picture(picture, geometry), config_of(geometry)
     beam_width_rad = math.radians(geometry.beam_width_deg)
     mask = np.pad(picture.mask, ((0, 0), (geometry.n_columns_before, 0)))
     rows, columns = np.nonzero(mask)

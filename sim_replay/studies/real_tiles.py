@@ -44,7 +44,7 @@ SIDE_SCAN: Final = Geometry(pixel_m=0.032, first_return_m=4.0, first_ground_rang
 SAS: Final = Geometry(pixel_m=0.025, first_return_m=8.0, first_ground_range_m=30.0, beam_width_deg=0.01)
 
 
-def tile_of(picture: Picture, geometry: Geometry) -> Tile:
+def tile_of_picture(picture: Picture, geometry: Geometry) -> Tile:
     """The picture as the chain would hand it to the detector: the angle response and the local mean taken off, in ground range.
 
     Columns before the picture's near edge are not valid. The track runs north at constant speed.

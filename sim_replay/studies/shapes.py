@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.evidence import TEMPERATURE
 from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFit, ShapeFits, fit_shapes, hypotheses_of
-from auv_mcm.classify.likelihood import beam_of, row_sums
+from auv_mcm.classify.likelihood import beam_of, image_row_sums
 from auv_mcm.confirm.region import Region
 from auv_mcm.kernels.shape import Solid, shape_costs, shape_costs_numpy
 from sim_replay.arguments import count
@@ -45,7 +45,7 @@ _ALTITUDE_ERROR: Final = 0.1
 _SHADOW: Final = 0.1  # of the floor: -10 dB
 
 
-class DrawnObject(NamedTuple):
+class DrawnSolid(NamedTuple):
     """One object and its views 90 degrees apart. sizes_m: (n,) in the order of SIZES."""
 
     solid: Solid
@@ -126,7 +126,7 @@ def _weighed(fit: ShapeFit) -> float:
 
 def numpy_ratio(region: Region, n: int = 64) -> float:
     """Time of the numpy twin over that of C for the costs of n cylinders, each weighed with a pencil and with the beam."""
-    image = row_sums(region, CORRELATION_AREA)
+    image = image_row_sums(region, CORRELATION_AREA)
     assert image is not None
     middle = np.array([region.row * image.row_spacing_m, image.first_ground_range_m + region.column * image.column_spacing_m])
     points = np.column_stack((np.tile(middle, (n, 1)), np.full((n, 2), (0.27, 2.0)), np.linspace(-1.5, 1.5, n), np.zeros(n)))
@@ -143,7 +143,7 @@ def numpy_ratio(region: Region, n: int = 64) -> float:
     return cost_s[0] / cost_s[1]
 
 
-def draw_object(solid: Solid, seed: int) -> DrawnObject:
+def draw_object(solid: Solid, seed: int) -> DrawnSolid:
     """An object of usual size, scaled by up to 15 %, at 10 to 45 m, rendered from two sides with altitudes told up to 10 % wrong."""
     random = np.random.Generator(np.random.PCG64(seed))
     range_m, azimuth_deg = float(random.uniform(10.0, 45.0)), float(random.uniform(0.0, 360.0))
@@ -165,7 +165,7 @@ def draw_object(solid: Solid, seed: int) -> DrawnObject:
         rendered_region(thing, 2 * seed, altitude_error=_ALTITUDE_ERROR * error),
         rendered_region(turned, 2 * seed + 1, altitude_error=-_ALTITUDE_ERROR * error),
     )
-    return DrawnObject(solid, np.array(sizes), range_m, views)
+    return DrawnSolid(solid, np.array(sizes), range_m, views)
 
 
 def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.0) -> Region:

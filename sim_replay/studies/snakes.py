@@ -24,7 +24,7 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.reasons import bearing
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import Region
-from auv_mcm.confirm.snake import COARSE, FINE, Contours, Start, converge, settings_of
+from auv_mcm.confirm.snake import COARSE, FINE, Contours, Start, converge, snake_settings
 from auv_mcm.confirmation import examine, region_of, without_confirmation
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.errors import UsageError
@@ -185,8 +185,8 @@ def snake_rows(n_images: int = 10, n_starts: int = 5) -> list[SnakeRow]:
 def _row(name: str, drawings: list[DrawnRegion], n_starts: int, coarse: Schedule, fine: Schedule) -> SnakeRow:
     shadow_iou, highlight_iou, pair_s, proposed = [], [], [], []
     for number, drawn in enumerate(drawings):
-        table = snake.row_sums(drawn.region.intensity, drawn.region.valid).table
-        settings = snake_settings(drawn.region)
+        table = snake.window_row_sums(drawn.region.intensity, drawn.region.valid).table
+        settings = region_settings(drawn.region)
         for k in range(n_starts):
             start = random_start(drawn, 1000 * number + k)
             began = time.perf_counter()
@@ -206,9 +206,9 @@ def _row(name: str, drawings: list[DrawnRegion], n_starts: int, coarse: Schedule
     )
 
 
-def snake_settings(region: Region, correlation_px: float = 1.0) -> snake_twin.Settings:
+def region_settings(region: Region, correlation_px: float = 1.0) -> snake_twin.Settings:
     """The criterion's settings for a region."""
-    return settings_of(region, snake.row_sums(region.intensity, region.valid).table, correlation_px)
+    return snake_settings(region, snake.window_row_sums(region.intensity, region.valid).table, correlation_px)
 
 
 def twin_ratio(n_images: int = 2) -> float:
@@ -218,8 +218,8 @@ def twin_ratio(n_images: int = 2) -> float:
     ratios = []
     for seed in range(n_images):
         drawn = drawn_pair(seed)
-        table = snake.row_sums(drawn.region.intensity, drawn.region.valid).table
-        start, settings, schedule = random_start(drawn, seed), snake_settings(drawn.region), np.array(COARSE + FINE)
+        table = snake.window_row_sums(drawn.region.intensity, drawn.region.valid).table
+        start, settings, schedule = random_start(drawn, seed), region_settings(drawn.region), np.array(COARSE + FINE)
         marks = [time.perf_counter()]
         for mover in (snake.move_pair, snake_twin.move_pair):
             mover(table, settings, schedule, np.rint(start.highlight), np.rint(start.shadow))

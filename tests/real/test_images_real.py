@@ -14,9 +14,9 @@ from auv_mcm.cli import main
 from auv_mcm.records import VALID
 from sim_replay.studies.picture_speckle import picture_speckle
 from sim_replay.studies.real_calls import call
-from sim_replay.studies.real_outlines import judge
+from sim_replay.studies.real_outlines import judge_outlines
 from sim_replay.studies.real_pictures import EFFIGY_M, Picture, effigies, length_px, read_picture
-from sim_replay.studies.real_tiles import SAS, SIDE_SCAN, tile_of
+from sim_replay.studies.real_tiles import SAS, SIDE_SCAN, tile_of_picture
 
 SharedData = Callable[[str], Path]
 
@@ -52,7 +52,7 @@ def test_shadows_lie_to_the_right_whichever_side_the_tile_is_of(pictures: dict[s
     for name, picture in pictures.items():
         if picture.mask is None or picture.cut:
             continue
-        levelled = tile_of(picture, SIDE_SCAN).intensity[:, SIDE_SCAN.n_columns_before :]
+        levelled = tile_of_picture(picture, SIDE_SCAN).intensity[:, SIDE_SCAN.n_columns_before :]
         before, behind = [], []
         for row in np.flatnonzero(picture.mask.any(axis=1)).tolist():
             columns = np.flatnonzero(picture.mask[row])
@@ -79,7 +79,7 @@ def test_range_marks_and_fill_are_not_sea_floor(shared_data: SharedData) -> None
 
 
 def test_a_tile_has_its_sea_floor_at_one_and_nothing_before_the_picture(pictures: dict[str, Picture]) -> None:
-    tile = tile_of(pictures["right_20240429112817L_sample_2_tile_5"], SIDE_SCAN)
+    tile = tile_of_picture(pictures["right_20240429112817L_sample_2_tile_5"], SIDE_SCAN)
     valid = (tile.mask & VALID) != 0
     assert not valid[:, : SIDE_SCAN.n_columns_before].any()
     assert tile.intensity[valid].mean() == pytest.approx(1.0, abs=0.1)
@@ -87,7 +87,7 @@ def test_a_tile_has_its_sea_floor_at_one_and_nothing_before_the_picture(pictures
 
 def test_snakes_outline_the_effigy_where_it_stands_out(pictures: dict[str, Picture]) -> None:
     for name, bound in CLEAR.items():
-        judged = judge(pictures[name], SIDE_SCAN, shipped_odds("contrast"))
+        judged = judge_outlines(pictures[name], SIDE_SCAN, shipped_odds("contrast"))
         assert judged.detected, name
         assert judged.given.iou.best_start >= bound, name
         assert judged.found is not None

@@ -11,7 +11,7 @@ import pytest
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Notice, Ping, TransferKind
 from auv_mcm.settings.config import Config, SonarConfig
-from auv_mcm.waterfall.law_watch import LawWatch, Verdict
+from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
 from sim_replay.logs.xtf import XtfLog
 
 SharedData = Callable[[str], Path]
@@ -29,7 +29,7 @@ def pings_of(path: Path) -> tuple[Ping, ...]:
     return tuple(event for event in XtfLog(path, SonarConfig()) if isinstance(event, Ping))
 
 
-def verdicts(sonar: SonarConfig, pings: tuple[Ping, ...]) -> list[Verdict]:
+def verdicts(sonar: SonarConfig, pings: tuple[Ping, ...]) -> list[LawVerdict]:
     watch = LawWatch(sonar)
     found = [verdict for ping in pings if (verdict := watch.add(ping)) is not None]
     last = watch.finish()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.detect.candidates import NO_FAINT_PLACES, STEP_M
-from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, Box, areas, band_edges, margins_px, pixel_boxes
+from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, FeatureBox, areas, band_edges, margins_px, pixel_boxes
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
 from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane, tables_of
@@ -26,18 +26,18 @@ from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, hole
 
 Codes = NDArray[np.uint16]
 
-HIGHLIGHT = Box(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
-BEFORE = Box(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
-SHADOW = Box(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
+HIGHLIGHT = FeatureBox(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
+BEFORE = FeatureBox(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
+SHADOW = FeatureBox(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
 ANY_SCORE = -MAX_STUMPS * MAX_LEAF
 CONFIG = Config(detect=DetectConfig(max_candidates_per_tile=40))
 
 
-def ratio(a: Box, b: Box, threshold: float, leaf: int = SCORE_UNIT) -> Stump:
+def ratio(a: FeatureBox, b: FeatureBox, threshold: float, leaf: int = SCORE_UNIT) -> Stump:
     return Stump(kind="ratio", a=a, b=b, threshold=threshold, below=-leaf, above=leaf)
 
 
-def contrast(a: Box, b: Box, threshold: float, leaf: int = SCORE_UNIT) -> Stump:
+def contrast(a: FeatureBox, b: FeatureBox, threshold: float, leaf: int = SCORE_UNIT) -> Stump:
     return Stump(kind="contrast", a=a, b=b, w=WINDOW, threshold=threshold, below=-leaf, above=leaf)
 
 
@@ -65,10 +65,10 @@ def drawn_model(seed: int, n_stumps: int = 12, largest: float = 3.0) -> CascadeM
     """Random comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest, that drop nothing."""
     random = np.random.Generator(np.random.PCG64(seed))
 
-    def box() -> Box:
+    def box() -> FeatureBox:
         top, near = random.uniform(-1.0, 0.4, 2)
         length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
-        return Box(float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0)))
+        return FeatureBox(float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0)))
 
     stumps = []
     for k in range(n_stumps):
@@ -147,7 +147,7 @@ def test_windows_are_accounted_for_at_every_altitude_on_every_grid(first_return_
 
 def test_the_largest_box_admitted_full_of_the_brightest_echoes_does_not_overflow() -> None:
     row_m, column_m = 0.0117, 0.0117
-    largest = Box(-1.0, 1.0, -1.0, 0.0, WINDOW_FAR_M, WINDOW_SHADOWS)
+    largest = FeatureBox(-1.0, 1.0, -1.0, 0.0, WINDOW_FAR_M, WINDOW_SHADOWS)
     boxes = pixel_boxes([largest], row_m, column_m)
     area = int(areas(boxes).max())
     assert 0.95 * MAX_BOX_PX < area <= MAX_BOX_PX
@@ -213,7 +213,7 @@ def test_gain_of_a_power_of_two_changes_no_score(seed: int, power: int) -> None:
 @settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_reversing_the_track_reverses_the_windows(seed: int) -> None:
-    def reversed_box(box: Box) -> Box:
+    def reversed_box(box: FeatureBox) -> FeatureBox:
         return msgspec.structs.replace(box, top_m=-box.bottom_m, bottom_m=-box.top_m)
 
     def reversed_stump(stump: Stump) -> Stump:

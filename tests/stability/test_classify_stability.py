@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFits, fit_shapes
-from auv_mcm.classify.likelihood import row_sums
+from auv_mcm.classify.likelihood import image_row_sums
 from auv_mcm.confirm.region import Region
-from auv_mcm.kernels.shape import FORBIDDEN, Beam, RowSums, Solid, shape_costs, shape_costs_numpy
+from auv_mcm.kernels.shape import FORBIDDEN, Beam, ImageRowSums, Solid, shape_costs, shape_costs_numpy
 from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
@@ -27,8 +27,8 @@ def speckled(seed: int = 1) -> Region:
     return closed_form_region(Sphere(radius_m=0.4), 18.0, random=random, beam_width_rad=0.007)
 
 
-def sums_of(region: Region) -> RowSums:
-    image = row_sums(region, 1.5)
+def sums_of(region: Region) -> ImageRowSums:
+    image = image_row_sums(region, 1.5)
     assert image is not None
     return image
 

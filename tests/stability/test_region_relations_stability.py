@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.classify.fit import fit_shapes
-from auv_mcm.classify.likelihood import beam_of, labels_cost, row_sums
+from auv_mcm.classify.likelihood import beam_of, image_row_sums, labels_cost
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Start, converge
@@ -34,7 +34,7 @@ HYPOTHESES: dict[Solid, Plane] = {
 
 
 def costs_of(region: Region, hypotheses: dict[Solid, Plane]) -> list[float]:
-    image = row_sums(region, 1.5)
+    image = image_row_sums(region, 1.5)
     assert image is not None
     return [float(shape_costs(solid, rows, image, beam_of(region)).cost[0]) for solid, rows in hypotheses.items()]
 

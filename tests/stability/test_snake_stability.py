@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.confirm.region import Region
-from auv_mcm.confirm.snake import Contours, Start, converge, settings_of, start_from_detection
+from auv_mcm.confirm.snake import Contours, Start, converge, snake_settings, start_from_detection
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
 from sim_replay.scoring.overlap import overlap
@@ -232,8 +232,8 @@ def test_contours_may_be_moved_on_as_they_are(n_runs: Callable[[int, int], int])
     """Halved edges have finer coordinates than the start; a second run must begin exactly where the first ended."""
     for seed in range(n_runs(10, 3)):
         region = scene(seed)
-        table = snake.row_sums(region.intensity, region.valid).table
-        known = settings_of(region, table, 1.0)
+        table = snake.window_row_sums(region.intensity, region.valid).table
+        known = snake_settings(region, table, 1.0)
         start = start_from_detection(region)
         moved = snake.move_pair(table, known, np.array([(16, 1.0, 3), (40, 1.0, 2)]), start.highlight, start.shadow)
         again = snake.move_pair(table, known, np.empty((0, 3)), moved.highlight, moved.shadow)
@@ -252,7 +252,7 @@ def test_small_noisy_regions_never_raise(n_runs: Callable[[int, int], int]) -> N
 def test_mean_far_from_zero_loses_nothing() -> None:
     """Sums over small regions of bright windows: no cancellation."""
     image = 1e6 + np.random.default_rng(0).random((200, 300))
-    table = snake.row_sums(image, np.ones(image.shape, dtype=np.bool_)).table
+    table = snake.window_row_sums(image, np.ones(image.shape, dtype=np.bool_)).table
     inside = table[50:60, 210, 0] - table[50:60, 200, 0]
     exact = np.rint(image[50:60, 200:210] / image.mean() / snake.QUANTUM).sum(axis=1) * snake.QUANTUM
     assert np.abs(inside - exact).max() <= 10 * snake.QUANTUM

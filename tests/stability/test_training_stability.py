@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.codes import Plane, make_plane
+from auv_mcm.detect.cascade.codes import CodePlane, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, check_model, encode_model, parse_model
 from auv_mcm.detect.cascade.run import trace_plane
 from auv_mcm.kernels.cascade import encode
 from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
-from sim_replay.fitting.cascade.pool import Pool, bin_edges, box_means, feature_pool, model_stump, quantise
+from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model_stump, pool_box_means, quantise
 from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
 from sim_replay.fitting.cascade.stages import StageSamples, threshold, train_stage
 from sim_replay.fitting.cascade.validation import ValidationSighting, calibrate, expected_pd
@@ -39,7 +39,7 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
-def plane_of(picture: NDArray[np.float64], first_return_m: float = 6.0, spacing: tuple[float, float] = (0.12, 0.06)) -> Plane:
+def plane_of(picture: NDArray[np.float64], first_return_m: float = 6.0, spacing: tuple[float, float] = (0.12, 0.06)) -> CodePlane:
     codes, valid = encode(picture.astype(np.float32), np.ones(picture.shape, dtype=np.uint8))
     return make_plane(codes, valid, valid, np.full(len(picture), first_return_m), *spacing)
 
@@ -72,7 +72,7 @@ def test_what_is_learned_of_a_picture_is_what_the_model_says_of_it(name: str) ->
     rows, columns = places()
     is_target = (rows > 20) | (columns > 110)
     with np.errstate(all="raise", under="ignore"):
-        means = box_means(plane, SOME.boxes, rows, columns)
+        means = pool_box_means(plane, SOME.boxes, rows, columns)
         edges = bin_edges(SOME, means)
         bins = quantise(SOME, edges, means)
         for stumps_of in BOOSTERS.values():
@@ -92,7 +92,7 @@ def test_what_is_learned_of_a_picture_is_what_the_model_says_of_it(name: str) ->
 def test_box_means_stay_within_the_codes_at_every_altitude_on_every_grid(first_return_m: float, spacing: tuple[float, float]) -> None:
     plane = plane_of(np.where(generator(4).random(SHAPE) < 0.5, 16.0, 0.0), first_return_m, spacing)
     with np.errstate(all="raise"):
-        means = box_means(plane, SOME.boxes, *places(20))
+        means = pool_box_means(plane, SOME.boxes, *places(20))
         edges = bin_edges(SOME, means)
     assert means.min() >= 0.0
     assert means.max() <= 16384.0
@@ -105,7 +105,7 @@ def test_gain_of_a_power_of_two_changes_no_bin(power: int) -> None:
     everywhere = np.ones(SHAPE, dtype=np.bool_)
     inside = generator(6).integers(10, 30, 200), generator(7).integers(20, 40, 200)  # margins stay as they are
     quiet, loud = (
-        box_means(
+        pool_box_means(
             make_plane((codes * gain).astype(np.uint16), everywhere, everywhere, np.full(SHAPE[0], 6.0), 0.12, 0.06), SOME.boxes, *inside
         )
         for gain in (1.0, 2.0**power)

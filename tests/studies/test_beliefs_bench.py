@@ -11,7 +11,7 @@ from auv_mcm.classify.beliefs import EVERYTHING, FRAME, N_SUBSETS, Array, subset
 from auv_mcm.classify.evidence import ClassEvidence
 from auv_mcm.cli import main
 from auv_mcm.confirm.region import SHADOW, Region
-from auv_mcm.confirm.snake import converge, settings_of, start_from_detection
+from auv_mcm.confirm.snake import converge, snake_settings, start_from_detection
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.records import ContactClass
 from auv_mcm.solids.shapes import Sphere
@@ -66,8 +66,8 @@ def test_a_rock_is_drawn_the_same_again_with_altitudes_wrong_either_way() -> Non
 def test_a_contours_code_length_is_that_of_the_snakes_criterion() -> None:
     region = sphere_region()
     contours = converge(region, start_from_detection(region), correlation_px=CORRELATION_AREA)
-    settings = settings_of(region, snake.row_sums(region.intensity, region.valid).table, CORRELATION_AREA)
-    sums = snake_twin.Sums(total=0.2, measured=1.0, area=1.0, far=1.0, rows=1.0, gap=0.0, shared=0.0, overlap=0.0)
+    settings = snake_settings(region, snake.window_row_sums(region.intensity, region.valid).table, CORRELATION_AREA)
+    sums = snake_twin.EdgeSums(total=0.2, measured=1.0, area=1.0, far=1.0, rows=1.0, gap=0.0, shared=0.0, overlap=0.0)
     for which, nodes in enumerate((contours.highlight, contours.shadow)):
         whole = snake_twin.polygon_cost(settings, which, nodes, sums) - snake_twin.likelihood(settings, which, 0.2, 1.0)
         assert code_length(nodes, region.intensity.size) == pytest.approx(whole, abs=1e-9)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.likelihood import row_sums
+from auv_mcm.classify.likelihood import image_row_sums
 from auv_mcm.solids.shapes import Cylinder
 from sim_replay.studies.hausdorff import contour_distance_m, shadow_mask
 from tests.auv_mcm.classify.closed_forms import closed_form_region
@@ -71,7 +71,7 @@ def test_one_grain_moves_the_hausdorff_distance_but_not_the_partial_one() -> Non
 
 def test_the_shadow_of_the_true_solid_is_nearer_than_that_of_a_turned_one() -> None:
     region = closed_form_region(Cylinder(radius_m=0.265, length_m=2.0, azimuth_rad=0.4), 20.0)
-    image = row_sums(region, 1.0)
+    image = image_row_sums(region, 1.0)
     assert image is not None
     observed = region.intensity < 0.3
     hypotheses = np.tile([3.66, 20.0, 1.0, 0.265, 2.0, 0.4, 0.0, 0.0], (2, 1))

@@ -31,7 +31,7 @@ _LEAST_CLEARANCE_M: Final = 0.3  # of the sonar above the reference height
 _SNAP_PX: Final = 1e-6  # what rounding of metres to binary may take from a half
 
 
-class Box(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+class FeatureBox(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A box around a pixel's centre, the middle of the highlight looked for.
 
     Along track from top_m to bottom_m. Across track, away from the sonar positive, from near_m + near_shadow * shadow to
@@ -46,7 +46,7 @@ class Box(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     far_shadow: float
 
 
-WINDOW: Final = Box(-WINDOW_ROWS_M, WINDOW_ROWS_M, -WINDOW_NEAR_M, 0.0, WINDOW_FAR_M, 1.0)
+WINDOW: Final = FeatureBox(-WINDOW_ROWS_M, WINDOW_ROWS_M, -WINDOW_NEAR_M, 0.0, WINDOW_FAR_M, 1.0)
 """Surroundings of an object and its shadow."""
 
 
@@ -81,7 +81,7 @@ def bands_at(edges: NDArray[np.int32], rows: NDArray[np.integer], columns: NDArr
     return np.asarray((edges[rows, 1:-1] <= columns[:, np.newaxis]).sum(axis=1), dtype=np.int32)
 
 
-def pixel_boxes(boxes: Sequence[Box], row_spacing_m: float, column_spacing_m: float) -> NDArray[np.int32]:
+def pixel_boxes(boxes: Sequence[FeatureBox], row_spacing_m: float, column_spacing_m: float) -> NDArray[np.int32]:
     """(N_BANDS, n_boxes, 4) int32 half-open offsets from a pixel's indices: top, bottom, left, right.
 
     Edges fall on the nearest edge between pixels, halves away from zero as counted from the pixel's first edge; a box is at least a
@@ -115,7 +115,7 @@ def margins_px(row_spacing_m: float, column_spacing_m: float) -> tuple[int, int,
     return rows, near, far
 
 
-def box_fault(box: Box) -> str | None:
+def box_fault(box: FeatureBox) -> str | None:
     """What is wrong with a box, None if nothing: it must not be empty and must stay within the largest window, in every band."""
     if not all(math.isfinite(value) for value in msgspec.structs.astuple(box)):
         return "its edges must be finite"

@@ -20,7 +20,7 @@ MAX_BOX_PX: Final = 131071
 """Pixels of a box whose sum is exact whatever they hold."""
 
 
-class Plane(NamedTuple):
+class CodePlane(NamedTuple):
     """What a cascade sees of a tile.
 
     sums, counts: (n_rows + 2 margin_rows + 1, n_columns + margin_near + margin_far + 1) uint32 integral images of codes and of valid
@@ -60,10 +60,10 @@ def make_plane(
     first_return_m: NDArray[np.float64],
     row_spacing_m: float,
     column_spacing_m: float,
-) -> Plane:
+) -> CodePlane:
     """A plane from codes, where they are valid, and where windows may be centred, each (n_rows, n_columns); first_return_m: (n_rows,)."""
     margins = margins_px(row_spacing_m, column_spacing_m)
-    return Plane(
+    return CodePlane(
         sums=integral(codes, margins, CODE_OF_MEAN),
         counts=integral(valid, margins, 0),
         usable=usable,
@@ -75,7 +75,7 @@ def make_plane(
     )
 
 
-def plane_of_tile(tile: Tile, rows: slice) -> Plane:
+def plane_of_tile(tile: Tile, rows: slice) -> CodePlane:
     """A tile's plane. Windows may be centred on pixels of `rows` that are VALID and not of LOW_RESOLUTION; NaN is not valid."""
     codes, valid = encode(tile.intensity, tile.mask)
     usable = np.zeros_like(valid)
@@ -83,7 +83,7 @@ def plane_of_tile(tile: Tile, rows: slice) -> Plane:
     return make_plane(codes, valid, usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
-def box_sums(plane: Plane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]) -> NDArray[np.int32]:
+def box_sums(plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]) -> NDArray[np.int32]:
     """Sums of codes over boxes around pixels, int32.
 
     rows, columns: (...) int. boxes_px: (..., 4) of bands.pixel_boxes, broadcast against them; e.g. rows[:, None] and
@@ -92,7 +92,9 @@ def box_sums(plane: Plane, rows: NDArray[np.integer], columns: NDArray[np.intege
     return _box_sums(plane.sums, rows + plane.margin_rows, columns + plane.margin_near, boxes_px).view(np.int32)
 
 
-def valid_counts(plane: Plane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]) -> NDArray[np.int32]:
+def valid_counts(
+    plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]
+) -> NDArray[np.int32]:
     """Valid pixels in boxes around pixels, int32; arguments as for box_sums."""
     return _box_sums(plane.counts, rows + plane.margin_rows, columns + plane.margin_near, boxes_px).view(np.int32)
 

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import REFERENCE_HEIGHT_M, Box, box_fault
+from auv_mcm.detect.cascade.bands import REFERENCE_HEIGHT_M, FeatureBox, box_fault
 from auv_mcm.errors import BadInputError
 
 FORMAT_VERSION: Final = 1
@@ -44,9 +44,9 @@ class Stump(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """One comparison. w: the third box of a contrast, None for a ratio. threshold: t, for a ratio a linear ratio above 0."""
 
     kind: Literal["ratio", "contrast"]
-    a: Box
-    b: Box
-    w: Box | None = None
+    a: FeatureBox
+    b: FeatureBox
+    w: FeatureBox | None = None
     threshold: Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
     below: _Leaf
     above: _Leaf

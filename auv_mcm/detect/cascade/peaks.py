@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 _STRETCH: Final = 4096
 
 
-def apart(
+def spaced_apart(
     rows: NDArray[np.integer],
     columns: NDArray[np.integer],
     scores: NDArray[np.number],

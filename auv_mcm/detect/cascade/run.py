@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, areas, band_edges, bands_at, pixel_boxes
-from auv_mcm.detect.cascade.codes import MAX_BOX_PX, Plane, plane_of_tile
+from auv_mcm.detect.cascade.codes import MAX_BOX_PX, CodePlane, plane_of_tile
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.errors import UsageError
-from auv_mcm.kernels.cascade import STUMP, WindowField, Tables, Windows, corners, open_windows, rank, run_groups
+from auv_mcm.kernels.cascade import STUMP, Tables, WindowField, Windows, corners, open_windows, rank, run_groups
 from auv_mcm.records import Tile
 
 OPENING_STUMPS: Final = 16
@@ -47,13 +47,13 @@ class CascadeResult(NamedTuple):
     n_alive: tuple[int, ...]
 
 
-def core_plane(tile: Tile) -> Plane:
+def core_plane(tile: Tile) -> CodePlane:
     """A tile's plane with windows in its core and MARGIN_M around it, centred on pixels that are VALID and not LOW_RESOLUTION."""
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
     return plane_of_tile(tile, slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])))
 
 
-def run_plane(plane: Plane, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
+def run_plane(plane: CodePlane, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
     """Run a model over a plane; max_evaluations: the budget, None for none.
 
     A window is centred on each pixel where the plane is usable that has at least 0.6 of the window around it valid.
@@ -77,7 +77,7 @@ def run_plane(plane: Plane, model: CascadeModel, max_evaluations: int | None) ->
     )
 
 
-def trace_plane(plane: Plane, model: CascadeModel, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int32]:
+def trace_plane(plane: CodePlane, model: CascadeModel, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int32]:
     """(n_windows, n_groups) int32 scores of the windows at rows, columns (n_windows,) after each group, none dropped."""
     stride = plane.sums.shape[1]
     tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
@@ -140,7 +140,7 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
 class _Run:
     """A run over a plane and its accounts: evaluations made so far, windows alive after each group."""
 
-    def __init__(self, plane: Plane, model: CascadeModel, max_evaluations: int | None) -> None:
+    def __init__(self, plane: CodePlane, model: CascadeModel, max_evaluations: int | None) -> None:
         stride = plane.sums.shape[1]
         self.corner = plane.margin_rows * stride + plane.margin_near
         self.n_evaluations = 0

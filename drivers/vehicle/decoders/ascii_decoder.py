@@ -10,7 +10,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Grammar, StampedFramer
 from drivers.vehicle.ascii_fields import Table
-from drivers.vehicle.dialect import Said, VehicleState, fix_of
+from drivers.vehicle.dialect import ReportedState, Said, fix_of
 
 
 class AsciiDecoder(ABC):
@@ -50,7 +50,7 @@ class AsciiDecoder(ABC):
         return Said(record, received, state, () if state is None else (fix_of(self._port, state),))
 
     @abstractmethod
-    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+    def _state(self, record: Any, received: Stamp) -> ReportedState | None:
         """Where the vehicle is by a record of the table, None if it does not say."""
 
 

@@ -10,7 +10,7 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import BluefinSettings
 from drivers.vehicle.bluefin_sentences import BluefinGrammar, BluefinPosition, BluefinVelocity, table_of
 from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
-from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.dialect import ReportedState
 
 _VELOCITY_VALID_NS: Final = 2_000_000_000  # velocities come about once a second, in sentences of their own
 
@@ -22,7 +22,7 @@ class BluefinDecoder(AsciiDecoder):
         super().__init__(BluefinGrammar(), table_of(settings), port)
         self._velocity: tuple[BluefinVelocity, int] | None = None
 
-    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+    def _state(self, record: Any, received: Stamp) -> ReportedState | None:
         if isinstance(record, BluefinVelocity):
             self._velocity = record, received.mono_ns
         if not isinstance(record, BluefinPosition):
@@ -30,7 +30,7 @@ class BluefinDecoder(AsciiDecoder):
         speed_mps = NAN
         if self._velocity is not None and received.mono_ns - self._velocity[1] < _VELOCITY_VALID_NS:
             speed_mps = math.hypot(self._velocity[0].east_mps, self._velocity[0].north_mps)
-        return VehicleState(
+        return ReportedState(
             received=received,
             latitude_deg=record.latitude_deg,
             longitude_deg=record.longitude_deg,

@@ -14,7 +14,7 @@ from drivers.navigation.n2k_messages import identifier_of
 from drivers.navigation.nav_decoder import NavFix
 from drivers.vehicle.can_messages import StateMessage, number_and_address
 from drivers.vehicle.can_receiver import CanReceiver
-from drivers.vehicle.dialect import Said, VehicleState, fix_of
+from drivers.vehicle.dialect import ReportedState, Said, fix_of
 
 _NAME: Final = "vehicle_can"
 _FIX_VALID_S: Final = 1.0
@@ -69,10 +69,10 @@ class CanDecoder:
             return [Said(received.record, stamp, None, fixes)]
         state = _state(received.record, stamp)
         if self._units:  # which say the rest; none of them says a depth
-            return [Said(received.record, stamp, VehicleState(stamp, depth_m=state.depth_m), fixes)]
+            return [Said(received.record, stamp, ReportedState(stamp, depth_m=state.depth_m), fixes)]
         return [Said(received.record, stamp, state, (fix_of(self._port, state), *fixes))]
 
-    def _states(self, fix: NavFix) -> list[VehicleState]:
+    def _states(self, fix: NavFix) -> list[ReportedState]:
         mono_ns = fix.received.mono_ns
         for name in _QUANTITIES:
             value = getattr(fix, name)
@@ -81,11 +81,11 @@ class CanDecoder:
         if math.isnan(fix.latitude_deg):
             return []
         fresh = {name: value for name, (value, at_ns) in self._last.items() if (mono_ns - at_ns) * _S_PER_NS <= _FIX_VALID_S}
-        return [VehicleState(fix.received, fix.latitude_deg, fix.longitude_deg, **fresh)]
+        return [ReportedState(fix.received, fix.latitude_deg, fix.longitude_deg, **fresh)]
 
 
-def _state(message: StateMessage, stamp: Stamp) -> VehicleState:
-    return VehicleState(
+def _state(message: StateMessage, stamp: Stamp) -> ReportedState:
+    return ReportedState(
         received=stamp,
         latitude_deg=message.latitude_deg,
         longitude_deg=message.longitude_deg,

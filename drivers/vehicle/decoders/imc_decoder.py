@@ -12,7 +12,7 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.dialect import Said, VehicleState, fix_of
+from drivers.vehicle.dialect import ReportedState, Said, fix_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, decode
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
@@ -79,7 +79,7 @@ def is_vehicle(message: ImcMessage) -> bool:
     return isinstance(message, imc.EstimatedState) or (isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES)
 
 
-def _state_of(message: imc.EstimatedState, received: Stamp) -> VehicleState:
+def _state_of(message: imc.EstimatedState, received: Stamp) -> ReportedState:
     """Position is lat, lon, height displaced by x, y, z; what cannot be is NaN."""
     latitude_deg, longitude_deg = NAN, NAN
     offsets_m = (message.y, message.x, -message.z)
@@ -88,7 +88,7 @@ def _state_of(message: imc.EstimatedState, received: Stamp) -> VehicleState:
     if believed and all(abs(offset) < _MAX_OFFSET_M for offset in offsets_m):
         frame = LocalFrame(latitude_deg=math.degrees(place[0]), longitude_deg=math.degrees(place[1]), height_m=place[2])
         latitude_deg, longitude_deg = (float(angle) for angle in frame.to_geodetic(offsets_m)[:2])
-    return VehicleState(
+    return ReportedState(
         received,
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,

@@ -8,7 +8,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
-from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.iver_sentences import IverCompass, IverGrammar, IverState, table_of
 
 _COMPASS_VALID_NS: Final = 2_000_000_000  # pitch and roll come in sentences of their own
@@ -21,7 +21,7 @@ class IverDecoder(AsciiDecoder):
         super().__init__(IverGrammar(), table_of(settings), port)
         self._compass: tuple[IverCompass, int] | None = None  # and the monotonic time
 
-    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+    def _state(self, record: Any, received: Stamp) -> ReportedState | None:
         if isinstance(record, IverCompass):
             self._compass = record, received.mono_ns
         if not isinstance(record, IverState):
@@ -29,7 +29,7 @@ class IverDecoder(AsciiDecoder):
         pitch_rad = roll_rad = NAN
         if self._compass is not None and received.mono_ns - self._compass[1] < _COMPASS_VALID_NS:
             pitch_rad, roll_rad = self._compass[0].pitch_rad, self._compass[0].roll_rad
-        return VehicleState(
+        return ReportedState(
             received=received,
             latitude_deg=record.latitude_deg,
             longitude_deg=record.longitude_deg,

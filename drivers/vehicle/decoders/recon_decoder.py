@@ -7,7 +7,7 @@ from typing import Any
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.vehicle.decoders.ascii_decoder import AsciiDecoder, above_zero
-from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.recon_sentences import ReconGrammar, ReconState, table_of
 
 
@@ -17,10 +17,10 @@ class ReconDecoder(AsciiDecoder):
     def __init__(self, settings: ReconSettings, port: str) -> None:
         super().__init__(ReconGrammar(), table_of(settings), port)
 
-    def _state(self, record: Any, received: Stamp) -> VehicleState | None:
+    def _state(self, record: Any, received: Stamp) -> ReportedState | None:
         if not isinstance(record, ReconState):
             return None
-        return VehicleState(
+        return ReportedState(
             received=received,
             latitude_deg=record.latitude_deg,
             longitude_deg=record.longitude_deg,

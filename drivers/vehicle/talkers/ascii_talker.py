@@ -17,10 +17,10 @@ from drivers.vehicle.dialect import (
     ContactReport,
     Granted,
     PayloadHealth,
+    ReportedState,
     Said,
     Steer,
     VehicleEvent,
-    VehicleState,
     Vertical,
     Withheld,
 )
@@ -128,7 +128,7 @@ class AsciiTalker(ABC):
         """The wire is gone, with everything that waited for it."""
 
     @abstractmethod
-    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+    def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
         """What a record of the table means. state: where the vehicle is, if the record says so."""
 
     @abstractmethod

@@ -37,9 +37,9 @@ from drivers.vehicle.dialect import (
     Capability,
     ContactReport,
     Rejected,
+    ReportedState,
     Steer,
     VehicleEvent,
-    VehicleState,
 )
 from drivers.vehicle.talkers.ascii_talker import AsciiTalker
 
@@ -110,7 +110,7 @@ class BluefinTalker(AsciiTalker):
         self._permitted = self._commanded = False
         self._takes_contacts = None
 
-    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+    def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
         now_s = self._heard_s = 1e-9 * received.mono_ns
         time_of_day_s = getattr(record, "time_of_day_s", NAN)
         if math.isfinite(time_of_day_s):

@@ -35,12 +35,12 @@ from drivers.vehicle.dialect import (
     PayloadHealth,
     PlaceReached,
     Rejected,
+    ReportedState,
     Said,
     VehicleEvent,
-    VehicleState,
     Withheld,
 )
-from drivers.vehicle.imc_contact import contact_of, target_of
+from drivers.vehicle.imc_contact import imc_contact_of, target_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
     ImcMessage,
@@ -206,7 +206,7 @@ class ImcTalker:
         self._outbox.append(target_of(report))
         if not self._settings.acknowledges:
             return
-        contact = contact_of(report)
+        contact = imc_contact_of(report)
         self._pending[contact.session, contact.number, contact.revision] = _Pending(ticket, contact, now_s, _REPORT_AGAIN_S)
 
     def report_health(self, health: PayloadHealth, now_s: float) -> None:
@@ -282,7 +282,7 @@ class ImcTalker:
         self._idle()
         return [Withheld(reason)]
 
-    def _taken(self, said: ImcSaid, state: VehicleState | None, now_s: float) -> list[VehicleEvent]:
+    def _taken(self, said: ImcSaid, state: ReportedState | None, now_s: float) -> list[VehicleEvent]:
         message = said.message
         if isinstance(message, imc.Abort):
             self._idle()
@@ -323,7 +323,7 @@ class ImcTalker:
             "and runs, and that nobody sends recorded messages."
         )
 
-    def _heard(self, message: ImcMessage, state: VehicleState | None, now_s: float, *, for_us: bool) -> list[VehicleEvent]:
+    def _heard(self, message: ImcMessage, state: ReportedState | None, now_s: float, *, for_us: bool) -> list[VehicleEvent]:
         match message:
             case imc.EstimatedState():
                 assert state is not None  # the decoder makes one of each

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import IverSettings
-from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
+from drivers.vehicle.dialect import Capability, ContactReport, ReportedState, Steer, VehicleEvent
 from drivers.vehicle.iver_sentences import (
     IverContact,
     IverHealth,
@@ -64,7 +64,7 @@ class IverTalker(AsciiTalker):
         self._order = None
         self._mode = ""
 
-    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+    def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
         if isinstance(record, IverState):
             yield from self._judge(record.mode[0])
         if state is not None:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.vehicle.dialect import Capability, ContactReport, Steer, VehicleEvent, VehicleState
+from drivers.vehicle.dialect import Capability, ContactReport, ReportedState, Steer, VehicleEvent
 from drivers.vehicle.recon_sentences import (
     ReconAlive,
     ReconContact,
@@ -68,7 +68,7 @@ class ReconTalker(AsciiTalker):
         self._floor.clear()
         self._orders.clear()
 
-    def _heard(self, record: Any, state: VehicleState | None, received: Stamp) -> Iterable[VehicleEvent]:
+    def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
         now_s = 1e-9 * received.mono_ns
         if isinstance(record, ReconShutdown):
             yield from self._end_of_control("the vehicle shuts its payloads down", now_s)

@@ -15,11 +15,11 @@ from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.text_controller import (
     TextController,
     clock,
-    contact_of,
     degrees_and_minutes,
     nmea_fields,
     nmea_line,
     or_zero,
+    report_from_fields,
     steer_of,
 )
 
@@ -80,7 +80,7 @@ class FakeBluefin(TextController):
                 self.counters["vehicle.elements_cancelled"] += self._order is None
                 self._order = None
             case "BPMCM":
-                self._hear_report(contact_of(fields[1:]))
+                self._hear_report(report_from_fields(fields[1:]))
             case _:
                 raise ValueError("not known")
         return _DONE, ""

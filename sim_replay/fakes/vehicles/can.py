@@ -34,7 +34,7 @@ from drivers.vehicle.can_messages import (
     goes_on,
 )
 from drivers.vehicle.can_receiver import CanReceiver
-from drivers.vehicle.can_translation import command_of, report_of, text_of
+from drivers.vehicle.can_translation import command_of, report_from_can, text_of
 from drivers.vehicle.dialect import Command, ContactReport
 
 _ANSWER_CRC: Final = 0xFFFF
@@ -230,7 +230,7 @@ class FakeCan:
             return
         self._now.known.add(key)
         self._own["vehicle.reports"] += 1
-        self._now.reports.append(report_of(message))
+        self._now.reports.append(report_from_can(message))
 
     def _status(self, now_s: float) -> list[CanFrame]:
         if not self._now.has_news and now_s < self._now.status_due_s:

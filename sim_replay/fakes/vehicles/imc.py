@@ -16,7 +16,7 @@ from auv_mcm.records import NavSample
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Vertical
-from drivers.vehicle.imc_contact import report_of
+from drivers.vehicle.imc_contact import report_from_imc
 from drivers.vehicle.imc_messages import (
     LAYOUTS,
     EntityStatus,
@@ -229,7 +229,7 @@ class FakeImc:
     def _contact(self, message: imc.MineContact) -> None:
         key = (message.session, message.number, message.revision)
         try:
-            report = report_of(message)
+            report = report_from_imc(message)
         except ValueError as error:
             self._outbox.append(imc.MineContactTaken(*key, 0, str(error)))
             raise

@@ -10,11 +10,11 @@ from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.text_controller import (
     TextController,
     clock,
-    contact_of,
     degrees_and_minutes,
     nmea_fields,
     nmea_line,
     or_zero,
+    report_from_fields,
     steer_of,
 )
 
@@ -44,7 +44,7 @@ class FakeIver(TextController):
             case "OMS", *_:
                 return self._steered(fields, now_s)
             case "PMCM", "C":
-                self._hear_report(contact_of(fields[1:]))
+                self._hear_report(report_from_fields(fields[1:]))
             case "PMCM", "H":
                 self._hear_health(fields[1])
             case _:

@@ -10,7 +10,7 @@ from typing import Final
 
 from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Steer, Vertical
-from sim_replay.fakes.vehicles.text_controller import TextController, clock, contact_of, or_zero, steer_of
+from sim_replay.fakes.vehicles.text_controller import TextController, clock, or_zero, report_from_fields, steer_of
 
 _STATE_EVERY_S: Final = 0.5
 _IN_MISSION, _OVERRIDE, _NOT_ALLOWED = 0x01, 0x0C, 0x80
@@ -65,7 +65,7 @@ class FakeRecon(TextController):
             case "C", goal, *rest:
                 self._set_goal(goal, rest, now_s)
             case "K", *_:
-                self._hear_report(contact_of(fields + [""] * (25 - len(fields))))
+                self._hear_report(report_from_fields(fields + [""] * (25 - len(fields))))
             case _:
                 raise ValueError(f"not known: {kind}")
         return []

@@ -116,7 +116,7 @@ class TextController(ABC):
         """What it says by itself."""
 
 
-def contact_of(fields: list[str]) -> ContactReport:
+def report_from_fields(fields: list[str]) -> ContactReport:
     """A contact from its 25 fields. Raises ValueError or IndexError for what is none."""
     if len(fields) != 25:
         raise ValueError(f"{len(fields)} fields instead of 25")

@@ -15,12 +15,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import WINDOW, Box, areas, band_edges, bands_at, pixel_boxes
-from auv_mcm.detect.cascade.codes import Plane, make_plane, valid_counts
+from auv_mcm.detect.cascade.bands import WINDOW, FeatureBox, areas, band_edges, bands_at, pixel_boxes
+from auv_mcm.detect.cascade.codes import CodePlane, make_plane, valid_counts
 from auv_mcm.detect.cascade.model import CascadeModel
-from auv_mcm.detect.cascade.peaks import apart
+from auv_mcm.detect.cascade.peaks import spaced_apart
 from auv_mcm.detect.cascade.run import CascadeResult, run_plane, trace_plane
-from sim_replay.fitting.cascade.pool import box_means
+from sim_replay.fitting.cascade.pool import pool_box_means
 from sim_replay.fitting.cascade.soft import best_windows
 from sim_replay.fitting.cascade.store import Shard, read_shard
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
@@ -30,7 +30,7 @@ CLEAR_M: Final = 3.0
 
 _BAG_M: Final = 0.5
 _APART_M: Final = 1.0
-_HIGHLIGHT: Final = Box(-0.18, 0.18, -0.12, 0.0, 0.12, 0.0)
+_HIGHLIGHT: Final = FeatureBox(-0.18, 0.18, -0.12, 0.0, 0.12, 0.0)
 _LEAST_SHARE: Final = 0.6  # of a window that must be valid, as where a cascade runs
 
 
@@ -50,7 +50,7 @@ class Errand(NamedTuple):
 
     folder: Path
     shard: Shard
-    boxes: tuple[Box, ...]
+    boxes: tuple[FeatureBox, ...]
     model: CascadeModel | None
     n_others: int
     hardest: bool
@@ -76,10 +76,10 @@ def glean(errand: Errand) -> Gleaned:
     for number, (tile, plane) in enumerate(planes_of(errand.folder, errand.shard)):
         bags = target_bags(tile, plane)
         best = best_windows(_merit(plane, errand.model, bags), bags.bag)
-        targets.append(box_means(plane, errand.boxes, bags.rows[best], bags.columns[best]))
+        targets.append(pool_box_means(plane, errand.boxes, bags.rows[best], bags.columns[best]))
         rng = np.random.Generator(np.random.PCG64([errand.seed, number, *errand.shard.sha256.encode()]))
         rows, columns = _others(tile, plane, errand, rng)
-        others.append(box_means(plane, errand.boxes, rows, columns))
+        others.append(pool_box_means(plane, errand.boxes, rows, columns))
         places.append(np.column_stack((np.full(rows.size, number), rows, columns)).astype(np.int32))
         spacings_m.append((tile.row_spacing_m, tile.column_spacing_m))
     return Gleaned(
@@ -90,13 +90,13 @@ def glean(errand: Errand) -> Gleaned:
     )
 
 
-def planes_of(folder: Path, shard: Shard) -> Iterator[tuple[LabelledTile, Plane]]:
+def planes_of(folder: Path, shard: Shard) -> Iterator[tuple[LabelledTile, CodePlane]]:
     """The tiles of a shard, each with what a cascade sees of it."""
     for tile in read_shard(folder, shard):
         yield tile, make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
-def target_bags(tile: LabelledTile, plane: Plane) -> Bags:
+def target_bags(tile: LabelledTile, plane: CodePlane) -> Bags:
     """All windows within half a metre of each target along and across the track."""
     targets: list[TileObject] = []
     bag: list[NDArray[np.intp]] = []
@@ -138,16 +138,16 @@ def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64
 def well_apart(tile: LabelledTile, found: CascadeResult, most: int) -> NDArray[np.intp]:
     """Indices of up to `most` windows that passed a cascade, best first, none within a metre of a better one."""
     half_rows, half_columns = _APART_M / tile.row_spacing_m, _APART_M / tile.column_spacing_m
-    return apart(found.rows, found.columns, found.scores, half_rows, half_columns, most)
+    return spaced_apart(found.rows, found.columns, found.scores, half_rows, half_columns, most)
 
 
-def _merit(plane: Plane, model: CascadeModel | None, bags: Bags) -> NDArray[Any]:
+def _merit(plane: CodePlane, model: CascadeModel | None, bags: Bags) -> NDArray[Any]:
     if model is None:
-        return np.asarray(box_means(plane, (_HIGHLIGHT,), bags.rows, bags.columns)[0])
+        return np.asarray(pool_box_means(plane, (_HIGHLIGHT,), bags.rows, bags.columns)[0])
     return merit_of(model, trace_plane(plane, model, bags.rows, bags.columns))
 
 
-def _others(tile: LabelledTile, plane: Plane, errand: Errand, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _others(tile: LabelledTile, plane: CodePlane, errand: Errand, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     clear = clear_of_targets(tile)
     if errand.model is None:
         rows, columns = np.nonzero(clear)
@@ -169,7 +169,7 @@ def _near(tile: LabelledTile, thing: TileObject, reach_m: float) -> NDArray[np.b
     return np.asarray(rows[:, np.newaxis] & columns)
 
 
-def _is_whole(plane: Plane, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _is_whole(plane: CodePlane, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.bool_]:
     bands = bands_at(band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m), rows, columns)
     boxes = pixel_boxes((WINDOW,), plane.row_spacing_m, plane.column_spacing_m)[bands, 0]
     return np.asarray(valid_counts(plane, rows, columns, boxes) >= _LEAST_SHARE * areas(boxes))

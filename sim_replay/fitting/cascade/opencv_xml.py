@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from auv_mcm.detect.cascade.bands import Box, areas, pixel_boxes
+from auv_mcm.detect.cascade.bands import FeatureBox, areas, pixel_boxes
 from auv_mcm.detect.cascade.model import CascadeModel, Stump
 
 
@@ -60,7 +60,7 @@ def opencv_cascade(model: CascadeModel, band: int, row_spacing_m: float, column_
     return OpenCvCascade(xml, bottom - top, right - left, -top, -left)
 
 
-def _boxes(stump: Stump) -> tuple[Box, ...]:
+def _boxes(stump: Stump) -> tuple[FeatureBox, ...]:
     return (stump.a, stump.b) if stump.w is None else (stump.a, stump.b, stump.w)
 
 
@@ -68,7 +68,7 @@ def _weak(index: int, stump: Stump) -> str:
     return f"<_><internalNodes>0 -1 {index} 0.</internalNodes><leafValues>{stump.below}. {stump.above}.</leafValues></_>"
 
 
-def _feature(stump: Stump, rectangles: dict[Box, np.ndarray]) -> str:
+def _feature(stump: Stump, rectangles: dict[FeatureBox, np.ndarray]) -> str:
     factors = (1.0, -stump.threshold) if stump.w is None else (1.0, -1.0, -stump.threshold)
     rects = []
     for box, factor in zip(_boxes(stump), factors, strict=True):

@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import WINDOW, Box, areas, band_edges, bands_at, pixel_boxes
-from auv_mcm.detect.cascade.codes import Plane, box_sums
+from auv_mcm.detect.cascade.bands import WINDOW, FeatureBox, areas, band_edges, bands_at, pixel_boxes
+from auv_mcm.detect.cascade.codes import CodePlane, box_sums
 from auv_mcm.detect.cascade.model import Stump
 from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump
 
@@ -46,14 +46,14 @@ class Feature(NamedTuple):
 class Pool(NamedTuple):
     """boxes: the first is the window. features: what is made of them."""
 
-    boxes: tuple[Box, ...]
+    boxes: tuple[FeatureBox, ...]
     features: tuple[Feature, ...]
 
 
 def feature_pool() -> Pool:
     """The same several thousand features every time."""
     rng = np.random.Generator(np.random.PCG64(_SEED))
-    numbers: dict[Box, int] = {WINDOW: 0}
+    numbers: dict[FeatureBox, int] = {WINDOW: 0}
     features = []
     for name, pairs in _families().items():
         every = [(is_ratio, a, b) for a, b in dict.fromkeys(pairs) if a != b for is_ratio in (True, False)]
@@ -63,7 +63,7 @@ def feature_pool() -> Pool:
     return Pool(tuple(numbers), tuple(dict.fromkeys(features)))
 
 
-def box_means(plane: Plane, boxes: Sequence[Box], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
+def pool_box_means(plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
     """(n_boxes, n_windows) float32 mean code of every box around the given pixels of a plane; rows, columns: (n_windows,) intp."""
     by_band = pixel_boxes(boxes, plane.row_spacing_m, plane.column_spacing_m)
     area = areas(by_band).astype(np.float32)
@@ -133,7 +133,7 @@ def model_stump(pool: Pool, edges: NDArray[np.float32], stump: BoostedStump) -> 
     )
 
 
-def _families() -> dict[str, list[tuple[Box, Box]]]:
+def _families() -> dict[str, list[tuple[FeatureBox, FeatureBox]]]:
     """Every pair of each family, in a fixed order."""
     highlights, shadows, floors, sides = _highlights(), _shadows(), _floors(), _sides()
     return {
@@ -146,14 +146,14 @@ def _families() -> dict[str, list[tuple[Box, Box]]]:
     }
 
 
-def _highlights() -> list[Box]:
+def _highlights() -> list[FeatureBox]:
     sizes = product((0.12, 0.36, 0.6, 0.84, 1.2, 1.6), (0.12, 0.24, 0.36, 0.5))
     centred = [_box(0.0, along, at, across) for (along, across), at in product(sizes, (-0.06, 0.06, 0.18))]
     beside = [_box(at, along, 0.06, across) for at, along, across in product((-0.6, -0.3, 0.3, 0.6), (0.24, 0.48), (0.24, 0.48))]
     return [*centred, *beside]
 
 
-def _shadows() -> list[Box]:
+def _shadows() -> list[FeatureBox]:
     """Pieces of shadows of different lengths and heights, from right behind the highlight to where only tall objects cast any."""
     boxes = []
     for along, at in ((0.24, 0.0), (0.48, 0.0), (0.84, 0.0), (1.2, 0.0), (1.8, 0.0), (0.36, -0.3), (0.36, 0.3), (0.4, -0.6), (0.4, 0.6)):
@@ -165,12 +165,12 @@ def _shadows() -> list[Box]:
     return boxes
 
 
-def _floors() -> list[Box]:
+def _floors() -> list[FeatureBox]:
     """Sea floor around an object of up to 1.6 m and its shadow: before, behind, beside either end, and all of it."""
     before = [_shadow(0.0, along, -1.0, 0.0, stop, 0.0) for along, stop in product((0.6, 1.2, 2.0), (-0.3, -0.5))]
     behind = [_shadow(0.0, along, 0.5, start, 1.0, 1.2) for along, start in product((0.6, 1.2, 2.0), (0.8, 1.0))]
     beside = [
-        Box(top_m=top, bottom_m=bottom, near_m=near_m, near_shadow=near, far_m=far_m, far_shadow=far)
+        FeatureBox(top_m=top, bottom_m=bottom, near_m=near_m, near_shadow=near, far_m=far_m, far_shadow=far)
         for (top, bottom), (near_m, near, far_m, far) in product(
             ((-1.0, -0.5), (-1.0, -0.75), (0.5, 1.0), (0.75, 1.0)),
             ((-1.0, 0.0, 1.0, 1.0), (-0.4, 0.0, 0.4, 0.0), (0.3, 0.0, 0.4, 1.0), (-1.0, 0.0, 0.4, 0.0)),
@@ -179,11 +179,11 @@ def _floors() -> list[Box]:
     return [WINDOW, *before, *behind, *beside]
 
 
-def _surrounds() -> list[Box]:
+def _surrounds() -> list[FeatureBox]:
     return [_box(0.0, along, 0.06, across) for along, across in ((0.6, 0.6), (0.84, 1.0), (1.2, 1.2), (2.0, 1.0), (2.0, 1.8))]
 
 
-def _sides() -> list[list[Box]]:
+def _sides() -> list[list[FeatureBox]]:
     """Groups of strips that sea floor without relief shows alike: ripples and slopes do not."""
     rows = np.arange(-1.0, 1.0, 0.4).round(2).tolist()
     along = [_shadow(top + 0.2, 0.4, -1.0, 0.0, 1.0, 1.0) for top in rows]
@@ -193,11 +193,11 @@ def _sides() -> list[list[Box]]:
     return [along, near, [*across, *far]]
 
 
-def _box(at_row_m: float, along_m: float, at_column_m: float, across_m: float) -> Box:
+def _box(at_row_m: float, along_m: float, at_column_m: float, across_m: float) -> FeatureBox:
     return _shadow(at_row_m, along_m, at_column_m - 0.5 * across_m, 0.0, at_column_m + 0.5 * across_m, 0.0)
 
 
-def _shadow(at_row_m: float, along_m: float, near_m: float, near_shadow: float, far_m: float, far_shadow: float) -> Box:
+def _shadow(at_row_m: float, along_m: float, near_m: float, near_shadow: float, far_m: float, far_shadow: float) -> FeatureBox:
     metres = (at_row_m - 0.5 * along_m, at_row_m + 0.5 * along_m, near_m, near_shadow, far_m, far_shadow)
     top_m, bottom_m, near_m, near_shadow, far_m, far_shadow = (round(value, 3) for value in metres)
-    return Box(top_m=top_m, bottom_m=bottom_m, near_m=near_m, near_shadow=near_shadow, far_m=far_m, far_shadow=far_shadow)
+    return FeatureBox(top_m=top_m, bottom_m=bottom_m, near_m=near_m, near_shadow=near_shadow, far_m=far_m, far_shadow=far_shadow)

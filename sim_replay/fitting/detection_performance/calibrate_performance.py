@@ -26,7 +26,7 @@ class Flight(NamedTuple):
     number: int
 
 
-def fly(flight: Flight) -> list[CellPass]:
+def fly_scene(flight: Flight) -> list[CellPass]:
     """Every look of one mission."""
     return looks_of(target_scene(flight.seed, flight.number))
 
@@ -34,7 +34,7 @@ def fly(flight: Flight) -> list[CellPass]:
 def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]) -> list[list[CellPass]]:
     """Looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there are."""
     tasks = [Flight(seed, number) for seed in seeds for number in range(flights)]
-    return list(run_tasks(fly, tasks, farm, lambda done: progress(done, len(tasks))))
+    return list(run_tasks(fly_scene, tasks, farm, lambda done: progress(done, len(tasks))))
 
 
 def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass]) -> str:

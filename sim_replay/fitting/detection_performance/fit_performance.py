@@ -108,7 +108,7 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performanc
     floors: dict[Floor, tuple[Band, ...]] = {}
     for index, name in enumerate(FLOORS):
         prior = closed_form_prior(n_looks[index], n_found[index])
-        smooth = smoothed(n_found[index], n_looks[index], prior, effect)
+        smooth = smooth_bands(n_found[index], n_looks[index], prior, effect)
         floors[name] = tuple(
             Band(
                 n_looks=int(n), n_found=int(k), p=round(float(p), _DIGITS), low=round(float(low), _DIGITS), high=round(float(high), _DIGITS)
@@ -177,7 +177,7 @@ def _closed_forms() -> Array:
     return np.stack([p_found(middle_m, _ALTITUDE_M, texture) for texture in _TEXTURES])
 
 
-def smoothed(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> SmoothedBands:
+def smooth_bands(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> SmoothedBands:
     """Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with range while
     shadows grow, and falls as echoes fade.
 

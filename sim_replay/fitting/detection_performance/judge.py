@@ -71,7 +71,7 @@ class JudgedPredictions(NamedTuple):
         return tuple(place for place in self.places if place.share.n >= LEAST_LOOKS)
 
 
-def judge(performance: Performance, seen: Outcomes) -> JudgedPredictions:
+def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredictions:
     """The tables against looks, whose floor is the true one. Raises ValueError if there are none."""
     p = predicted(performance, seen)
     base = float(seen.found.mean()) if len(p) else 0.0

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.likelihood import beam_of, labels_cost, parameter_cost, row_sums
+from auv_mcm.classify.likelihood import beam_of, image_row_sums, labels_cost, parameter_cost
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
-from auv_mcm.kernels.shape import FIELDS, FORBIDDEN, LEAST_MEAN, PENCIL, Beam, RowSums, Solid, shape_costs, shape_costs_numpy, solid_of
+from auv_mcm.kernels.shape import FIELDS, FORBIDDEN, LEAST_MEAN, PENCIL, Beam, ImageRowSums, Solid, shape_costs, shape_costs_numpy, solid_of
 from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
@@ -48,8 +48,8 @@ def picture(seed: int, *, masked: float = 0.0) -> Region:
     )
 
 
-def sums_of(region: Region, correlation_area: float = 1.0) -> RowSums:
-    image = row_sums(region, correlation_area)
+def sums_of(region: Region, correlation_area: float = 1.0) -> ImageRowSums:
+    image = image_row_sums(region, correlation_area)
     assert image is not None
     return image
 
@@ -82,7 +82,7 @@ def foot_of_wedge(hypothesis: Array, offset_m: float) -> float:
     return float(y[inside].min()) if inside.any() else math.nan
 
 
-def labelled(solid: Solid, hypothesis: Array, image: RowSums, bearing_rad: float) -> Array:
+def labelled(solid: Solid, hypothesis: Array, image: ImageRowSums, bearing_rad: float) -> Array:
     """Share of each pixel in highlight and in shadow, (n_rows, n_columns, 2), worked out pixel by pixel for one slice of the beam."""
     share = np.zeros((N_ROWS, N_COLUMNS, 2))
     along, across, altitude = float(hypothesis[0]), float(hypothesis[1]), float(hypothesis[2]) * ALTITUDE_M
@@ -104,7 +104,7 @@ def labelled(solid: Solid, hypothesis: Array, image: RowSums, bearing_rad: float
     return share
 
 
-def cost_by_pixels(solid: Solid, hypothesis: Array, image: RowSums) -> float:
+def cost_by_pixels(solid: Solid, hypothesis: Array, image: ImageRowSums) -> float:
     """The definition: every pixel's share of its echo belongs to highlight, shadow or floor, each with the mean it has."""
     echoes, counts = np.diff(image.echoes, axis=1), np.diff(image.counts, axis=1)
     share = labelled(solid, hypothesis, image, 0.0)
@@ -298,8 +298,8 @@ def test_beams_narrower_than_the_rows_are_pencils() -> None:
 
 def test_regions_without_echoes_have_no_sums() -> None:
     region = picture(1)
-    assert row_sums(msgspec.structs.replace(region, valid=np.zeros_like(region.valid)), 1.0) is None
-    assert row_sums(msgspec.structs.replace(region, intensity=np.zeros_like(region.intensity)), 1.0) is None
+    assert image_row_sums(msgspec.structs.replace(region, valid=np.zeros_like(region.valid)), 1.0) is None
+    assert image_row_sums(msgspec.structs.replace(region, intensity=np.zeros_like(region.intensity)), 1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -313,7 +313,7 @@ def test_regions_without_echoes_have_no_sums() -> None:
 )
 def test_regions_that_cannot_be_are_refused(change: dict[str, object], area: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        row_sums(msgspec.structs.replace(picture(1), **change), area)
+        image_row_sums(msgspec.structs.replace(picture(1), **change), area)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import SOLIDS, hypotheses_of
-from auv_mcm.classify.likelihood import beam_of, row_sums
+from auv_mcm.classify.likelihood import beam_of, image_row_sums
 from auv_mcm.kernels.shape import FORBIDDEN, PENCIL, Solid, intervals, intervals_numpy
 from auv_mcm.kernels.shape_walk import (
     ONE,
@@ -92,7 +92,7 @@ def test_c_takes_the_steps_that_a_walk_over_any_cost_takes(chart: WalkSpace, bea
     for seed in range(3):
         random = np.random.Generator(np.random.PCG64(seed))
         region = closed_form_region(SHAPES[chart.solid], 20.0, random=random, beam_width_rad=beam_width_rad)
-        image = row_sums(region, 1.3)
+        image = image_row_sums(region, 1.3)
         assert image is not None
         beam = beam_of(region)
         assert beam.share.size == (3 if beam_width_rad else 1)
@@ -113,7 +113,7 @@ def assert_same(fast: Optima, slow: Optima) -> None:
 
 
 def test_a_search_finds_fewer_places_than_asked_for_where_no_more_lie_apart() -> None:
-    image = row_sums(closed_form_region(SHAPES["sphere"], 20.0), 1.0)
+    image = image_row_sums(closed_form_region(SHAPES["sphere"], 20.0), 1.0)
     assert image is not None
     walk = Walk(4000, 1, 1, first_stride=1.0)
     fast, slow = (search(SPHERE, image, PENCIL, 5000, walk) for search in (search_shapes, search_shapes_numpy))
@@ -122,7 +122,7 @@ def test_a_search_finds_fewer_places_than_asked_for_where_no_more_lie_apart() ->
 
 
 def test_wrong_altitudes_burials_and_parameters_cost_nats() -> None:
-    image = row_sums(closed_form_region(SHAPES["sphere"], 20.0), 1.0)
+    image = image_row_sums(closed_form_region(SHAPES["sphere"], 20.0), 1.0)
     assert image is not None
     points = np.array([[3.66, 20.0, 0.4, share] for share in (0.0, -0.06, 0.3)])
     plain = SPHERE._replace(sigma=(math.inf, math.inf), fixed_cost=0.0)
@@ -135,7 +135,7 @@ def test_wrong_altitudes_burials_and_parameters_cost_nats() -> None:
 @pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize("squint", [0.0, 0.1])
 def test_intervals_of_c_and_numpy_are_the_same_columns(solid: Solid, squint: float) -> None:
-    image = row_sums(closed_form_region(SHAPES[solid], 20.0, squint_rad=squint), 1.5)
+    image = image_row_sums(closed_form_region(SHAPES[solid], 20.0, squint_rad=squint), 1.5)
     assert image is not None
     random = np.random.Generator(np.random.PCG64(5))
     sizes = {

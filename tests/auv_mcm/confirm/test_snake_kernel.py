@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.snake import COARSE, FINE, settings_of
+from auv_mcm.confirm.snake import COARSE, FINE, snake_settings
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_descent import Course, descend, descend_numpy, row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere, elsewhere_numpy, evidence
-from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings, Sums
+from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, EdgeSums, Moved, Settings
 from sim_replay.studies.snakes import box, drawn_pair, plain_region
 
 Floats = NDArray[np.float64]
@@ -32,8 +32,8 @@ def window(seed: int, shape: tuple[int, int] = SHAPE) -> tuple[Floats, Settings]
     mean[8:16, 6:10] = 8.0
     mean[8:16, 10:20] = 0.1
     region = plain_region(mean * random.exponential(1.0, shape), row=12.0, column=8.0)
-    table = snake.row_sums(region.intensity, region.valid).table
-    return table, settings_of(region, table, 1.0)
+    table = snake.window_row_sums(region.intensity, region.valid).table
+    return table, snake_settings(region, table, 1.0)
 
 
 def inside_by_ray(nodes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -108,7 +108,7 @@ def test_sums_over_a_polygon_are_those_of_its_pixels(nodes: Floats) -> None:
     table, _ = window(3)
     inside = inside_by_ray(nodes, SHAPE)
     edges = snake_twin.sums_of(table, np.full(SHAPE[0], -1.0), HIGHLIGHT, nodes)
-    total = Sums(*np.sum(edges, axis=0))
+    total = EdgeSums(*np.sum(edges, axis=0))
     assert total.total == np.diff(table, axis=1)[..., 0][inside].sum()  # exact, in any order
     assert total.measured == total.area == inside.sum()
     assert total.rows == inside.any(axis=1).sum()
@@ -128,8 +128,8 @@ def test_c_and_twin_agree_on_a_whole_run() -> None:
     drawn = drawn_pair(0)
     part = drawn.region.intensity[34:94, 24:104]
     region = plain_region(part, row=30.0, column=15.0)
-    table = snake.row_sums(part, region.valid).table
-    known = settings_of(region, table, 2.5)
+    table = snake.window_row_sums(part, region.valid).table
+    known = snake_settings(region, table, 2.5)
     start = box(22, 10, 36, 20), box(22, 20, 36, 40)
     schedule = np.array(COARSE + FINE)
     assert_same(snake.move_pair(table, known, schedule, *start), snake_twin.move_pair(table, known, schedule, *start))
@@ -225,8 +225,8 @@ def test_no_rectangle_pair_of_a_tiny_image_is_better_than_the_best_start_finds()
         mean[4:8, 3:6] = 10.0
         mean[4:8, 6:13] = 0.05
         region = plain_region(mean * random.exponential(1.0, shape), row=6.0, column=4.0)
-        table = snake.row_sums(region.intensity, region.valid).table
-        known = settings_of(region, table, 1.0)._replace(min_area_px=4.0)
+        table = snake.window_row_sums(region.intensity, region.valid).table
+        known = snake_settings(region, table, 1.0)._replace(min_area_px=4.0)
         schedule = np.array([(4, 2.0, 20), (4, 1.0, 20)])
         found = min(
             snake.move_pair(table, known, schedule, box(top, 1, top + 5, foot), box(top, foot, top + 5, foot + length)).criterion
@@ -243,8 +243,8 @@ def test_no_rectangle_pair_of_a_tiny_image_is_better_than_the_best_start_finds()
 
 def test_highlight_stays_before_the_shadow_and_beside_it() -> None:
     drawn = drawn_pair(1)
-    table = snake.row_sums(drawn.region.intensity, drawn.region.valid).table
-    known = settings_of(drawn.region, table, 1.0)
+    table = snake.window_row_sums(drawn.region.intensity, drawn.region.valid).table
+    known = snake_settings(drawn.region, table, 1.0)
     moved = snake.move_pair(table, known, np.array(COARSE + FINE), box(56, 30, 70, 50), box(56, 40, 70, 60))  # overlapping at first
     assert moved.shadow_sums.overlap == 0.0
     assert moved.criterion < 0.0
@@ -282,7 +282,7 @@ def test_schedules_that_mean_nothing_are_refused(schedule: list[tuple[float, ...
 def test_row_sums_leave_out_what_was_not_measured() -> None:
     intensity = np.array([[1.0, np.nan, 3.0], [np.inf, 2.0, -1.0]])
     valid = np.array([[True, True, False], [True, True, True]])
-    sums = snake.row_sums(intensity, valid)
+    sums = snake.window_row_sums(intensity, valid)
     assert sums.mean == 1.5
     assert sums.table[:, -1, 1].tolist() == [1.0, 1.0]
     assert sums.table[:, -1, 0].tolist() == pytest.approx([1.0 / 1.5, 2.0 / 1.5], abs=snake.QUANTUM)

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from auv_mcm.contacts.ledger import Ledger, contact_of
+from auv_mcm.contacts.ledger import Ledger, contact_from_views
 from auv_mcm.contacts.shelf import Shelf
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Confirmation, Contact, Detection, ShapeModel, contact_id
@@ -73,10 +73,10 @@ class Everything:
         for d, detection in enumerate(passage):
             if 0 <= match[d] < len(known):
                 views = tuple(sorted([*known[match[d]].views, detection], key=lambda view: view.time_s))
-                self.contacts[match[d]] = contact_of(known[match[d]].id, views, PRIOR)
+                self.contacts[match[d]] = contact_from_views(known[match[d]].id, views, PRIOR)
                 changed.add(match[d])
             else:
-                self.contacts.append(contact_of(contact_id(len(self.contacts) + 1), (detection,), PRIOR))
+                self.contacts.append(contact_from_views(contact_id(len(self.contacts) + 1), (detection,), PRIOR))
                 changed.add(len(self.contacts) - 1)
         return changed
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from auv_mcm.detect.cascade.bands import Box
+from auv_mcm.detect.cascade.bands import FeatureBox
 from auv_mcm.detect.cascade.model import SCORE_UNIT, Calibration, CascadeModel, Stump
 
-HIGHLIGHT = Box(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
-BEFORE = Box(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
-SHADOW = Box(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
+HIGHLIGHT = FeatureBox(-0.18, 0.18, -0.15, 0.0, 0.15, 0.0)
+BEFORE = FeatureBox(-0.5, 0.5, -0.9, 0.0, -0.4, 0.0)
+SHADOW = FeatureBox(-0.18, 0.18, 0.3, 0.0, 0.3, 0.8)
 
 
-def stump(a: Box, b: Box, threshold: float) -> Stump:
+def stump(a: FeatureBox, b: FeatureBox, threshold: float) -> Stump:
     return Stump(kind="ratio", a=a, b=b, threshold=threshold, below=-SCORE_UNIT, above=SCORE_UNIT)
 
 

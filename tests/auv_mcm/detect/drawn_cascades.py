@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import WINDOW, Box
-from auv_mcm.detect.cascade.codes import Plane, make_plane
+from auv_mcm.detect.cascade.bands import WINDOW, FeatureBox
+from auv_mcm.detect.cascade.codes import CodePlane, make_plane
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel, Stump, check_model
 
 ROW_M, COLUMN_M = 0.3, 0.35
-OTHER = Box(-0.5, 0.5, -0.6, 0.0, 0.4, 0.5)
+OTHER = FeatureBox(-0.5, 0.5, -0.6, 0.0, 0.4, 0.5)
 """For contrasts against another box than the whole window's."""
 
 
@@ -27,15 +27,15 @@ class Ground(NamedTuple):
     row_m: float = ROW_M
     column_m: float = COLUMN_M
 
-    def plane(self) -> Plane:
+    def plane(self) -> CodePlane:
         return make_plane(self.codes, self.valid, self.usable, self.first_return_m, self.row_m, self.column_m)
 
 
-def draw_box(random: np.random.Generator) -> Box:
+def draw_box(random: np.random.Generator) -> FeatureBox:
     top, bottom = np.sort(random.uniform(-1.0, 1.0, 2))
     near, far = np.sort(random.uniform(-1.0, 1.0, 2))
     shadow = random.uniform(0.0, 1.2) if random.random() < 0.5 else 0.0
-    return Box(float(top), float(bottom + 1e-3 * (bottom <= top)), float(near), 0.0, float(far), float(shadow))
+    return FeatureBox(float(top), float(bottom + 1e-3 * (bottom <= top)), float(near), 0.0, float(far), float(shadow))
 
 
 def draw_stump(random: np.random.Generator) -> Stump:
@@ -118,7 +118,7 @@ def _band_shadow_m(ground: Ground, row: int, column: int, height_m: float) -> fl
     return float(0.4 * 15.0 ** ((band + 0.5) / 24))
 
 
-def _pixels(box: Box, ground: Ground, shadow_m: float) -> tuple[int, int, int, int]:
+def _pixels(box: FeatureBox, ground: Ground, shadow_m: float) -> tuple[int, int, int, int]:
     top, bottom = _whole(box.top_m / ground.row_m), _whole(box.bottom_m / ground.row_m)
     left = _whole((box.near_m + box.near_shadow * shadow_m) / ground.column_m)
     right = _whole((box.far_m + box.far_shadow * shadow_m) / ground.column_m)
@@ -146,7 +146,7 @@ def _sum(plane: NDArray[np.uint16] | NDArray[np.bool_], pixels: tuple[int, int, 
 
 
 def _outcome(stump: Stump, ground: Ground, shadow_m: float, row: int, column: int) -> int:
-    def weighed(box: Box, factor: float) -> np.float32:
+    def weighed(box: FeatureBox, factor: float) -> np.float32:
         pixels = _pixels(box, ground, shadow_m)
         total = _sum(ground.codes, pixels, row, column, 1024)
         return np.float32(np.float32(total) * np.float32(factor * (1.0 / _area(pixels))))

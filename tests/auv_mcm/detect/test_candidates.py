@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.detect.candidates import STEP_M, Found, by_both, by_contrast
-from auv_mcm.detect.cascade.peaks import apart
+from auv_mcm.detect.candidates import STEP_M, TileCandidates, by_both, by_contrast
+from auv_mcm.detect.cascade.peaks import spaced_apart
 from auv_mcm.detect.cascade.run import core_plane, trace_plane
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.detect.gate import Forecast, Gate
@@ -33,7 +33,7 @@ def scene(n_objects: int = 3, n_rows: int = 180) -> Tile:
     return make_tile(plane)
 
 
-def found(tile: Tile, max_evaluations: int | None = None, most: int = 256, gate: Gate | None = None) -> Found:
+def found(tile: Tile, max_evaluations: int | None = None, most: int = 256, gate: Gate | None = None) -> TileCandidates:
     return by_both(tile, MODEL, DetectConfig(max_candidates_per_tile=most), max_evaluations, gate, 0.5)
 
 
@@ -97,7 +97,7 @@ def test_windows_apart_are_those_of_one_comparison_after_the_other(seed: int, n:
     for k in sorted(range(n), key=lambda k: (-scores[k], k)):
         if len(slow) < most and all(abs(rows[k] - rows[o]) > half[0] or abs(columns[k] - columns[o]) > half[1] for o in slow):
             slow.append(k)
-    assert apart(rows, columns, scores, *half, most).tolist() == slow
+    assert spaced_apart(rows, columns, scores, *half, most).tolist() == slow
 
 
 @settings(max_examples=60)
@@ -110,8 +110,8 @@ def test_windows_apart_are_those_of_one_comparison_after_the_other(seed: int, n:
 def test_more_windows_never_lose_a_candidate_without_a_better_one_in_reach(places: list[tuple[int, int, int]], cut: int) -> None:
     places.sort(key=lambda place: -place[2])
     rows, columns, scores = np.array(places).T
-    kept = apart(rows, columns, scores, 3.0, 5.0, len(places))
-    few = apart(rows[:cut], columns[:cut], scores[:cut], 3.0, 5.0, len(places))
+    kept = spaced_apart(rows, columns, scores, 3.0, 5.0, len(places))
+    few = spaced_apart(rows[:cut], columns[:cut], scores[:cut], 3.0, 5.0, len(places))
     for one in few:
         near = kept[(np.abs(rows[kept] - rows[one]) <= 3.0) & (np.abs(columns[kept] - columns[one]) <= 5.0)]
         assert (scores[near] >= scores[one]).any()

@@ -13,7 +13,7 @@ from auv_mcm.detect.cascade.bands import (
     WINDOW,
     WINDOW_FAR_M,
     WINDOW_SHADOWS,
-    Box,
+    FeatureBox,
     areas,
     band_edges,
     band_shadows_m,
@@ -59,26 +59,26 @@ def test_bands_have_one_ratio_between_the_limits() -> None:
 @pytest.mark.parametrize(
     ("box", "pixels"),
     [
-        (Box(-0.5, 0.5, -0.25, 0.0, 0.25, 0.0), (-5, 6, -2, 3)),  # halves lie symmetrically about the pixel
-        (Box(-0.36, 0.36, 0.1, 0.0, 0.3, 0.0), (-3, 4, 2, 4)),
-        (Box(0.0, 0.02, 0.0, 0.0, 0.001, 0.0), (1, 2, 1, 2)),  # never empty
-        (Box(-1.0, -0.98, -0.98, 0.0, -0.97, 0.0), (-10, -9, -9, -8)),
+        (FeatureBox(-0.5, 0.5, -0.25, 0.0, 0.25, 0.0), (-5, 6, -2, 3)),  # halves lie symmetrically about the pixel
+        (FeatureBox(-0.36, 0.36, 0.1, 0.0, 0.3, 0.0), (-3, 4, 2, 4)),
+        (FeatureBox(0.0, 0.02, 0.0, 0.0, 0.001, 0.0), (1, 2, 1, 2)),  # never empty
+        (FeatureBox(-1.0, -0.98, -0.98, 0.0, -0.97, 0.0), (-10, -9, -9, -8)),
     ],
 )
-def test_edges_fall_on_the_nearest_edge_between_pixels(box: Box, pixels: tuple[int, int, int, int]) -> None:
+def test_edges_fall_on_the_nearest_edge_between_pixels(box: FeatureBox, pixels: tuple[int, int, int, int]) -> None:
     assert pixel_boxes([box], 0.1, 0.1)[:, 0].tolist() == [list(pixels)] * N_BANDS
 
 
 def test_parts_in_shadows_grow_with_the_band() -> None:
-    box = pixel_boxes([Box(-0.1, 0.1, 0.2, 0.5, 0.2, 1.0)], 0.1, 0.001)[:, 0]
+    box = pixel_boxes([FeatureBox(-0.1, 0.1, 0.2, 0.5, 0.2, 1.0)], 0.1, 0.001)[:, 0]
     np.testing.assert_allclose(box[:, 2], 200 + 500 * band_shadows_m(), atol=1.01)
     np.testing.assert_allclose(box[:, 3], 200 + 1000 * band_shadows_m(), atol=1.01)
 
 
 @given(row_m=spacings, column_m=spacings)
 def test_no_box_reaches_beyond_the_margins(row_m: float, column_m: float) -> None:
-    widest = Box(-1.0, 1.0, -1.0, 0.0, WINDOW_FAR_M, WINDOW_SHADOWS)
-    tiny = [Box(0.999, 1.0, 0.999, 1.2, 1.0, 1.2), Box(-1.0, -0.999, -1.0, 0.0, -0.999, 0.0)]
+    widest = FeatureBox(-1.0, 1.0, -1.0, 0.0, WINDOW_FAR_M, WINDOW_SHADOWS)
+    tiny = [FeatureBox(0.999, 1.0, 0.999, 1.2, 1.0, 1.2), FeatureBox(-1.0, -0.999, -1.0, 0.0, -0.999, 0.0)]
     assert all(box_fault(box) is None for box in (widest, WINDOW, *tiny))
     boxes = pixel_boxes([widest, WINDOW, *tiny], row_m, column_m)
     rows, near, far = margins_px(row_m, column_m)

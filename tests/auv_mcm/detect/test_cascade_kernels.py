@@ -13,9 +13,9 @@ from auv_mcm import kernels
 from auv_mcm.detect.cascade.bands import band_edges
 from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.kernels.cascade import (
-    WindowField,
     Opened,
     Tables,
+    WindowField,
     Windows,
     encode,
     encode_numpy,

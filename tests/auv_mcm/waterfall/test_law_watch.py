@@ -7,14 +7,14 @@ import pytest
 
 from auv_mcm.records import Notice, Ping, Transfer
 from auv_mcm.settings.config import SonarConfig
-from auv_mcm.waterfall.law_watch import LawWatch, Verdict
+from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
 from tests.auv_mcm.waterfall.law_pings import intensity_pings, log_counts, pings
 
 AMPLITUDE = 60.0 * np.sqrt(intensity_pings(1, "spreading", n_pings=512))
 LOGARITHM = log_counts(intensity_pings(4, "spreading", n_pings=512, seed=2), 0.314)
 
 
-def verdicts_of(watch: LawWatch, given: list[Ping]) -> list[tuple[int, Verdict]]:
+def verdicts_of(watch: LawWatch, given: list[Ping]) -> list[tuple[int, LawVerdict]]:
     found = [(ping.number, verdict) for ping in given if (verdict := watch.add(ping)) is not None]
     last = watch.finish()
     return found if last is None else [*found, (-1, last)]
@@ -136,9 +136,9 @@ def test_a_logarithm_whose_decibels_are_left_open_is_doubted_with_the_first_deci
 def test_what_the_protocol_states_beats_speckle_but_not_the_configuration() -> None:
     stated = pings(LOGARITHM, transfer="intensity")
     watch = LawWatch(SonarConfig())
-    assert watch.add(stated[0]) == Verdict(Transfer("intensity"), ())
+    assert watch.add(stated[0]) == LawVerdict(Transfer("intensity"), ())
     (notice,) = notices_of(SonarConfig(), stated)
     assert notice.code == "transfer.disagrees"
     assert "the sonar's protocol states 'intensity'" in notice.text
     first = LawWatch(SonarConfig(transfer="amplitude")).add(stated[0])
-    assert first == Verdict(Transfer("amplitude"), ())
+    assert first == LawVerdict(Transfer("amplitude"), ())

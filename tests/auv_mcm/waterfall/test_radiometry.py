@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from auv_mcm.settings.config import WaterfallConfig
-from auv_mcm.waterfall.radiometry import AngleCurve, GainStepFilter, local_mean, row_medians
+from auv_mcm.waterfall.radiometry import AngleCurve, GainStepFilter, local_mean, ping_levels
 from tests.auv_mcm.waterfall.simulated_pings import ALTITUDE_M, CONFIG, GROUND_M, SLANT_M, Run, amplitudes, decibels, row_of_ping, run
 
 N_PINGS = 320
@@ -167,7 +167,7 @@ def slow_median(values: list[float], usable: list[bool]) -> float:
 def test_row_medians_skip_what_is_not_usable(values: NDArray[np.float64], share: float) -> None:
     usable = np.random.default_rng(0).random(values.shape) < share
     expected = [slow_median(row.tolist(), ok.tolist()) for row, ok in zip(values, usable, strict=True)]
-    np.testing.assert_array_equal(row_medians(values, usable), expected)
+    np.testing.assert_array_equal(ping_levels(values, usable), expected)
 
 
 def levels(gain: NDArray[np.float64], seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -38,7 +38,9 @@ RECORDS: st.SearchStrategy[wl.Record] = st.one_of(
         st.floats(0, 999),
         st.integers(0, 1),
     ),
-    st.builds(wl.WaterLinkedAttitude, st.floats(0, 2e9), *(st.floats(-1e4, 1e4),) * 3, st.floats(0, 99), *(st.floats(-3.1, 3.1),) * 3, st.just(0)),
+    st.builds(
+        wl.WaterLinkedAttitude, st.floats(0, 2e9), *(st.floats(-1e4, 1e4),) * 3, st.floats(0, 99), *(st.floats(-3.1, 3.1),) * 3, st.just(0)
+    ),
 )
 GROUP = (
     b":SA, -2.31, +4.92, 12.34\r\n:TS,23111422132050,35.0,+14.0, 12.5,1500.0,  0\r\n:BI,   +24,   -7,  +12,   +3,A\r\n"

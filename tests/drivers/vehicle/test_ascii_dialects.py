@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.dialect import GoTo, PayloadHealth, Steer, VehicleState, Vertical, Withheld
+from drivers.vehicle.dialect import GoTo, PayloadHealth, ReportedState, Steer, Vertical, Withheld
 from drivers.vehicle.recon_sentences import frame
 from drivers.vehicle.talkers.ascii_talker import FloorBelow
 from tests.drivers.vehicle.ascii_loop import COMMANDS, PAIRS, POSE, REPORT, STEER, Loop, dialogues, in_control, play, stamp_at
@@ -168,7 +168,7 @@ def test_after_a_reboot_of_the_vehicle_all_goes_on_when_asked_again(name: str) -
     loop.run(12.0)
     assert loop.granted
     assert loop.vehicle.in_control
-    assert loop.events[-1].received.mono_ns > (loop.now_s - 2.0) * 1e9 if isinstance(loop.events[-1], VehicleState) else True
+    assert loop.events[-1].received.mono_ns > (loop.now_s - 2.0) * 1e9 if isinstance(loop.events[-1], ReportedState) else True
 
 
 @every_dialect
@@ -189,7 +189,7 @@ def test_health_is_told(name: str) -> None:
 
 @every_dialect
 def test_the_vehicle_tells_where_it_is(name: str) -> None:
-    state = Loop(name).run(3.0).of(VehicleState)[-1]
+    state = Loop(name).run(3.0).of(ReportedState)[-1]
     assert state.latitude_deg == pytest.approx(POSE.latitude_deg, abs=1e-6)
     assert state.longitude_deg == pytest.approx(POSE.longitude_deg, abs=1e-6)
     for quantity in ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"):

@@ -22,7 +22,7 @@ from drivers.vehicle import iver_sentences as iver
 from drivers.vehicle import recon_sentences as recon
 from drivers.vehicle.ascii_fields import CLASSES, Table, plain_text
 from drivers.vehicle.dialect import ContactReport
-from sim_replay.fakes.vehicles.text_controller import contact_of
+from sim_replay.fakes.vehicles.text_controller import report_from_fields
 from tests.drivers.vehicle.ascii_loop import REPORT
 
 BLUEFIN, IVER, RECON = bluefin.table_of(BluefinSettings()), iver.table_of(IverSettings()), recon.table_of(ReconSettings())
@@ -179,7 +179,7 @@ def test_positions_are_written_to_less_than_a_metre(name: str, data: st.DataObje
 @given(REPORTS)
 def test_another_reader_finds_the_same_contact(report: ContactReport) -> None:
     body = BLUEFIN.body_of(bluefin.BluefinContact(0.0, report))
-    other = contact_of(body.split(",")[2:])
+    other = report_from_fields(body.split(",")[2:])
     again: Any = BLUEFIN.parse(body)
     for field in report.__struct_fields__:
         assert alike(getattr(other, field), getattr(again.report, field), 1e-9), field

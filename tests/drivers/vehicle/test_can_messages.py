@@ -22,7 +22,7 @@ from drivers.navigation.n2k_bus import N2kBus
 from drivers.vehicle import can_messages as can
 from drivers.vehicle.can_dbc import dbc_text
 from drivers.vehicle.can_receiver import CanReceiver
-from drivers.vehicle.can_translation import command_message, command_of, report_message, report_of, text_message, text_of
+from drivers.vehicle.can_translation import command_message, command_of, report_from_can, report_message, text_message, text_of
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
 from tests.drivers.vehicle.can_traffic import records
 
@@ -199,7 +199,7 @@ def test_a_report_is_read_back() -> None:
     again = next(whole for frame in sent(message, 9) if (whole := receiver.add(frame, 0.0))).record
     assert isinstance(again, can.ReportMessage)
     assert again.ticket == 300
-    report = report_of(again)
+    report = report_from_can(again)
     assert report.session == 0x1234_5678, "the lower 32 bits"
     assert report.belief == pytest.approx(REPORT.belief)
     for name in REPORT.__struct_fields__:

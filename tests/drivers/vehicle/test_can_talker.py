@@ -44,9 +44,9 @@ from drivers.vehicle.dialect import (
     PayloadHealth,
     PlaceReached,
     Rejected,
+    ReportedState,
     Steer,
     VehicleEvent,
-    VehicleState,
     Vertical,
     Withheld,
 )
@@ -174,7 +174,7 @@ def test_a_grant_without_signs_of_life_ends() -> None:
     bench.dialect.command(PLACE, VEHICLE_SILENT_S + 0.1)
     assert commands_in(bench.take(VEHICLE_SILENT_S + 0.1)) == []
     state = StateMessage(54.0, 1.0, 10.0, 1.5, 3.0, 0.0, 5.0, 0.0)
-    assert [type(event) for event in bench.say(state, VEHICLE_SILENT_S + 0.2)] == [Withheld, VehicleState]
+    assert [type(event) for event in bench.say(state, VEHICLE_SILENT_S + 0.2)] == [Withheld, ReportedState]
 
 
 def test_a_gateway_that_repeats_its_last_frame_for_ever_is_no_sign_of_life() -> None:
@@ -349,7 +349,7 @@ def test_a_lost_wire_forgets_control_and_reports() -> None:
 def test_the_vehicles_state_is_told_whole() -> None:
     state = StateMessage(54.0, 1.25, 10.0, 1.5, 3.5, -0.1, 5.25, 0.2)
     [event] = Bench().say(state, 2.0)
-    assert isinstance(event, VehicleState)
+    assert isinstance(event, ReportedState)
     assert event.received == at(2.0)
     assert event[1:] == pytest.approx((54.0, 10.0, 1.25, -0.1, 0.2, 3.5, 5.25, 1.5))
 
@@ -365,15 +365,15 @@ def test_nmea_2000_units_can_tell_the_vehicles_state() -> None:
     assert told(n2k.WaterDepth(NAN, 5.25, 0.0, NAN), 1.1) == []
     assert told(n2k.RapidPosition(54.0, 10.0), 1.2, source=13) == [], "a unit that was not named"
     [event] = told(n2k.RapidPosition(54.0, 10.0), 1.2)
-    assert isinstance(event, VehicleState)
+    assert isinstance(event, ReportedState)
     assert (event.heading_rad, event.altitude_m) == pytest.approx((1.25, 5.25))
     assert math.isnan(event.depth_m)
     [event] = told(n2k.RapidPosition(54.0, 10.0), 2.05)
-    assert isinstance(event, VehicleState)
+    assert isinstance(event, ReportedState)
     assert math.isnan(event.heading_rad), "too old by now"
     assert event.altitude_m == pytest.approx(5.25)
     [event] = bench.say(StateMessage(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 7.0, 0.0), 2.1)
-    assert isinstance(event, VehicleState)
+    assert isinstance(event, ReportedState)
     told_by_controller = {name for name, value in event._asdict().items() if isinstance(value, float) and not math.isnan(value)}
     assert told_by_controller == {"depth_m"}, "one of both tells each quantity"
 

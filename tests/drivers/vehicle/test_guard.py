@@ -18,7 +18,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved
-from drivers.vehicle.dialect import GoTo, Steer, VehicleState, Vertical
+from drivers.vehicle.dialect import GoTo, ReportedState, Steer, Vertical
 from drivers.vehicle.guard import Fence, Guard
 
 HOME_DEG = (54.0, 8.0)
@@ -40,15 +40,15 @@ def config(corners_m: tuple[Metres, ...] = SQUARE_M, home_deg: Metres = HOME_DEG
     return VehicleConfig(command=True, fence_deg=corners_deg, fence_margin_m=margin_m, max_depth_m=40.0)
 
 
-def state(place_m: Metres, home_deg: Metres = HOME_DEG, *, depth_m: float = 20.0, altitude_m: float = 8.0) -> VehicleState:
-    return VehicleState(Stamp(0, 0), *place_deg(place_m, home_deg), heading_rad=0.0, depth_m=depth_m, altitude_m=altitude_m)
+def state(place_m: Metres, home_deg: Metres = HOME_DEG, *, depth_m: float = 20.0, altitude_m: float = 8.0) -> ReportedState:
+    return ReportedState(Stamp(0, 0), *place_deg(place_m, home_deg), heading_rad=0.0, depth_m=depth_m, altitude_m=altitude_m)
 
 
 def go_to(place_m: Metres, home_deg: Metres = HOME_DEG) -> GoTo:
     return GoTo(*place_deg(place_m, home_deg), Vertical("altitude", 5.0), 1.5, 3.0)
 
 
-def code(guard: Guard, command: GoTo | Steer, vehicle: VehicleState | None) -> str | None:
+def code(guard: Guard, command: GoTo | Steer, vehicle: ReportedState | None) -> str | None:
     refusal = guard.command(command, vehicle)
     return None if refusal is None else refusal.code
 
@@ -145,7 +145,7 @@ def test_a_vehicle_within_the_margin_may_leave_it_and_come_no_nearer() -> None:
 
 
 def test_the_antipode_is_not_inside() -> None:
-    far = VehicleState(Stamp(0, 0), -HOME_DEG[0], HOME_DEG[1] - 180.0, heading_rad=0.0, depth_m=20.0, altitude_m=8.0)
+    far = ReportedState(Stamp(0, 0), -HOME_DEG[0], HOME_DEG[1] - 180.0, heading_rad=0.0, depth_m=20.0, altitude_m=8.0)
     assert code(Guard(config()), go_to((0.0, 0.0)), far) == "outside_fence"
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from drivers.vehicle.plane import Plane, Point, distance_to_line_m
+from drivers.vehicle.plane import LocalPlane, Point, distance_to_line_m
 
 LATITUDES = st.floats(-90.0, 90.0)
 LONGITUDES = st.floats(-180.0, 180.0)
@@ -21,7 +21,7 @@ def test_points_are_those_of_the_local_frame(latitude_deg: float, longitude_deg:
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
     latitude, longitude, _ = frame.to_geodetic([east_m, north_m, 0.0])
     wanted = frame.to_enu(latitude, longitude, 0.0)[:2].tolist()
-    assert Plane(latitude_deg, longitude_deg).point(float(latitude), float(longitude)) == pytest.approx(wanted, abs=1e-6)
+    assert LocalPlane(latitude_deg, longitude_deg).point(float(latitude), float(longitude)) == pytest.approx(wanted, abs=1e-6)
 
 
 @given(LATITUDES, LONGITUDES, OFFSETS_M, OFFSETS_M, st.floats(0.0, 2.0 * math.pi, exclude_max=True))
@@ -30,7 +30,7 @@ def test_a_true_heading_is_a_step_on_the_chart_and_back(
 ) -> None:
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
     latitude, longitude, _ = (float(value) for value in frame.to_geodetic([east_m, north_m, 0.0]))
-    plane = Plane(latitude_deg, longitude_deg)
+    plane = LocalPlane(latitude_deg, longitude_deg)
     step = plane.direction(latitude, longitude, heading_rad)
     ahead = LocalFrame(latitude_deg=latitude, longitude_deg=longitude).to_geodetic([math.sin(heading_rad), math.cos(heading_rad), 0.0])
     there, here = plane.point(float(ahead[0]), float(ahead[1])), plane.point(latitude, longitude)
@@ -41,9 +41,9 @@ def test_a_true_heading_is_a_step_on_the_chart_and_back(
 
 
 def test_what_is_far_away_has_no_place_on_the_chart() -> None:
-    assert all(map(math.isnan, Plane(45.0, 10.0).point(-45.0, -170.0)))
-    assert all(map(math.isnan, Plane(45.0, 10.0).point(math.nan, 10.0)))
-    assert all(map(math.isnan, Plane(45.0, 10.0).point(10.0, math.inf)))
+    assert all(map(math.isnan, LocalPlane(45.0, 10.0).point(-45.0, -170.0)))
+    assert all(map(math.isnan, LocalPlane(45.0, 10.0).point(math.nan, 10.0)))
+    assert all(map(math.isnan, LocalPlane(45.0, 10.0).point(10.0, math.inf)))
 
 
 def test_a_line_of_no_length_is_its_point() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import ContactReport
-from drivers.vehicle.imc_contact import CLASSES, contact_of, report_of, target_of
+from drivers.vehicle.imc_contact import CLASSES, imc_contact_of, report_from_imc, target_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, Many, Numbers, One, decode, encode, number_of
 from drivers.vehicle.imc_wire import HEADER_BYTES, ImcPacket, packed, to_wire
 
@@ -208,9 +208,9 @@ def a_report(**changes: Any) -> ContactReport:
 
 def test_a_report_goes_through_the_message_whole() -> None:
     report = a_report()
-    contact = contact_of(report)
+    contact = imc_contact_of(report)
     assert decode(1700, encode(contact, ">"), ">") is not None
-    told = report_of(contact)
+    told = report_from_imc(contact)
     assert told.belief == {name: report.belief.get(name, 0.0) for name in CLASSES}
     for name in report.__struct_fields__:
         if name != "belief":
@@ -219,13 +219,13 @@ def test_a_report_goes_through_the_message_whole() -> None:
 
 
 def test_no_report_is_too_large_to_be_told() -> None:
-    wired = encode(contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf)))
+    wired = encode(imc_contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf)))
     assert encode(decode(1700, wired)) == wired
 
 
 def test_a_class_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match="class 6"):
-        report_of(msgspec.structs.replace(contact_of(a_report()), classification=6))
+        report_from_imc(msgspec.structs.replace(imc_contact_of(a_report()), classification=6))
 
 
 def test_a_target_has_name_place_and_depth() -> None:

@@ -21,8 +21,8 @@ from drivers.vehicle.dialect import (
     Granted,
     PayloadHealth,
     PlaceReached,
+    ReportedState,
     VehicleEvent,
-    VehicleState,
     Vertical,
 )
 from drivers.vehicle.talkers.imc_talker import PLAN_ID
@@ -117,8 +117,8 @@ def test_an_imcpy_vehicle_is_taken_over_told_and_left() -> None:
     finally:
         peer.kill()
         peer.communicate()
-    assert [type(event) for event in events if not isinstance(event, VehicleState)] == [Granted, PlaceReached]
-    state = next(event for event in events if isinstance(event, VehicleState))
+    assert [type(event) for event in events if not isinstance(event, ReportedState)] == [Granted, PlaceReached]
+    state = next(event for event in events if isinstance(event, ReportedState))
     assert (state.depth_m, state.altitude_m) == (12.0, 5.0)
     assert state.latitude_deg == pytest.approx(math.degrees(0.7188) + 10.0 / 111_000.0, abs=1e-5)
     by_name = {name: values for name, *values in taken if values != ["done"]}

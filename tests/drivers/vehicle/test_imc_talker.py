@@ -24,13 +24,13 @@ from drivers.vehicle.dialect import (
     PayloadHealth,
     PlaceReached,
     Rejected,
+    ReportedState,
     Steer,
     VehicleEvent,
-    VehicleState,
     Vertical,
     Withheld,
 )
-from drivers.vehicle.imc_contact import contact_of
+from drivers.vehicle.imc_contact import imc_contact_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
     ImcMessage,
@@ -375,7 +375,7 @@ def test_position_is_displaced_by_the_offsets() -> None:
         latitude_deg, -8.5, x=north_m, y=east_m, z=20.0, phi=0.1, theta=-0.2, psi=-0.5, vx=0.6, vy=0.8, vz=9.0, depth=20.0, alt=-1.0
     )
     (state,) = talk.hear(message)
-    assert isinstance(state, VehicleState)
+    assert isinstance(state, ReportedState)
     # Radii of curvature of the ellipsoid, good to centimetres here.
     a_m, e2 = 6_378_137.0, 0.00669437999014
     w = math.sqrt(1.0 - e2 * math.sin(math.radians(latitude_deg)) ** 2)
@@ -393,12 +393,12 @@ def test_position_is_displaced_by_the_offsets() -> None:
 @pytest.mark.parametrize("others", [{"x": 1e6}, {"y": math.nan}, {"height": math.inf}])
 def test_a_position_that_cannot_be_is_none(others: dict[str, float]) -> None:
     (state,) = Talk().hear(estimated(41.0, -8.5, depth=3.0, **others))
-    assert isinstance(state, VehicleState)
+    assert isinstance(state, ReportedState)
     assert math.isnan(state.latitude_deg)
     assert math.isnan(state.longitude_deg)
     assert state.depth_m == 3.0
     (lost,) = Talk().hear(estimated(91.0, -8.5))
-    assert isinstance(lost, VehicleState)
+    assert isinstance(lost, ReportedState)
     assert math.isnan(lost.latitude_deg)
 
 
@@ -490,7 +490,7 @@ def test_steering_is_not_said() -> None:
 
 def test_messages_of_no_use_are_counted() -> None:
     talk = Talk()
-    data = packed(imc.EntityState(1), VEHICLE) + packed(contact_of(a_report()), VEHICLE)
+    data = packed(imc.EntityState(1), VEHICLE) + packed(imc_contact_of(a_report()), VEHICLE)
     assert talk.dialect.hear(data, stamp_at(1.0)) == []
     assert talk.dialect.counters["imc.other_messages"] == 2
 
@@ -498,7 +498,7 @@ def test_messages_of_no_use_are_counted() -> None:
 def test_a_decoder_of_navigation_alone_needs_no_connection() -> None:
     dialect = Conversation(LEARNS)
     (state,) = dialect.hear(packed(estimated(41.0, -8.5), VEHICLE), stamp_at(1.0))
-    assert isinstance(state, VehicleState)
+    assert isinstance(state, ReportedState)
     assert dialect.take_outgoing(1.0) == []
 
 

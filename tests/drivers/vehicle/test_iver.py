@@ -6,7 +6,7 @@ import pytest
 
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.dialect import Capability, Granted, VehicleState, Withheld
+from drivers.vehicle.dialect import Capability, Granted, ReportedState, Withheld
 from tests.drivers.vehicle.ascii_loop import REPORT, STEER, in_control, stamp_at
 from tests.sim_replay.conversation import Conversation
 
@@ -23,18 +23,18 @@ def test_no_control_in_modes_that_are_a_persons_or_not_known(mode: str) -> None:
     told, where = dialect.hear(state(mode), stamp_at(0.1))
     assert isinstance(told, Withheld)
     assert f"mode {mode[0]}" in told.reason
-    assert isinstance(where, VehicleState)
-    assert [type(event) for event in dialect.hear(state("N"), stamp_at(0.2))] == [VehicleState], "it has to be asked again"
+    assert isinstance(where, ReportedState)
+    assert [type(event) for event in dialect.hear(state("N"), stamp_at(0.2))] == [ReportedState], "it has to be asked again"
 
 
 @pytest.mark.parametrize("mode", ["N", "A", "W"])
 def test_control_in_modes_that_obey_and_only_when_asked_for(mode: str) -> None:
     dialect = Conversation(IverSettings())
     dialect.connected(0.0)
-    assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.1))] == [VehicleState]
+    assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.1))] == [ReportedState]
     dialect.request(0.2)
-    assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.3))] == [Granted, VehicleState]
-    assert [type(event) for event in dialect.hear(state("M"), stamp_at(0.4))] == [Withheld, VehicleState]
+    assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.3))] == [Granted, ReportedState]
+    assert [type(event) for event in dialect.hear(state("M"), stamp_at(0.4))] == [Withheld, ReportedState]
 
 
 def test_it_is_polled_and_steered_for_as_long_as_its_settings_say() -> None:

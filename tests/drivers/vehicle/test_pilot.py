@@ -21,9 +21,9 @@ from drivers.vehicle.dialect import (
     PayloadHealth,
     PlaceReached,
     Rejected,
+    ReportedState,
     Steer,
     VehicleEvent,
-    VehicleState,
     Vertical,
     Withheld,
 )
@@ -91,8 +91,8 @@ class Sea:
     def hear(self, *events: VehicleEvent) -> None:
         self.pilot.hear([said(self.now_s, *events)], stamp(self.now_s))
 
-    def state(self) -> VehicleState:
-        return VehicleState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
+    def state(self) -> ReportedState:
+        return ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
             **self.told  # type: ignore[arg-type]  # settings of one test each
         )
 
@@ -439,8 +439,8 @@ def test_a_state_told_in_pieces_is_one_state() -> None:
     sea.talks = False
     whole = sea.state()
     for _ in range(20):
-        sea.hear(VehicleState(whole.received, whole.latitude_deg, whole.longitude_deg))
-        sea.hear(VehicleState(whole.received, heading_rad=0.0, depth_m=20.0))
-        sea.hear(VehicleState(whole.received, altitude_m=8.0))
+        sea.hear(ReportedState(whole.received, whole.latitude_deg, whole.longitude_deg))
+        sea.hear(ReportedState(whole.received, heading_rad=0.0, depth_m=20.0))
+        sea.hear(ReportedState(whole.received, altitude_m=8.0))
         sea.tick()
     assert sea.pilot.authority == "granted"

@@ -23,8 +23,8 @@ from drivers.vehicle.dialect import (
     Granted,
     PlaceReached,
     Rejected,
+    ReportedState,
     VehicleEvent,
-    VehicleState,
     Withheld,
 )
 from drivers.vehicle.pilot import Pilot
@@ -68,7 +68,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.dialect = PaperTalker(capabilities)
         self.pilot = Pilot(self.dialect, CONFIG, session=1)
         self.now_s = 50.0
-        self.state: VehicleState | None = None  # told last, whole
+        self.state: ReportedState | None = None  # told last, whole
         self.place_m = (40.0, 40.0)
         self.plan_s = -math.inf
         self.fetched_s = -math.inf
@@ -168,9 +168,9 @@ class AnyOrder(RuleBasedStateMachine):
     def tell_state(self, place_m: tuple[float, float] | None, depth_m: float, altitude_m: float, heading_rad: float) -> None:
         if place_m is not None:
             self.place_m = place_m
-        self.say_state(VehicleState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad, NAN, NAN, depth_m, altitude_m))
+        self.say_state(ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad, NAN, NAN, depth_m, altitude_m))
 
-    def say_state(self, state: VehicleState) -> None:
+    def say_state(self, state: ReportedState) -> None:
         # What a message leaves out holds for a while: the witness waits until it is told whole.
         if math.isfinite(state.depth_m + state.altitude_m) or self.state is None:
             self.state = state

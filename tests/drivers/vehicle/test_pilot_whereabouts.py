@@ -8,7 +8,7 @@ import pytest
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.vehicle.dialect import VehicleState
+from drivers.vehicle.dialect import ReportedState
 from drivers.vehicle.whereabouts import Whereabouts
 
 STAMP = Stamp(0, 0)
@@ -17,8 +17,8 @@ STAMP = Stamp(0, 0)
 def test_every_quantity_is_known_for_so_long_after_it_was_told() -> None:
     whereabouts = Whereabouts(valid_s=3.0)
     assert whereabouts.at(0.0) is None
-    whereabouts.hear(VehicleState(STAMP, 54.0, 8.0, depth_m=20.0), 0.0)
-    whereabouts.hear(VehicleState(STAMP, altitude_m=8.0), 2.0)
+    whereabouts.hear(ReportedState(STAMP, 54.0, 8.0, depth_m=20.0), 0.0)
+    whereabouts.hear(ReportedState(STAMP, altitude_m=8.0), 2.0)
     state = whereabouts.at(3.0)
     assert state is not None
     assert (state.latitude_deg, state.longitude_deg, state.depth_m, state.altitude_m) == (54.0, 8.0, 20.0, 8.0)
@@ -32,7 +32,7 @@ def test_every_quantity_is_known_for_so_long_after_it_was_told() -> None:
 @pytest.mark.parametrize("position_deg", [(0.0, 0.0), (NAN, 8.0), (54.0, NAN), (91.0, 8.0), (54.0, 181.0), (math.inf, 8.0)])
 def test_positions_that_cannot_be_are_not_believed(position_deg: tuple[float, float]) -> None:
     whereabouts = Whereabouts(valid_s=3.0)
-    whereabouts.hear(VehicleState(STAMP, *position_deg, depth_m=20.0), 0.0)
+    whereabouts.hear(ReportedState(STAMP, *position_deg, depth_m=20.0), 0.0)
     state = whereabouts.at(0.0)
     assert state is not None
     assert math.isnan(state.latitude_deg)

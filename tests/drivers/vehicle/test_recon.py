@@ -6,7 +6,7 @@ import pytest
 from msgspec import structs
 
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.vehicle.dialect import Capability, Granted, VehicleState, Withheld
+from drivers.vehicle.dialect import Capability, Granted, ReportedState, Withheld
 from drivers.vehicle.recon_sentences import frame
 from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, stamp_at
 from tests.sim_replay.conversation import Conversation
@@ -27,8 +27,8 @@ def test_an_override_counts_once_its_bits_say_enabled_and_active_in_a_mission() 
     dialect = asked()
     assert dialect.take_outgoing(0.0)[:2] == [b"#Q,Depth,*EB\n", frame("E,1")]
     for mode in (0x01, 0x05, 0x09):
-        assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.1))] == [VehicleState]
-    assert [type(event) for event in dialect.hear(state(0x0D), stamp_at(0.2))] == [Granted, VehicleState]
+        assert [type(event) for event in dialect.hear(state(mode), stamp_at(0.1))] == [ReportedState]
+    assert [type(event) for event in dialect.hear(state(0x0D), stamp_at(0.2))] == [Granted, ReportedState]
 
 
 @pytest.mark.parametrize("mode", [0x00, 0x02, 0x03, 0x0E, 0x11, 0x1D, 0x4D, 0x81, 0x8D])
@@ -93,7 +93,7 @@ def test_a_payload_that_is_to_shut_down_has_no_control() -> None:
 def test_a_decoder_that_is_not_connected_says_nothing() -> None:
     dialect = Conversation(ReconSettings(contact_type=""))
     assert Capability.CONTACT not in dialect.capabilities
-    assert [type(event) for event in dialect.hear(state(0x0D), stamp_at(0.1))] == [VehicleState]
+    assert [type(event) for event in dialect.hear(state(0x0D), stamp_at(0.1))] == [ReportedState]
     dialect.report(REPORT, 1, 0.1)
     assert dialect.take_outgoing(0.2) == []
 

@@ -12,7 +12,7 @@ from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import without_contact
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
-from sim_replay.benches.clearance import JudgedClearance, fitted_share, judge, report
+from sim_replay.benches.clearance import JudgedClearance, fitted_share, judge_mission, report
 
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
 
@@ -49,7 +49,7 @@ def searched(p: float) -> Clearance:
 
 def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> None:
     contacts = [contact(10.5, 10.0, 0.9), contact(20.0, 21.0, 0.15), contact(35.0, 5.0, 0.7), contact(5.0, 35.0, 0.1)]
-    told = judge("flat", searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
+    told = judge_mission("flat", searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
     assert (told.n_targets, told.n_found, told.n_left) == (3, 1, 2)
     assert told.by_tables == pytest.approx(1.8)
     assert told.p_doubtful == pytest.approx(0.25)
@@ -57,7 +57,7 @@ def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> 
 
 
 def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
-    told = judge("flat", searched(0.6), [], [])
+    told = judge_mission("flat", searched(0.6), [], [])
     assert (told.n_targets, told.n_found, told.p_doubtful) == (0, 0, 0.0)
 
 

@@ -15,7 +15,7 @@ from sim_replay.benches.law import (
     decibel_errors,
     floor_intensity,
     interval_coverage,
-    judge,
+    judge_law,
     print_tables,
     stored,
 )
@@ -29,7 +29,7 @@ def test_recorders_are_recognised_on_floors_that_nothing_was_set_on() -> None:
     for scene, looks in (("flat", 1), ("seagrass", 4), ("boulders", 2), ("shallow", 8)):
         intensity = floor_intensity(scene, SEED, looks, n_pings=256)
         chosen = [store for store in STORES if store.db_per_count in (None, 0.3, 0.4) and store.clips == (looks in (1, 4))]
-        judged += [judge(scene, SEED, looks, store, intensity) for store in chosen]
+        judged += [judge_law(scene, SEED, looks, store, intensity) for store in chosen]
     assert [(m.scene, m.store, m.ended.kind) for m in judged if m.ended.kind != m.store.law] == []
     assert [(m.scene, m.store) for m in judged if m.doubts] == []
     errors = np.abs(decibel_errors(judged))
@@ -54,7 +54,7 @@ def test_every_combination_is_stored_once_and_as_its_law_says() -> None:
 
 def test_the_table_names_every_law_and_floor(capsys: pytest.CaptureFixture[str]) -> None:
     intensity = floor_intensity("flat", SEED, 1, n_pings=64)
-    print_tables([judge("flat", SEED, 1, store, intensity) for store in (STORES[0], STORES[-1])], columns)
+    print_tables([judge_law("flat", SEED, 1, store, intensity) for store in (STORES[0], STORES[-1])], columns)
     out = capsys.readouterr().out
     for name in (
         "all",

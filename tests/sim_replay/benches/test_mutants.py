@@ -12,7 +12,7 @@ from auv_mcm.cli import main
 from auv_mcm.errors import SelfCheckError
 from auv_mcm.settings.config import Config
 from sim_replay.benches import mutants
-from sim_replay.benches.mutants import judged, kinds_of, table, wrong_results
+from sim_replay.benches.mutants import judge_mutant, kinds_of, table, wrong_results
 from sim_replay.benches.mutations import CHANGES, FILE_HEADER_BYTES, JUMPS, mutated, split
 from sim_replay.replay import replay
 from tests.sim_replay.logs.xtf_logs import navigated, ping, written
@@ -69,7 +69,7 @@ def test_three_hundred_mutants_hold_every_kind_and_jumps_in_half_of_them() -> No
 
 @pytest.mark.parametrize("kinds", [("jump and back",), ("every n-th fix elsewhere",), ("scattered fixes", "flipped bits"), ("cut off",)])
 def test_a_damaged_log_passes(kinds: tuple[str, ...], log: Path, tmp_path: Path) -> None:
-    mutant = judged(0, log.name, kinds, damaged(log, *kinds, seed=1), tmp_path)
+    mutant = judge_mutant(0, log.name, kinds, damaged(log, *kinds, seed=1), tmp_path)
     assert mutant.failures == ()
     assert mutant.code == 0
     assert mutant.cpu_s > 0.0
@@ -77,7 +77,7 @@ def test_a_damaged_log_passes(kinds: tuple[str, ...], log: Path, tmp_path: Path)
 
 
 def test_a_log_of_which_nothing_is_left_passes_with_code_3(log: Path, tmp_path: Path) -> None:
-    assert judged(0, log.name, ("cut off",), log.read_bytes()[: FILE_HEADER_BYTES - 1], tmp_path).code == 3
+    assert judge_mutant(0, log.name, ("cut off",), log.read_bytes()[: FILE_HEADER_BYTES - 1], tmp_path).code == 3
 
 
 def test_results_that_cannot_be_are_seen(log: Path, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ from sim_replay.simulator.speckle import low_pass_taps
 
 Floats = NDArray[np.float64]
 
-needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.loaded().reason}")
+needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.simulator_library().reason}")
 
 ALTITUDE_M: Final = 5.0
 BARE: Final = World(

@@ -22,7 +22,7 @@ from sim_replay.simulator.world import NODES, PATCH, Patches
 Floats: TypeAlias = NDArray[np.float64]
 Height: TypeAlias = Callable[[Floats, Floats], Floats]
 
-needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.loaded().reason}")
+needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.simulator_library().reason}")
 NO_BODIES = pack([])
 EVEN_BEAM = np.ones(TABLE_SIZE, dtype=np.float32)
 EVEN = np.ones((2, TABLE_SIZE), dtype=np.float32)

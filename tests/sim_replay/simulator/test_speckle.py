@@ -31,7 +31,7 @@ from sim_replay.simulator.speckle import (
 
 Rows: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.uint64], NDArray[np.float32]], NDArray[np.float32]]
 
-needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.loaded().reason}")
+needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.simulator_library().reason}")
 
 
 def splitmix(state: int) -> int:

@@ -24,9 +24,9 @@ from drivers.vehicle.dialect import (
     Granted,
     PayloadHealth,
     PlaceReached,
+    ReportedState,
     Steer,
     VehicleEvent,
-    VehicleState,
     Vertical,
     Withheld,
 )
@@ -90,7 +90,7 @@ class Loop:
                 to_payload += self.vehicle.heard(frame, self.now_s)
             for frame in self._bus(to_payload):
                 self.events += self.dialect.hear(frame, Stamp(round(1e9 * self.now_s), 0))
-        return [event for event in self.events[before:] if not isinstance(event, VehicleState)]
+        return [event for event in self.events[before:] if not isinstance(event, ReportedState)]
 
     def _bus(self, frames: list[CanFrame]) -> list[CanFrame]:
         passed: list[CanFrame] = []
@@ -277,7 +277,7 @@ def test_health_is_heard() -> None:
 def test_the_pose_is_told() -> None:
     loop = Loop()
     loop.run(STEP_S)
-    [state] = [event for event in loop.events if isinstance(event, VehicleState)]
+    [state] = [event for event in loop.events if isinstance(event, ReportedState)]
     wanted = (54.0, 10.0, -0.5 % (2.0 * math.pi), 0.05, -0.1, 7.0, 5.0, 1.5)
     assert state[1:] == pytest.approx(wanted, abs=1e-4)
 

@@ -22,12 +22,12 @@ from drivers.vehicle.dialect import (
     Granted,
     PayloadHealth,
     PlaceReached,
+    ReportedState,
     VehicleEvent,
-    VehicleState,
     Vertical,
     Withheld,
 )
-from drivers.vehicle.imc_contact import contact_of
+from drivers.vehicle.imc_contact import imc_contact_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
 from drivers.vehicle.imc_wire import ImcGrammar, packed
 from sim_replay.fakes.vehicles.fake_vehicle import FakeController
@@ -101,7 +101,7 @@ class Sea:
             for said in self.dialect.take_outgoing(self.now_s):
                 for item in self.fake.heard(said, self.now_s):
                     self._hear(item)
-        return [event for event in self.events[first:] if not isinstance(event, VehicleState)]
+        return [event for event in self.events[first:] if not isinstance(event, ReportedState)]
 
     def _move(self) -> bool:
         command = self.fake.command
@@ -157,7 +157,7 @@ def test_where_it_is_arrives_at_the_driver() -> None:
     sea.east_m, sea.north_m = 500.0, -800.0
     sea.run(0.1)
     state = sea.events[-1]
-    assert isinstance(state, VehicleState)
+    assert isinstance(state, ReportedState)
     pose = pose_at(500.0, -800.0, sea.now_s)
     assert state.latitude_deg == pytest.approx(pose.latitude_deg, abs=1e-8)
     assert state.longitude_deg == pytest.approx(pose.longitude_deg, abs=1e-8)
@@ -347,7 +347,7 @@ def test_it_boots() -> None:
 
 def test_nonsense_is_counted() -> None:
     wire = Wire()
-    contact = contact_of(a_report())
+    contact = imc_contact_of(a_report())
     bad_class = imc.MineContact(*(getattr(contact, name) if name != "classification" else 9 for name in contact.__struct_fields__))
     (answer,) = wire.say(bad_class)
     assert isinstance(answer, imc.MineContactTaken)

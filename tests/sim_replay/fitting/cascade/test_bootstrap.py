@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from auv_mcm.detect.cascade.codes import Plane, make_plane
+from auv_mcm.detect.cascade.codes import CodePlane, make_plane
 from auv_mcm.detect.cascade.model import Calibration, CascadeModel
 from auv_mcm.detect.cascade.run import run_plane, trace_plane
 from sim_replay.fitting.cascade.boost import BoostedStump
 from sim_replay.fitting.cascade.bootstrap import CLEAR_M, Errand, clear_of_targets, glean, merit_of, target_bags
-from sim_replay.fitting.cascade.pool import box_means, feature_pool, model_stump
+from sim_replay.fitting.cascade.pool import feature_pool, model_stump, pool_box_means
 from sim_replay.fitting.cascade.store import pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile
 from tests.sim_replay.fitting.cascade.training_tiles import COLUMN_M, CORE, ROW_M, drawn_tile, labelled_tile, thing
@@ -19,7 +19,7 @@ from tests.sim_replay.fitting.cascade.training_tiles import COLUMN_M, CORE, ROW_
 POOL = feature_pool()
 
 
-def _plane(tile: LabelledTile) -> Plane:
+def _plane(tile: LabelledTile) -> CodePlane:
     return make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
@@ -129,7 +129,7 @@ def test_a_target_is_shown_by_its_brightest_window_and_then_by_its_best(tmp_path
     manifest = write_set(tmp_path, [pack([tile], "train", "drawn/0", "simulated")], {})
     model, plane = _model(), _plane(tile)
     bags = target_bags(tile, plane)
-    means, final = box_means(plane, POOL.boxes, bags.rows, bags.columns), trace_plane(plane, model, bags.rows, bags.columns)[:, -1]
+    means, final = pool_box_means(plane, POOL.boxes, bags.rows, bags.columns), trace_plane(plane, model, bags.rows, bags.columns)[:, -1]
     for given_model in (None, model):
         shown = glean(Errand(tmp_path, manifest.shards[0], POOL.boxes, given_model, 1, True, 0)).targets
         for number, target in enumerate(bags.targets):

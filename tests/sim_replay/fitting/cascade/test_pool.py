@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.detect.cascade.bands import areas, band_edges, bands_at, box_fault, pixel_boxes
-from auv_mcm.detect.cascade.codes import Plane, box_sums, codes_of, make_plane
+from auv_mcm.detect.cascade.codes import CodePlane, box_sums, codes_of, make_plane
 from auv_mcm.kernels.cascade import CODE_OF_MEAN
 from sim_replay.fitting.cascade.boost import BoostedStump
-from sim_replay.fitting.cascade.pool import Feature, Pool, bin_edges, box_means, feature_pool, feature_values, model_stump, quantise
+from sim_replay.fitting.cascade.pool import Feature, Pool, bin_edges, feature_pool, feature_values, model_stump, pool_box_means, quantise
 
 POOL = feature_pool()
 ROW_M, COLUMN_M, ALTITUDE_M = 0.12, 0.06, 7.0
 
 
-def _plane(codes: np.ndarray) -> Plane:
+def _plane(codes: np.ndarray) -> CodePlane:
     everywhere = np.ones(codes.shape, dtype=np.bool_)
     return make_plane(codes, everywhere, everywhere, np.full(len(codes), ALTITUDE_M), ROW_M, COLUMN_M)
 
@@ -44,7 +44,7 @@ def test_every_box_may_stand_in_a_model_and_every_box_is_used() -> None:
 def test_box_means_are_those_of_pixels_added_one_by_one() -> None:
     codes = _speckle(1)
     rows, columns = _windows(6, 2)
-    means = box_means(_plane(codes), POOL.boxes, rows, columns)
+    means = pool_box_means(_plane(codes), POOL.boxes, rows, columns)
     bands = bands_at(band_edges(np.full(40, ALTITUDE_M), 300, COLUMN_M), rows, columns)
     tables = pixel_boxes(POOL.boxes, ROW_M, COLUMN_M)
     for window, (row, column, band) in enumerate(zip(rows, columns, bands, strict=True)):
@@ -70,7 +70,7 @@ def test_features_are_ratios_of_means_and_differences_over_the_window() -> None:
 @given(seed=st.integers(0, 2**32 - 1), level=st.sampled_from([0.0, 0.001, 1.0, 16.0]), n_windows=st.integers(1, 60))
 def test_a_value_is_below_an_edge_if_and_only_if_its_bin_is(seed: int, level: float, n_windows: int) -> None:
     pool = Pool(POOL.boxes, POOL.features[::97])
-    means = box_means(_plane((_speckle(seed) * level).clip(0, 16384).astype(np.uint16)), pool.boxes, *_windows(n_windows, seed))
+    means = pool_box_means(_plane((_speckle(seed) * level).clip(0, 16384).astype(np.uint16)), pool.boxes, *_windows(n_windows, seed))
     edges, values = bin_edges(pool, means), feature_values(pool, range(len(pool.features)), means)
     assert np.isfinite(edges).all()
     assert (np.diff(edges, axis=1) >= 0).all()
@@ -89,7 +89,7 @@ def test_a_boosted_stump_decides_as_the_model_s_comparison_of_sums_does() -> Non
     plane = _plane(_speckle(9))
     rows, columns = _windows(400, 3)
     pool = Pool(POOL.boxes, POOL.features[::199])
-    means = box_means(plane, pool.boxes, rows, columns)
+    means = pool_box_means(plane, pool.boxes, rows, columns)
     edges = bin_edges(pool, means)
     bins = quantise(pool, edges, means)
     bands = bands_at(band_edges(plane.first_return_m, plane.n_columns, COLUMN_M), rows, columns)
@@ -112,7 +112,7 @@ def test_quantiles_of_no_windows_are_refused() -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 16384])
 def test_thresholds_stay_within_what_a_model_may_hold_however_dark_or_bright_the_tile(level: int) -> None:
-    means = box_means(_plane(np.full((40, 300), level, dtype=np.uint16)), POOL.boxes, *_windows(20, 5))
+    means = pool_box_means(_plane(np.full((40, 300), level, dtype=np.uint16)), POOL.boxes, *_windows(20, 5))
     edges = bin_edges(POOL, means)
     for feature in range(0, len(POOL.features), 23):
         for last_below in (0, 254):

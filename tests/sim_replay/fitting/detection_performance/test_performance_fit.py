@@ -29,7 +29,7 @@ from sim_replay.fitting.detection_performance.fit_performance import (
     one_hump,
     outcomes,
     pairs,
-    smoothed,
+    smooth_bands,
 )
 from sim_replay.fitting.detection_performance.looks import CellPass
 
@@ -123,7 +123,7 @@ BANDS = st.lists(st.tuples(st.integers(0, 400), st.floats(0.0, 1.0), st.floats(0
 def test_probabilities_lie_in_their_intervals_whatever_was_counted(bands: list[tuple[int, float, float]], effect: float) -> None:
     n = np.array([float(looks) for looks, *_ in bands])
     k = np.array([math.floor(looks * share) for looks, share, _ in bands], dtype=np.float64)
-    p, low, high = smoothed(k, n, np.array([prior for *_, prior in bands]), effect)
+    p, low, high = smooth_bands(k, n, np.array([prior for *_, prior in bands]), effect)
     assert (low >= 0.0).all()
     assert (low <= p).all()
     assert (p <= high).all()
@@ -134,17 +134,17 @@ def test_probabilities_lie_in_their_intervals_whatever_was_counted(bands: list[t
 @given(st.integers(1, 500), st.integers(0, 499), st.floats(0.0, 1.0))
 def test_more_found_is_more_likely(n: int, k: int, prior: float) -> None:
     k = min(k, n - 1)
-    one, more = (smoothed(np.array([float(count)]), np.array([float(n)]), np.array([prior])).p[0] for count in (k, k + 1))
+    one, more = (smooth_bands(np.array([float(count)]), np.array([float(n)]), np.array([prior])).p[0] for count in (k, k + 1))
     assert more > one
     assert one == pytest.approx((k + PRIOR_LOOKS * prior) / (n + PRIOR_LOOKS))
 
 
 def test_no_look_at_all_leaves_the_prior_and_all_found_or_none_stays_inside() -> None:
-    p, low, high = smoothed(np.zeros(1), np.zeros(1), np.array([0.3]))
+    p, low, high = smooth_bands(np.zeros(1), np.zeros(1), np.array([0.3]))
     assert p[0] == pytest.approx(0.3)
     assert low[0] < 0.3 < high[0]
     for found, prior in ((0.0, 0.0), (1e6, 1.0)):
-        p, low, high = smoothed(np.array([found]), np.array([1e6]), np.array([prior]))
+        p, low, high = smooth_bands(np.array([found]), np.array([1e6]), np.array([prior]))
         assert 0.0 <= low[0] <= p[0] <= high[0] <= 1.0
         assert high[0] - low[0] > 0.0
 

@@ -13,7 +13,7 @@ from auv_mcm.cli import main
 from sim_replay.fitting.detection_performance import calibrate_performance as calibrate
 from sim_replay.fitting.detection_performance.calibrate_performance import Flight, performance_json
 from sim_replay.fitting.detection_performance.fit_performance import Outcomes
-from sim_replay.fitting.detection_performance.judge import judge, mean_error, share
+from sim_replay.fitting.detection_performance.judge import judge_predictions, mean_error, share
 from sim_replay.fitting.detection_performance.looks import CellPass
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
 
@@ -55,7 +55,7 @@ def drawn(n: int, seed: int = 1) -> Outcomes:
 
 def test_brier_score_and_shares_are_those_of_counting() -> None:
     seen = drawn(500)
-    found = judge(tables(), seen)
+    found = judge_predictions(tables(), seen)
     p = [P[FLOORS[floor]] for floor in seen.floor]
     assert found.brier == pytest.approx(sum((a - b) ** 2 for a, b in zip(p, seen.found, strict=True)) / 500)
     assert sum(place.share.n for place in found.places) == sum(part.n for part in found.bins) == 500
@@ -68,7 +68,7 @@ def test_brier_score_and_shares_are_those_of_counting() -> None:
 
 
 def test_right_tables_are_off_by_what_chance_says() -> None:
-    errors = [mean_error(judge(tables(), drawn(2000, seed)).told) for seed in range(12)]
+    errors = [mean_error(judge_predictions(tables(), drawn(2000, seed)).told) for seed in range(12)]
     error, by_chance, by_mission = np.mean(errors, axis=0)
     assert error == pytest.approx(by_chance, rel=0.25)
     assert by_chance <= by_mission < 1.5 * by_chance
@@ -85,7 +85,7 @@ def test_two_looks_are_judged_by_what_the_further_one_adds() -> None:
     one = drawn(300)
     again = one._replace(time_s=one.time_s + 9.0)
     other = one._replace(time_s=one.time_s + 20.0, look_rad=one.look_rad + math.pi)
-    found = judge(tables(), Outcomes(*(np.concatenate(parts) for parts in zip(one, again, other, strict=True))))
+    found = judge_predictions(tables(), Outcomes(*(np.concatenate(parts) for parts in zip(one, again, other, strict=True))))
     assert found.same is not None
     assert found.other is not None
     assert (found.same.n, found.other.n) == (300, 600)
