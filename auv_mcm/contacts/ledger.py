@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.dimensions import Dimensions, dimensions
 from auv_mcm.classify.fusion import fuse
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import Contact, ContactClass, Detection, contact_id
+from auv_mcm.records import Contact, ContactClass, Detection, contact_id, contact_number
 from auv_mcm.settings.config import ContactsConfig
 
 _SAME_LOOK_S: Final = 30.0
@@ -31,24 +31,40 @@ _SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
 
 
 class Contacts(Protocol):
-    """Where contacts are: a list, or a shelf on disk. Reading may raise OSError, writing must not."""
+    """Contacts by the number in their id, in memory or in a `ContactStore`. Reading may raise OSError, writing must not."""
 
-    def __len__(self) -> int: ...
     def __getitem__(self, number: int, /) -> Contact: ...
-    def __setitem__(self, number: int, contact: Contact, /) -> None: ...
-    def append(self, contact: Contact, /) -> None: ...
+
+    def add(self, contact: Contact) -> None:
+        """Take a new contact."""
+
+    def add_view(self, contact: Contact, view: Detection) -> None:
+        """Take a version of a contact that has one view more than the one before."""
+
+
+class ContactsInMemory(dict[int, Contact]):
+    """Contacts of a short mission, as they are."""
+
+    def add(self, contact: Contact) -> None:
+        """Take a new contact."""
+        self[contact_number(contact.id)] = contact
+
+    def add_view(self, contact: Contact, view: Detection) -> None:
+        """Take a version of a contact that has one view more than the one before."""
+        self.add(contact)
 
 
 class Ledger:
     """Contacts of one mission, in order of first view.
 
-    prior: log-odds of a mine that every detection's p_mine contains. kept: where contacts go, empty; a list if None.
+    prior: log-odds of a mine that every detection's p_mine contains. kept: where contacts go, empty; in memory if None.
     """
 
     def __init__(self, config: ContactsConfig, prior: float = 0.0, kept: Contacts | None = None) -> None:
         self._config = config
         self._prior = prior
-        self._kept: Contacts = [] if kept is None else kept
+        self._kept: Contacts = ContactsInMemory() if kept is None else kept
+        self._n_contacts = 0
         self._frame: LocalFrame | None = None
         self._positions_m = np.empty((0, 2))  # (at least as many as contacts, 2)
         self._asking_p = np.empty(0)  # p_mine of contacts that ask for another look, NaN of the others
@@ -66,7 +82,7 @@ class Ledger:
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         """Contacts at least so likely to be mines that say from where another look would tell more."""
-        return tuple(self._read(np.flatnonzero(self._asking_p[: len(self._kept)] >= min_p_mine).tolist()).values())
+        return tuple(self._read(np.flatnonzero(self._asking_p[: self._n_contacts] >= min_p_mine).tolist()).values())
 
     def add(self, detections: list[Detection]) -> list[Contact]:
         """Take the detections that became final together, in any order; return the contacts to report, by id.
@@ -81,7 +97,7 @@ class Ledger:
         moved: dict[int, Contact] = {}
         for passage in _passages(detections):
             moved |= self._take(passage)
-        self._reported.extend(bytes(len(self._kept) - len(self._reported)))
+        self._reported.extend(bytes(self._n_contacts - len(self._reported)))
         for number, contact in moved.items():
             self._reported[number] |= contact.p_mine >= self._config.min_p_mine
         return [moved[number] for number in sorted(moved) if self._reported[number]]
@@ -93,17 +109,19 @@ class Ledger:
         changed: dict[int, Contact] = {}
         for detection, match in zip(detections, self._assign(detections, places_m, near), strict=True):
             if match is None:
-                match = len(self._kept)
-                changed[match] = contact_from_views(contact_id(match + 1), (detection,), self._prior)
-                self._kept.append(changed[match])
+                match = self._n_contacts
+                self._n_contacts += 1
+                changed[match] = contact_from_views(contact_id(self._n_contacts), (detection,), self._prior)
+                self._kept.add(changed[match])
             else:
                 known = near[match]
                 views = tuple(sorted([*known.views, detection], key=lambda d: d.time_s))
-                changed[match] = self._kept[match] = contact_from_views(known.id, views, self._prior)
+                changed[match] = contact_from_views(known.id, views, self._prior)
+                self._kept.add_view(changed[match], detection)
         moved = sorted(changed)
-        self._positions_m = _with_room(self._positions_m, len(self._kept))
+        self._positions_m = _with_room(self._positions_m, self._n_contacts)
         self._positions_m[moved] = self._east_north([changed[number] for number in moved])
-        self._asking_p = _with_room(self._asking_p, len(self._kept))
+        self._asking_p = _with_room(self._asking_p, self._n_contacts)
         self._asking_p[moved] = [changed[number].p_mine if changed[number].next_look_deg else math.nan for number in moved]
         return changed
 
@@ -115,7 +133,7 @@ class Ledger:
 
     def _near(self, places_m: NDArray[np.float64]) -> dict[int, Contact]:
         """Contacts within the gate of any of the places, (n, 2), by their place in the ledger, in its order."""
-        positions_m, reach_m = self._positions_m[: len(self._kept)], self._config.max_gate_m + _SEARCH_M
+        positions_m, reach_m = self._positions_m[: self._n_contacts], self._config.max_gate_m + _SEARCH_M
         around = (positions_m >= np.fmin.reduce(places_m) - reach_m) & (positions_m <= np.fmax.reduce(places_m) + reach_m)
         candidates = np.flatnonzero(around.all(axis=1))
         within = np.zeros(len(candidates), dtype=np.bool_)
@@ -129,7 +147,7 @@ class Ledger:
         contacts: dict[int, Contact] = {}
         for number in numbers:
             with contextlib.suppress(OSError):
-                contacts[number] = self._kept[number]
+                contacts[number] = self._kept[number + 1]  # ids begin with 1
         return contacts
 
     def _assign(self, detections: list[Detection], places_m: NDArray[np.float64], near: dict[int, Contact]) -> list[int | None]:

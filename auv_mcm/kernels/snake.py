@@ -89,8 +89,9 @@ def move_pair(
 ) -> Moved:
     """The pair after all stages of the schedule.
 
-    table: of `window_row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the length of moves in pixels
-    (whole multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead. highlight, shadow: (n, 2) float64 nodes inside
+    table: of `window_row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the length
+    of moves in pixels (whole multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead.
+    highlight, shadow: (n, 2) float64 nodes inside
     the window, from the near upper corner over the far one on; (0, 2) for a polygon that does not exist. Nodes are rounded to 2^-20 pixel.
     Raises ValueError if shapes do not fit, a polygon has 1, 2 or more than 64 nodes, lies outside the window, holds no measured pixel or
     fewer than settings.min_area_px, or is not simple and crossed twice by each row.

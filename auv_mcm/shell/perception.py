@@ -5,7 +5,9 @@ feeds its pipeline and answers each message with the events that came of it, til
 from. The answer also gives the ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
 The shared memory has no name: it goes with the last of the two processes, however they end, all killed at once included.
 
-Contacts lie on disk here, so that a long mission needs no more memory than a short one.
+Contacts and coverage go to a file that the parent opened and both hold, so that a long mission needs no more memory than a short one.
+Their places in it cross with the answers. A contact crosses as well, without its pictures: what announces it must not wait for the
+disk to give it back, and nothing is lost where the disk takes no more.
 """
 
 from __future__ import annotations
@@ -23,7 +25,6 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import msgspec
@@ -35,9 +36,21 @@ from auv_mcm.clean_text import clean_lines
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
 from auv_mcm.clearance.detection_performance import Performance, configured_performance
 from auv_mcm.contacts.contact import best_view
-from auv_mcm.contacts.shelf import Shelf
+from auv_mcm.contacts.contact_store import ContactStore
+from auv_mcm.contacts.coverage_store import StoredPatch, store_patch
+from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.plan.look_again import PlanRequest, Proposal
-from auv_mcm.records import Contact, CoveragePatch, Detection, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
+from auv_mcm.records import (
+    Contact,
+    CoveragePatch,
+    Detection,
+    EchoTrace,
+    Notice,
+    Ping,
+    PipelineEvent,
+    SourceEvent,
+    contact_number,
+)
 from auv_mcm.settings.config import Config
 
 if TYPE_CHECKING:
@@ -85,10 +98,16 @@ def standard_pipeline(config: Config, kept: Contacts) -> Perceiving:
 
 
 class Fed(NamedTuple):
-    """Answer to one event, or to the end of the mission: what became final because of it. snippets: a PNG picture per contact id."""
+    """Answer to one event, or to the end of the mission: what became final because of it.
 
-    events: tuple[PipelineEvent, ...]
+    events: contacts, without what their pictures are made of, and notices. snippets: a PNG picture per contact id. places: in the file
+    of records, of the contacts by number, without those that the disk did not take. patches: coverage, in that file too.
+    """
+
+    events: tuple[Contact | Notice, ...]
     snippets: dict[str, bytes]
+    places: dict[int, RecordPlace]
+    patches: tuple[StoredPatch, ...]
 
 
 class Planned(NamedTuple):
@@ -148,12 +167,12 @@ class Perception:
         config: Config,
         make_pipeline: MakePipeline = standard_pipeline,
         ring_bytes: int = RING_BYTES,
-        folder: Path | None = None,
+        records: RecordFile | None = None,
     ) -> None:
-        """folder: on the disk where contacts are kept until the end, that of temporary files if None."""
+        """records: empty, for contacts and coverage; the worker appends to it. Without it contacts stay in memory."""
         self._config = config
         self._make_pipeline = make_pipeline
-        self._folder = folder
+        self._records = records or RecordFile(None)
         self._ring = Ring(ring_bytes)
         self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
         self._room = asyncio.Event()
@@ -175,7 +194,7 @@ class Perception:
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
             target=_work,
-            args=(theirs, shared, self._config, self._make_pipeline, self._folder),
+            args=(theirs, shared, self._config, self._make_pipeline, self._records),
             name="perception",
             daemon=True,
         )
@@ -330,22 +349,22 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
     return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
 
 
-def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, folder: Path | None) -> None:
+def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, records: RecordFile) -> None:
     """The worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.nice(_NICENESS)
     memory = np.frombuffer(memoryview(shared), np.uint8)
     place = "at its start"
-    kept = Shelf(folder, Contact)
+    store = ContactStore(records)
     try:
-        pipeline = make_pipeline(config, kept)
+        pipeline = make_pipeline(config, store)
         model = configured_performance(config)
         searched = ClearanceMap(model)
         area = _clear_area(config, model)
         gc.collect()
         gc.freeze()
-        connection.send(Fed((), {}))
+        connection.send(Fed((), {}, {}, ()))
         is_disk_sound = True
         while (message := connection.recv()) is not None:
             if isinstance(message, PlanRequest):
@@ -356,14 +375,16 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
             if area is not None and isinstance(event, Ping):
                 area.see(event)
             events = pipeline.feed(event)
-            if is_disk_sound and kept.n_in_memory:
+            if is_disk_sound and store.n_in_memory:
                 is_disk_sound = False
                 events.append(_disk_full())
-            connection.send(Fed(_slim(events, searched, area), _snippets(events)))
+            _note_coverage(events, searched, area)
+            connection.send(_answer(events, store, records))
         events = pipeline.finish()
-        connection.send(Fed(_slim(events, searched, area), _snippets(events)))
+        _note_coverage(events, searched, area)
+        connection.send(_answer(events, store, records))
         clearance = searched.snapshot()
-        of_disk = Counter({"perception.kept_in_memory": kept.n_in_memory, "perception.unreadable": kept.n_unreadable})
+        of_disk = Counter({"perception.kept_in_memory": store.n_in_memory, "perception.unreadable": records.n_unreadable})
         png = b"" if clearance is None else _clearance_png(clearance)
         connection.send(Finished(pipeline.counters + of_disk, pipeline.places, clearance, png))
     except (EOFError, BrokenPipeError, ConnectionResetError):
@@ -379,7 +400,7 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
             )
         )
     finally:
-        kept.close()
+        records.close()
 
 
 def _disk_full() -> Notice:
@@ -412,28 +433,32 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
         return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
 
 
-def _slim(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea | None) -> tuple[PipelineEvent, ...]:
-    """What the parent needs of events; cells of patches stay here, in the map of what was searched."""
-    slim: list[PipelineEvent] = []
+def _note_coverage(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea | None) -> None:
+    """Take up the cells of patches, which stay in this process, in the map of what was searched."""
     for event in events:
-        match event:
-            case Tile():
-                continue
-            case CoveragePatch():
-                searched.add(event)
-                if area is not None:
-                    area.add(event)
-                slim.append(msgspec.structs.replace(event, cells=None))
-            case Contact():
-                slim.append(_without_pictures(event))
-            case _:
-                slim.append(event)
-    return tuple(slim)
+        if isinstance(event, CoveragePatch):
+            searched.add(event)
+            if area is not None:
+                area.add(event)
 
 
-def _without_pictures(contact: Contact) -> Contact:
-    """What pictures are made of stays with the worker, who makes them: it is most of a contact."""
-    return msgspec.structs.replace(contact, views=tuple(map(_without_picture, contact.views)))
+def _answer(events: list[PipelineEvent], store: ContactStore, records: RecordFile) -> Fed:
+    """Give the parent what it needs of events; contacts are in the store already."""
+    contacts = [event for event in events if isinstance(event, Contact)]
+    places = {number: store.place(number) for number in (contact_number(contact.id) for contact in contacts)}
+    return Fed(
+        events=tuple(_without_pictures(event) for event in events if isinstance(event, Contact | Notice)),
+        snippets=_snippets(contacts),
+        places={number: place for number, place in places.items() if place is not None},
+        patches=tuple(store_patch(records, event) for event in events if isinstance(event, CoveragePatch)),
+    )
+
+
+def _without_pictures(event: Contact | Notice) -> Contact | Notice:
+    """Leave out of a contact what its pictures are made of; that is most of it, and the worker makes them."""
+    if isinstance(event, Notice):
+        return event
+    return msgspec.structs.replace(event, views=tuple(map(_without_picture, event.views)))
 
 
 def _without_picture(view: Detection) -> Detection:
@@ -450,8 +475,7 @@ def _clearance_png(clearance: Clearance) -> bytes:
     return clearance_png(clearance)
 
 
-def _snippets(events: list[PipelineEvent]) -> dict[str, bytes]:
-    contacts = [event for event in events if isinstance(event, Contact)]
+def _snippets(contacts: list[Contact]) -> dict[str, bytes]:
     if not contacts:
         return {}
     from auv_mcm.contacts.contact_picture import snippet_png  # OpenCV: only in this process

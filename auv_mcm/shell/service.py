@@ -26,10 +26,12 @@ from typing import Any, Final
 from auv_mcm import __version__, kernels
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.contacts.contact_store import ContactStore
+from auv_mcm.contacts.coverage_store import CoverageStore
 from auv_mcm.contacts.export import contact_feature, iso_time
-from auv_mcm.contacts.found import Found
+from auv_mcm.contacts.record_file import temporary_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.records import Contact, CoveragePatch, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.records import Contact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.journal import Journal
@@ -104,10 +106,11 @@ class Service:
         self._started_s = self._clock.monotonic_s()
         journal = Journal(self._folder / JOURNAL)
         self._snippets = Snippets(self._folder)
-        self._found = Found(self._folder)
+        self._records = temporary_record_file(self._folder)
+        self._contacts, self._coverage = ContactStore(self._records), CoverageStore(self._records)
         self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._counters, self._see)
-        perception = Perception(self._config, self._make_pipeline, folder=self._folder)
+        perception = Perception(self._config, self._make_pipeline, records=self._records)
         failure: AuvMcmError | None = None
         missing: HardwareError | None = None
         try:
@@ -156,7 +159,7 @@ class Service:
         try:
             missing = self._write()
         finally:
-            self._found.close()
+            self._records.close()
         for what, write in (
             ("contacts are missing from the journal", journal.close),
             ("pictures of contacts are missing", self._snippets.write),
@@ -257,10 +260,12 @@ class Service:
             contacts = [event for event in answer.events if isinstance(event, Contact)]
             if contacts:
                 await self._make_durable(contacts, answer.snippets, journal)
+                for contact in contacts:
+                    self._contacts.keep(contact, answer.places.get(contact_number(contact.id)))
                 if self._vehicle_link is not None:
                     self._vehicle_link.report(contacts)
-            if patches := [event for event in answer.events if isinstance(event, CoveragePatch)]:
-                await self._on_disk(partial(self._found.keep, coverage=patches))
+            for patch in answer.patches:
+                self._coverage.keep(patch)
             for event in answer.events:
                 self._announce(event)
         self._is_finished = True
@@ -283,7 +288,6 @@ class Service:
         except OSError as error:
             self._counters["service.snippets_failed"] += 1
             log.error("pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror)
-        await self._on_disk(partial(self._found.keep, contacts))
 
     async def _on_disk(self, write: Callable[[], None]) -> None:
         """A slow disk must not hold up the ports."""
@@ -347,7 +351,7 @@ class Service:
 
     def _write(self) -> HardwareError | None:
         """Write each result, whatever becomes of the others. Returns an error that names the missing ones."""
-        contacts, coverage = self._found.contacts, self._found.coverage
+        contacts, coverage = self._contacts.in_order(), self._coverage.in_order()
         proposed = None if self._vehicle_link is None else self._vehicle_link.plan
         waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
         writers = result_writers(self._folder, contacts, coverage, waypoints, self._config.mission)
@@ -374,7 +378,8 @@ class Service:
         return HardwareError(results_missing(self._folder, errors).text) if errors else None
 
     def _all_counters(self) -> Counter[str]:
-        of_disk = Counter({"service.kept_in_memory": self._found.n_in_memory, "service.unreadable": self._found.n_unreadable})
+        n_in_memory = self._contacts.n_in_memory + self._coverage.n_in_memory
+        of_disk = Counter({"service.kept_in_memory": n_in_memory, "service.unreadable": self._records.n_unreadable})
         counters = self._counters + self._source.counters() + self._pipeline_counters + of_disk
         return counters if self._recorder is None else counters + self._recorder.counters
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 from unittest import mock
 
@@ -80,6 +78,7 @@ class Base:
     """A contact and a coverage patch for every third ping; one more contact at the end."""
 
     def __init__(self, config: Config, kept: Contacts) -> None:
+        self.kept = kept
         self.undecided: tuple[Contact, ...] = ()
         self.counters: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
@@ -95,10 +94,15 @@ class Base:
         self.counters["ping.received"] += 1
         if event.number % 3:
             return []
-        return [contact(event.number), patch(event.number)]
+        return [self.find(contact(event.number)), patch(event.number)]
+
+    def find(self, found: Contact) -> Contact:
+        """Keep a contact, new or changed, as the ledger does."""
+        self.kept.add(found)
+        return found
 
     def finish(self) -> list[PipelineEvent]:
-        return [contact(9999)]
+        return [self.find(contact(9999))]
 
 
 class Digesting(Base):
@@ -111,15 +115,8 @@ class Digesting(Base):
 class Cluttered(Base):
     """Everything it finds is clutter."""
 
-    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
-        return _as_clutter(super().feed(event))
-
-    def finish(self) -> list[PipelineEvent]:
-        return _as_clutter(super().finish())
-
-
-def _as_clutter(events: Sequence[PipelineEvent]) -> list[PipelineEvent]:
-    return [msgspec.structs.replace(event, classification="clutter") if isinstance(event, Contact) else event for event in events]
+    def find(self, found: Contact) -> Contact:
+        return super().find(msgspec.structs.replace(found, classification="clutter"))
 
 
 class Seeing(Base):
@@ -131,7 +128,7 @@ class Seeing(Base):
         labels = np.zeros((4, 6), np.uint8)
         close = drawn_looks.confirmation(2.0, labels=labels, highlight=outline, shadow=outline, model=solid)
         view = drawn_looks.detection(snippet=np.full((4, 6), 100, np.uint8), score=7.5, confirmation=close)
-        return [drawn_looks.contact(id="C00001", views=(view,))]
+        return [self.find(drawn_looks.contact(id="C00001", views=(view,)))]
 
     def finish(self) -> list[PipelineEvent]:
         return []
@@ -143,7 +140,7 @@ class Undecided(Base):
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         events = super().feed(event)
         if isinstance(event, Ping) and event.number == 0:
-            self.undecided = (msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,)),)
+            self.undecided = (self.find(msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,))),)
             return [*self.undecided]
         return events
 
@@ -169,21 +166,17 @@ class Refusing(Base):
         raise BadInputError("no such sonar")
 
 
-class Laying(Base):
-    """Lays its contacts where it is told to, on a disk that is full from the second contact on."""
-
-    def __init__(self, config: Config, kept: Contacts) -> None:
-        super().__init__(config, kept)
-        self._kept = kept
+class FullDisk(Base):
+    """Is on a disk that is full from ping 1 on."""
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
-        events = super().feed(event)
-        full = mock.patch.object(os, "pwrite", side_effect=OSError(28, "No space left on device"))
-        with full if len(self._kept) else contextlib.nullcontext():
-            for found in events:
-                if isinstance(found, Contact):
-                    self._kept.append(found)
-        return events
+        if isinstance(event, Ping) and event.number == 1:
+            mock.patch.object(os, "pwrite", side_effect=OSError(28, "No space left on device")).start()
+        return super().feed(event)
+
+
+class SeeingOnFullDisk(FullDisk, Seeing):
+    """Sees on a disk that is full from ping 1 on."""
 
 
 class Unstartable(Base):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
@@ -15,8 +17,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.clean_text import is_clean
+from auv_mcm.contacts.contact_store import ContactStore
+from auv_mcm.contacts.coverage_store import CoverageStore, StoredPatch
+from auv_mcm.contacts.record_file import RecordFile, RecordPlace, temporary_record_file
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import Contact, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent
+from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError, Ring
 from tests.auv_mcm.shell import fake_pipelines as fake
@@ -47,15 +52,19 @@ def test_ring_never_hands_out_the_same_byte_twice(steps: list[int | None]) -> No
 
 
 class Answered(NamedTuple):
-    """All events of a worker, in order, the last picture of each contact, and the last answer."""
+    """All events and patches of a worker, in order, the last picture and place of each contact, and the last answer."""
 
-    events: list[PipelineEvent]
+    events: list[Contact | Notice]
     snippets: dict[str, bytes]
+    places: dict[int, RecordPlace]
+    patches: list[StoredPatch]
     finished: Finished
 
 
-async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes: int = 1 << 16) -> Answered:
-    perception = Perception(Config(), make, ring_bytes)
+async def answers(
+    events: Sequence[SourceEvent], make: MakePipeline, ring_bytes: int = 1 << 16, records: RecordFile | None = None
+) -> Answered:
+    perception = Perception(Config(), make, ring_bytes, records)
 
     async def feed() -> None:
         for event in events:
@@ -66,15 +75,19 @@ async def answers(events: Sequence[SourceEvent], make: MakePipeline, ring_bytes:
     try:
         await perception.start()
         feeding = asyncio.ensure_future(feed())
-        answered: list[PipelineEvent] = []
+        answered: list[Contact | Notice] = []
         snippets: dict[str, bytes] = {}
+        places: dict[int, RecordPlace] = {}
+        patches: list[StoredPatch] = []
         while not isinstance(answer := await perception.answer(), Finished):
             assert isinstance(answer, Fed)
             answered += answer.events
             snippets |= answer.snippets
+            places |= answer.places
+            patches += answer.patches
         await feeding
         assert perception.in_flight == 0
-        return Answered(answered, snippets, answer)
+        return Answered(answered, snippets, places, patches, answer)
     finally:
         feeding.cancel()
         await asyncio.gather(feeding, return_exceptions=True)
@@ -110,11 +123,35 @@ def test_contacts_come_without_what_their_pictures_were_made_of() -> None:
     assert answered.snippets["C00001"].startswith(b"\x89PNG")
 
 
-def test_a_disk_that_takes_no_more_contacts_is_told_of_once_and_counted() -> None:
-    answered = asyncio.run(answers([fake.ping(number) for number in range(12)], fake.Laying))
+def test_what_perception_stores_is_read_by_the_parent_with_what_pictures_are_made_of(tmp_path: Path) -> None:
+    with closing(temporary_record_file(tmp_path)) as records:
+        answered = asyncio.run(answers([fake.ping(0)], fake.Seeing, records=records))
+        store = ContactStore(records)
+        (contact,) = (event for event in answered.events if isinstance(event, Contact))
+        store.keep(contact, answered.places[1])
+        (view,) = store[1].views
+    assert store.n_in_memory == 0
+    assert (view.snippet.tolist(), view.score) == ([[100] * 6] * 4, 7.5)
+
+
+def test_coverage_crosses_as_its_place(tmp_path: Path) -> None:
+    with closing(temporary_record_file(tmp_path)) as records:
+        answered = asyncio.run(answers([fake.ping(number) for number in range(4)], fake.Base, records=records))
+        coverage = CoverageStore(records)
+        for patch in answered.patches:
+            assert isinstance(patch.patch, RecordPlace)
+            coverage.keep(patch)
+        assert [patch.tile_index for patch in coverage.in_order()] == [0, 3]
+
+
+def test_a_disk_that_takes_no_more_contacts_is_told_of_once_and_counted_and_all_of_them_cross(tmp_path: Path) -> None:
+    with closing(temporary_record_file(tmp_path)) as records:
+        answered = asyncio.run(answers([fake.ping(number) for number in range(12)], fake.FullDisk, records=records))
     assert [event.code for event in answered.events if isinstance(event, Notice)] == ["perception.disk_full"]
-    assert len([event for event in answered.events if isinstance(event, Contact)]) == 5
-    assert answered.finished.counters == {"ping.received": 12, "perception.kept_in_memory": 3}
+    assert [event.id for event in answered.events if isinstance(event, Contact)] == ["C0000", "C0003", "C0006", "C0009", "C9999"]
+    assert answered.finished.counters == {"ping.received": 12, "perception.kept_in_memory": 4}
+    assert list(answered.places) == [0]
+    assert [isinstance(patch.patch, CoveragePatch) for patch in answered.patches] == [False, True, True, True]
 
 
 def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
@@ -127,7 +164,7 @@ def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
             await perception.feed(fake.ping(3))
             answer = await perception.answer()
             assert isinstance(answer, Fed)
-            assert len(answer.events) == 2
+            assert [event.id for event in answer.events if isinstance(event, Contact)] == ["C0003"]
         finally:
             perception.close()
 

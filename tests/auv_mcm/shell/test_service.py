@@ -202,15 +202,28 @@ def test_what_a_full_disk_does_not_take_is_counted_told_and_still_among_the_resu
             full()
         replace(new, old, **folders)
 
-    with monkeypatch.context() as disk:  # of the service alone: perception is a process of its own
-        disk.setattr("auv_mcm.contacts.shelf.os.pwrite", full)
+    with monkeypatch.context() as disk:
         disk.setattr("auv_mcm.safe_files.os.replace", full_of_pictures)
-        results = serve(tmp_path, Events(mission(30)), fake.Seeing)
+        results = serve(tmp_path, Events(mission(30)), fake.SeeingOnFullDisk)
     assert ids(results) == ["C00001"]
     counters = summary(results)["counters"]
-    assert counters["service.kept_in_memory"] == 1
+    assert counters["service.kept_in_memory"] == counters["perception.kept_in_memory"] == 1
     assert counters["service.snippets_failed"] > 0
     assert any("pictures of contacts are missing" in record.getMessage() for record in caplog.records)
+
+
+def test_a_disk_that_gives_nothing_back_is_counted_and_every_contact_is_announced_and_in_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    lines: list[str] = []
+    monkeypatch.setattr("auv_mcm.contacts.record_file.os.pread", broken)
+    results = serve(tmp_path, Events(mission(4)), console=lines.append)
+    assert [line.split()[1] for line in lines] == journal(results) == ["C0000", "C0003", "C9999"]
+    assert ids(results) == []
+    assert summary(results)["counters"]["service.unreadable"] > 0
 
 
 @pytest.mark.parametrize("make", [fake.Base, fake.Dying])
@@ -510,7 +523,7 @@ def test_a_signal_to_the_whole_process_group_ends_in_order(tmp_path: Path, numbe
     assert "leaked" not in output
 
 
-def test_killing_all_processes_at_once_leaves_no_shared_memory_behind(tmp_path: Path) -> None:
+def test_killing_all_processes_at_once_leaves_no_shared_memory_and_no_other_file_behind(tmp_path: Path) -> None:
     with program(tmp_path, "Stuck") as process:
         read_until(process, "C0027")
         assert len(group(process.pid)) >= 2, "perception is a process of its own"
@@ -518,6 +531,7 @@ def test_killing_all_processes_at_once_leaves_no_shared_memory_behind(tmp_path: 
         os.killpg(process.pid, signal.SIGKILL)  # as a supervisor that kills a control group does, and a shortage of memory
         output, _ = process.communicate(timeout=60)
     assert [path for path in shared if path.exists()] == []
+    assert {path.name for path in (tmp_path / "latest").iterdir()} <= {"contacts.jsonl", "snippets"}
     assert "leaked" not in output
 
 

@@ -1,0 +1,48 @@
+"""Store the coverage of a mission: patches in an append-only file, without the cells, which the map of the search has taken up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import msgspec
+
+from auv_mcm.contacts.export import coverage_order
+from auv_mcm.contacts.placed_records import PlacedRecords, Selection
+from auv_mcm.contacts.record_file import RecordFile, RecordPlace
+from auv_mcm.records import CoveragePatch
+
+
+class StoredPatch(NamedTuple):
+    """A patch that was written, or that the disk did not take. order: in which it is exported, see `coverage_order`."""
+
+    order: tuple[int, str, float]
+    patch: RecordPlace | CoveragePatch
+
+
+def store_patch(file: RecordFile, patch: CoveragePatch) -> StoredPatch:
+    """Write a patch and return its place; where the disk does not take it, the patch itself."""
+    patch = msgspec.structs.replace(patch, cells=None)
+    return StoredPatch(coverage_order(patch), file.append(patch) or patch)
+
+
+class CoverageStore:
+    """Patches of a mission, each at its place in a file or, where the disk did not take it, in memory, packed."""
+
+    def __init__(self, file: RecordFile) -> None:
+        self._patches = PlacedRecords(file, CoveragePatch)
+        self._orders: list[tuple[int, str, float]] = []
+
+    @property
+    def n_in_memory(self) -> int:
+        """Patches that the disk did not take."""
+        return self._patches.n_in_memory
+
+    def keep(self, stored: StoredPatch) -> None:
+        """Take a further patch."""
+        self._patches.keep(len(self._orders), stored.patch)
+        self._orders.append(stored.order)
+
+    def in_order(self) -> Iterable[CoveragePatch]:
+        """Give all patches in the order in which they are exported, one at a time; may be gone through again and again."""
+        return Selection(self._patches.__getitem__, sorted(range(len(self._orders)), key=self._orders.__getitem__))

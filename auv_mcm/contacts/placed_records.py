@@ -1,0 +1,79 @@
+"""Know records by number: where each lies in a file or, where the disk did not take it, the record itself.
+
+A record far away and long ago costs the twelve bytes of its place.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final, Generic, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.contacts.record_file import RecordFile, RecordPlace, packed, record_decoder
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+_UNKNOWN: Final = -1
+_IN_MEMORY: Final = -2
+
+
+class PlacedRecords(Generic[T]):
+    """The newest version of each record of one kind, by number."""
+
+    def __init__(self, file: RecordFile, kind: type[T]) -> None:
+        self._file = file
+        self._decoder = record_decoder(kind)
+        self._starts, self._sizes = array("q"), array("I")  # bytes, by number
+        self._in_memory: dict[int, bytes] = {}
+
+    @property
+    def n_in_memory(self) -> int:
+        """Records that the disk did not take."""
+        return len(self._in_memory)
+
+    def numbers(self) -> NDArray[np.int64]:
+        """List the numbers known, ascending: (n,)."""
+        return np.flatnonzero(np.array(self._starts) != _UNKNOWN)
+
+    def keep(self, number: int, record: RecordPlace | T) -> None:
+        """Take the newest version of a record: its place or, to be held in memory, the record itself."""
+        n_new = number + 1 - len(self._starts)
+        self._starts.extend([_UNKNOWN] * n_new)
+        self._sizes.extend([0] * n_new)
+        if isinstance(record, RecordPlace):
+            self._starts[number], self._sizes[number] = record
+            self._in_memory.pop(number, None)
+        else:
+            self._starts[number] = _IN_MEMORY
+            self._in_memory[number] = packed(record)
+
+    def place(self, number: int) -> RecordPlace | None:
+        """Return where a record lies; None for one that is in memory or not known."""
+        if number >= len(self._starts) or self._starts[number] < 0:
+            return None
+        return RecordPlace(self._starts[number], self._sizes[number])
+
+    def __getitem__(self, number: int) -> T:
+        """Read a record. Raises OSError if the disk does not give it back, KeyError for a number not known."""
+        place = self.place(number)
+        return self._decoder.decode(self._in_memory[number]) if place is None else self._file.read(place, self._decoder)
+
+
+class Selection(Generic[T]):
+    """Records in the order of their numbers given, read one at a time and anew each time, without those that cannot be read."""
+
+    def __init__(self, read: Callable[[int], T], numbers: Iterable[int]) -> None:
+        self._read = read
+        self._numbers = numbers
+
+    def __iter__(self) -> Iterator[T]:
+        for number in self._numbers:
+            try:
+                record = self._read(number)
+            except OSError:
+                continue
+            yield record
