@@ -29,6 +29,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "ports": ("benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
     "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
+    "decibels": ("benches.decibels", "what wrong decibels per count cost in detection"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left as estimated against those really left"),
     "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
