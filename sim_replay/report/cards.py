@@ -14,7 +14,7 @@ from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
 from sim_replay.report.pictures import PictureStrip
 
-_PICTURE_BYTES: Final = 4_700_000  # of pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
+_PICTURE_BYTES: Final = 1_200_000  # of pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
 _MOST_VIEWS: Final = 8
 _LEAST_TOLD: Final = 0.005
 _OPEN_FROM: Final = 0.1
@@ -107,6 +107,11 @@ def place_m(view: Detection) -> tuple[float, float]:
     return view.row * view.row_spacing_m, across_m if view.side == "starboard" else -across_m
 
 
+def strips_with(contact: Contact, strips: Sequence[PictureStrip]) -> list[int]:
+    """List the strips that show a contact, by number."""
+    return sorted({strip.number for strip in strips for view in contact.views if strip.holds(place_m(view)[0])})
+
+
 def _card(
     contact: Contact, shown: Detection | None, picture: ViewPicture | None, strips: Sequence[PictureStrip], legs: Mapping[str, int]
 ) -> Card:
@@ -134,7 +139,7 @@ def _card(
         agreement=words.agreement(contact.conflict) if math.isfinite(contact.conflict) else "",
         next_look=_next_look(contact),
         compass=_compass(contact, [number for number, _ in told]),
-        strips=sorted({strip.number for strip in strips for view in contact.views if strip.holds(place_m(view)[0])}),
+        strips=strips_with(contact, strips),
         leg=legs.get(contact.id),
     )
 

@@ -19,11 +19,14 @@ from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import report_words as words
-from sim_replay.report.cards import band, cards, place_m
+from sim_replay.report.cards import band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.pictures import PictureCollector, PictureStrip
 
 _NOTICES_PER_CODE: Final = 5
+MAX_CARDS: Final = 100
+MAX_ROWS: Final = 1000
+"""Contacts in a line of the table below the cards. With MAX_CARDS and the limits of pictures the page stays below 5 MB."""
 _LEAST_BOX_M: Final = 3.0
 
 
@@ -60,7 +63,10 @@ def write_report(
     counters: Mapping[str, float],
     pictures: PictureCollector,
 ) -> None:
-    """Write the page to `path`."""
+    """Write the page to `path`.
+
+    The MAX_CARDS contacts most likely to be mines get a card, the next MAX_ROWS a line, the rest is in the contact files alone.
+    """
     page = render_report(mission, contacts, patches, waypoints, notices, counters, pictures)
     write_file(path, page.encode("utf-8", "replace"))
 
@@ -85,7 +91,8 @@ def render_report(
     ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
-    told = cards(ranked, strips, waypoints)
+    listed = ranked[: MAX_CARDS + MAX_ROWS]
+    described = cards(listed[:MAX_CARDS], strips, waypoints)
     notices = list(notices)
     return environment.get_template("report.html.j2").render(
         style=Markup((folder / "report.css").read_text(encoding="utf-8")),
@@ -93,16 +100,18 @@ def render_report(
         mission=mission,
         facts=_facts(mission, contacts),
         bands=_bands(contacts),
-        strips=[_strip_view(strip, ranked, pictures.times()) for strip in strips],
+        strips=[_strip_view(strip, listed, pictures.times()) for strip in strips],
         legend=_legend(),
-        chart=draw_chart(track_deg, ranked, patches, waypoints),
+        chart=draw_chart(track_deg, listed, patches, waypoints),
         chart_width=WIDTH,
         searched=_searched(mission.searched),
         mines_left=_mines_left(mission.searched),
         clearance_map=base64.b64encode(mission.clearance_png).decode(),
         band=band,
-        likely=[card for card in told if card.mine_like],
-        clutter=[card for card in told if not card.mine_like],
+        likely=[card for card in described if card.mine_like],
+        clutter=[card for card in described if not card.mine_like],
+        rows=[_contact_row(contact, strips) for contact in listed[MAX_CARDS:]],
+        n_unlisted=len(ranked) - len(listed),
         mine_like_p=MINE_LIKE_P,
         legs=[point for point in waypoints if point.kind == "leg_exit"],
         counters=words.explained_counters(counters, words.is_loss),
@@ -128,6 +137,20 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
         speed = span_s / mission.wall_s
         facts.append((f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×", "real time", f"processed in {words.duration(mission.wall_s)}"))
     return facts
+
+
+class ContactRow(NamedTuple):
+    """A contact in one line."""
+
+    contact: Contact
+    place: str
+    strips: list[int]
+
+
+def _contact_row(contact: Contact, strips: Sequence[PictureStrip]) -> ContactRow:
+    latitude = words.degrees_minutes(contact.latitude_deg, "N", "S")
+    longitude = words.degrees_minutes(contact.longitude_deg, "E", "W")
+    return ContactRow(contact, f"{latitude}, {longitude}", strips_with(contact, strips))
 
 
 def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -20,7 +20,7 @@ from auv_mcm.contacts.contact_picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
 MAX_PIXELS: Final = 40_000_000
-MAX_JPEG_BYTES: Final = 11_000_000
+MAX_JPEG_BYTES: Final = 1_900_000  # 2.5 MB in the page: enough to find a place, where each contact has a picture of its own
 _MAX_SWATH_PIXELS: Final = 1600
 _STRIP_ASPECT: Final = 1.25  # a strip's length along track over the swath's width
 _QUALITIES: Final = (86, 74, 60, 48)

@@ -21,6 +21,8 @@ from auv_mcm.records import LOW_RESOLUTION, NAN, TURN, VALID, CoveragePatch, Not
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import PictureCollector, render_report, write_report
 from sim_replay.report.chart import WIDTH, draw_chart
+from sim_replay.report.page import MAX_CARDS, MAX_ROWS
+from sim_replay.report.pictures import MAX_JPEG_BYTES
 from sim_replay.report.report_words import area, degrees_minutes, distance, duration, explained_counters, is_loss, nice_step
 from tests.sim_replay.report_samples import ROW_M, START_S, Page, collected, contact, detection, mission, tile, waypoints
 
@@ -66,6 +68,19 @@ def test_likely_contacts_come_first_and_clutter_is_folded_away() -> None:
     assert places == sorted(places)
     assert places[1] < text.index("1 contact judged clutter") < places[2]
     assert text.index("<details", places[1]) < places[2]
+
+
+def test_a_page_of_thousands_of_contacts_stays_small_and_lists_the_likeliest() -> None:
+    rng = np.random.default_rng(1)
+    contacts = [contact(f"C{number:05d}", float(p)) for number, p in enumerate(rng.uniform(0.01, 0.9, MAX_CARDS + MAX_ROWS + 900), 1)]
+    text = full_page(contacts=contacts)
+    page = Page(text)
+    ranked = [each.id for each in sorted(contacts, key=lambda each: -each.p_mine)]
+    assert [name for name in page.ids if name in set(ranked)] == ranked[: MAX_CARDS + MAX_ROWS]
+    assert {link[1:] for link in page.links if link != "#C0001"} <= set(page.ids)
+    assert text.count('<article class="card') == MAX_CARDS
+    assert "900 more, the least likely, are in contacts.csv" in page.text
+    assert len(text) + (MAX_JPEG_BYTES * 4) // 3 < 5_000_000
 
 
 def test_only_what_asks_for_something_stands_under_please_note() -> None:
@@ -293,8 +308,8 @@ def test_pictures_of_very_many_contacts_stop_before_the_page_is_too_big() -> Non
     noise = np.random.default_rng(2).gamma(1.0, 1.0, (160, 320)).astype(np.float32)
     many = [contact(f"C{number:04d}", 0.9, views=(detection(snippet=pack_snippet(noise)),)) for number in range(120)]
     text = render_report(mission(), many, [], [], [], {}, PictureCollector())
-    assert len(text) < 9_000_000
-    assert "see snippets/C0119.png" in text
+    assert len(text) < 2_500_000
+    assert "see snippets/C0099.png" in text
     assert all(f'id="{each.id}"' in text for each in many)
 
 
