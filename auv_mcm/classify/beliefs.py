@@ -49,6 +49,10 @@ APART_FROM: Final = 0.9
 ASPECT_SPREAD_RAD: Final = math.radians(15.0)  # shadows from aspects closer than this mostly repeat each other
 
 _SUBSETS: Final = np.arange(N_SUBSETS)
+_CLUTTER: Final = EVERYTHING & ~MINES
+_ONLY_MINES: Final = _SUBSETS[1:][(_SUBSETS[1:] & _CLUTTER) == 0]
+_A_MINE: Final = (_SUBSETS == MINES).astype(np.float64)
+_TIE: Final = 1e-9  # of probabilities, well above rounding
 _IS_IN: Final = (_SUBSETS >> np.arange(N_CLASSES)[:, np.newaxis]) & 1  # (5, 32)
 _SIZE: Final = _IS_IN.sum(axis=0)
 _LOG2_SIZE: Final = np.log2(np.maximum(_SIZE, 1))
@@ -94,6 +98,33 @@ def singleton_belief(mass: Array) -> dict[str, float]:
     told: dict[str, float] = {name: float(mass[1 << i]) for i, name in enumerate(FRAME)}
     told["unknown"] = max(1.0 - sum(told.values()), 0.0)
     return told
+
+
+def bounded_by(mass: Array, p_mine: float) -> Array:
+    """Turn what a mass (32,) commits to mines, or to clutter, beyond a probability of a mine into ignorance.
+
+    So Bel(mine) <= p_mine <= Pl(mine) holds: a source may know less than the probability says, never more.
+    """
+    to_mines = float(mass[_ONLY_MINES].sum())
+    to_clutter = float(mass[_CLUTTER])
+    bounded = mass.copy()
+    if to_mines > p_mine:
+        bounded[_ONLY_MINES] *= p_mine / to_mines
+    if to_clutter > 1.0 - p_mine:
+        bounded[_CLUTTER] = 1.0 - p_mine
+    bounded[EVERYTHING] += max(1.0 - float(bounded.sum()), 0.0)
+    return bounded
+
+
+def likeliest_mine(mass: Array) -> ContactClass:
+    """Choose the kind of mine with the highest pignistic probability, given that it is a mine; "unknown" where kinds tie."""
+    as_mine, _ = conjunctive(mass, _A_MINE)
+    as_mine[0] = 0.0
+    if not as_mine.sum() >= LEAST_AGREEMENT:
+        return "unknown"
+    by_class = pignistic(as_mine)
+    best = int(by_class.argmax())
+    return FRAME[best] if np.count_nonzero(by_class >= by_class[best] - _TIE) == 1 else "unknown"
 
 
 def nonspecificity(mass: Array) -> Array:

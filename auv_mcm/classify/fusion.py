@@ -12,7 +12,18 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from auv_mcm.classify.beliefs import APART_FROM, MINE_LIKE_P, Array, ViewMass, combine, next_look_aspects, singleton_belief, vacuous
+from auv_mcm.classify.beliefs import (
+    APART_FROM,
+    MINE_LIKE_P,
+    Array,
+    ViewMass,
+    bounded_by,
+    combine,
+    likeliest_mine,
+    next_look_aspects,
+    singleton_belief,
+    vacuous,
+)
 from auv_mcm.classify.odds import mass_of_ratio, share_of_ratio, with_ratio
 from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import NAN, ContactClass, Detection
@@ -98,11 +109,12 @@ def _shape_source(view: Detection) -> ViewMass:
 
 
 def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detection], prior: float, reasons: tuple[str, ...]) -> FusedViews:
-    belief = singleton_belief(with_ratio(mass, prior))
+    known = bounded_by(with_ratio(mass, prior), p_mine)
+    belief = singleton_belief(known)
     # Whether it is a mine goes by p_mine, of which kind by belief.
-    told = max((name for name in belief if p_mine < MINE_LIKE_P or name != "clutter"), key=lambda name: belief[name])
+    classification = likeliest_mine(known) if p_mine >= MINE_LIKE_P else cast(ContactClass, max(belief, key=lambda name: belief[name]))
     next_look_deg: tuple[float, ...] = ()
     aspects_rad = np.radians([view.aspect_deg for view in views])
     if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
         next_look_deg = tuple(np.degrees(next_look_aspects(aspects_rad)[:_LOOKS]).tolist())
-    return FusedViews(p_mine, cast(ContactClass, told), belief, conflict, next_look_deg, reasons)
+    return FusedViews(p_mine, classification, belief, conflict, next_look_deg, reasons)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, MINE_LIKE_P, vacuous
 from auv_mcm.classify.fusion import CONTRADICTION, NEWS, FusedViews, fuse, fused_ratio
-from auv_mcm.records import NAN, Detection
+from auv_mcm.records import NAN, ContactClass, Detection
 from tests.auv_mcm.classify.drawn_looks import confirmation, detection, like
 
 PRIOR = math.log(0.1 / 0.9)
@@ -107,13 +107,29 @@ def test_belief_sums_to_one_and_everything_is_a_number_in_its_range(seen: list[D
 
 
 @settings(max_examples=50)
-@given(views)
-def test_the_class_is_a_mine_where_p_mine_says_so(seen: list[Detection]) -> None:
-    """Of what p_mine leaves, the one believed in most."""
-    verdict = fuse(seen, PRIOR)
-    assert verdict.p_mine < MINE_LIKE_P or verdict.classification != "clutter"
-    left = {name: share for name, share in verdict.belief.items() if verdict.p_mine < MINE_LIKE_P or name != "clutter"}
-    assert verdict.belief[verdict.classification] == max(left.values())
+@given(views, st.floats(-6.0, 2.0))
+def test_class_belief_and_p_mine_agree(seen: list[Detection], prior: float) -> None:
+    """Bel(mine) <= p_mine <= Pl(mine); a contact called a mine has a kind of mine, or none where no view says anything of kinds."""
+    verdict = fuse(seen, prior)
+    of_mines = sum(verdict.belief[name] for name in FRAME if name != "clutter")
+    assert of_mines <= verdict.p_mine + 1e-12
+    assert verdict.belief["clutter"] <= 1.0 - verdict.p_mine + 1e-12
+    if verdict.p_mine < MINE_LIKE_P:
+        assert verdict.belief[verdict.classification] == max(verdict.belief.values())
+    else:
+        assert verdict.classification != "clutter"
+
+
+@given(st.floats(-1.0, 8.0), st.sampled_from(["cylinder", "sphere", "truncated_cone", "wedge"]), st.floats(0.05, 1.0))
+def test_a_contact_called_a_mine_is_of_the_kind_that_its_shadow_is_most_like(log_ratio: float, kind: ContactClass, quality: float) -> None:
+    verdict = fuse([looked_at(log_ratio, 20.0, prior=0.0, shape=like(kind, quality=quality))], 0.0)
+    assert verdict.p_mine >= MINE_LIKE_P
+    assert verdict.classification == kind
+
+
+def test_without_anything_said_of_kinds_the_kind_is_unknown() -> None:
+    assert fuse([detection(p_mine=0.9)], PRIOR).classification == "unknown"
+    assert fuse([looked_at(6.0, 20.0, prior=0.0, shape=vacuous())], 0.0).classification == "unknown"
 
 
 # ---------------------------------------------------------------- the most mine-like view speaks, the others add a little
@@ -180,12 +196,14 @@ def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_d
 ) -> None:
     """A view excludes each of the three other solids by 0.7, independently, and two that count leave 0.3 of 0.3."""
     aspects = (10.0, 10.0 + apart_deg)
-    shape = like("wedge", quality=0.7)
-    verdict = fuse([looked_at(log_ratio, aspect, aspect, shape=shape, half_turn_symmetric=symmetric) for aspect in aspects], PRIOR)
-    among_mines = verdict.belief["wedge"] / (1.0 - verdict.belief["clutter"])
-    assert among_mines == pytest.approx((1.0 - 0.3**n_counted) ** 3, abs=1e-5)
+    shape, likely = like("wedge", quality=0.7), 5.0  # a prior at which p_mine bounds no belief in the kind
+    seen = [looked_at(log_ratio, aspect, aspect, likely, shape, half_turn_symmetric=symmetric) for aspect in aspects]
+    verdict = fuse(seen, likely)
+    # Beside one view with as much evidence of a mine, whose shadow leaves 0.7 for each of the three.
+    alone = fuse([looked_at(odds(verdict) - likely, 10.0, 0.0, likely, shape)], likely)
+    assert verdict.belief["wedge"] / alone.belief["wedge"] == pytest.approx(((1.0 - 0.3**n_counted) / 0.7) ** 3, abs=1e-3)
     # Of a mine only the view from square to the first tells more.
-    assert odds(verdict) == pytest.approx(PRIOR + log_ratio * (1.0 + NEWS * (apart_deg == 90.0)), abs=1e-6)
+    assert odds(verdict) == pytest.approx(likely + log_ratio * (1.0 + NEWS * (apart_deg == 90.0)), abs=1e-6)
 
 
 def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
