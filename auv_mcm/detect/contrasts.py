@@ -2,7 +2,7 @@
 
 Hardly any pixel's score reaches the threshold, so bounds that cost little come first. In blocks of pixels the variances have extremes,
 and a box there reaches a given deviate only if its mean passes a bound in closed form; one comparison of box sums tells which do. First
-the boxes that may be bright: elsewhere a highlight is worth no more than FAINT_HIGHLIGHT. What the best highlight of those that look at
+the boxes that may be bright: elsewhere a highlight is worth no more than a faint one. What the best highlight of those that look at
 a shadow leaves to reach is how dark that shadow must be. Only boxes beyond the bounds are weighed, by the functions of prescreen.
 
 Bounds are taken SLACK of a deviate wide. Rounding moves no deviate by more than 3e-3 up to 1e7 looks, far more than variances of
@@ -40,7 +40,10 @@ from auv_mcm.kernels.contrast import (
 from auv_mcm.kernels.contrast import peaks as peaks_of
 from auv_mcm.records import LOW_RESOLUTION, Tile
 
-FAINT_HIGHLIGHT: Final = 2.2
+_FAINT_HIGHLIGHT: Final = 2.2  # deviates, at the least
+_BELOW_THRESHOLD: Final = (
+    0.8  # of a score: fainter highlights are found by their shadows; the least processor time on flat and rough floors
+)
 SLACK: Final = 0.01
 LEAST_THRESHOLD: Final = 2.5
 """Of a score, below which all pixels are weighed: bounds would hold back too few."""
@@ -144,12 +147,14 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
     """Places, among them all whose scores reach the threshold, and their scores; those of others may be too high, below the threshold."""
     blocks = Blocks(_BLOCK[0], max(_BLOCK[1], tile.grid.columns(prescreen.SHADOW_LAG_M)))
     ranges = _ranges(tile, blocks)
-    highlight = _bright(tile, blocks, ranges)
+    faint = max(_FAINT_HIGHLIGHT, threshold - _BELOW_THRESHOLD)
+    faint_worth = float(worth(np.array([faint], dtype=np.float32))[0])
+    highlight = _bright(tile, blocks, ranges, faint)
     flat = highlight.ravel()
-    lit = np.flatnonzero(flat >= np.float32(FAINT_HIGHLIGHT)).astype(np.int32)
+    lit = np.flatnonzero(flat >= np.float32(faint)).astype(np.int32)
     needed = threshold * prescreen.PAIR_NORM - SLACK
     gain = worth(flat[lit])
-    left = np.maximum(needed - _best_in_view(tile, blocks, lit, gain), _LEAST_SHADOW)
+    left = np.maximum(needed - _best_in_view(tile, blocks, lit, gain, faint_worth), _LEAST_SHADOW)
     shadow = _dark(tile, blocks, ranges, left).ravel()
 
     # Bright enough to need hardly any shadow, and none has been seen: then how little there is counts.
@@ -158,8 +163,7 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
         shadow[unseen] = _shadows_at(tile, unseen)
     likely = (gain + saturate_shadow(shadow[lit]) >= needed) | (glint(flat[lit]) >= threshold - SLACK)
     bright = _scored(tile, lit[likely])
-    faint = np.flatnonzero((shadow >= needed - _FAINT_WORTH) & (flat < np.float32(FAINT_HIGHLIGHT)) & tile.known.ravel())
-    dim = _scored(tile, faint)
+    dim = _scored(tile, np.flatnonzero((shadow >= needed - faint_worth) & (flat < np.float32(faint)) & tile.known.ravel()))
     places = np.concatenate((bright, dim))
     return places, combined(np.concatenate((flat[bright], _highlights_at(tile, dim))), shadow[places])
 
@@ -193,8 +197,8 @@ def _inverse_looks(tile: Contrasts, ranges: _Ranges, n_rows: int, area: float | 
     return least / (1.0 + np.sqrt(1.0 + 9.0 * least)), most / (1.0 + np.sqrt(1.0 + 9.0 * most))
 
 
-def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges) -> Values:
-    """Deviates of the brightest box where it may be FAINT_HIGHLIGHT or more, less or -inf elsewhere."""
+def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges, faint: float) -> Values:
+    """Deviates of the brightest box where it may be `faint` or more, less or -inf elsewhere."""
     highlight = np.full(tile.background.shape, -np.inf, dtype=np.float32)
     flat = highlight.ravel()
     around, _ = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
@@ -202,7 +206,7 @@ def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges) -> Values:
     limits = []
     for box, area in zip(boxes, areas, strict=True):
         least, most = _inverse_looks(tile, ranges, box[1] - box[0], float(area))
-        root = (1.0 - most + (FAINT_HIGHLIGHT - SLACK) * np.sqrt(least)) / (1.0 - around)
+        root = (1.0 - most + (faint - SLACK) * np.sqrt(least)) / (1.0 - around)
         limits.append(np.maximum(root - SLACK, 0.0) ** 3)
     wanted = np.array(boxes, dtype=np.int32), np.stack(limits)
     for k, places in enumerate(bright_places(tile.sums, tile.background, tile.known, tile.rows, *wanted, blocks)):
@@ -210,9 +214,9 @@ def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges) -> Values:
     return highlight
 
 
-def _best_in_view(tile: Contrasts, blocks: Blocks, lit: Places, gain: Values) -> Bounds:
+def _best_in_view(tile: Contrasts, blocks: Blocks, lit: Places, gain: Values, faint_worth: float) -> Bounds:
     """The most that a highlight is worth, in each block, among the pixels whose shadows may start there."""
-    best = np.full(blocks.shape(tile.sums.shape), _FAINT_WORTH)
+    best = np.full(blocks.shape(tile.sums.shape), faint_worth)
     row, column = np.divmod(lit, tile.sums.shape[1])
     lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
     strength = gain.astype(np.float64)
@@ -338,6 +342,3 @@ def _scored(tile: Contrasts, places: NDArray[np.integer]) -> Places:
 
 def _box(box: tuple[int, int, int, int]) -> NDArray[np.int32]:
     return np.array(box, dtype=np.int32)
-
-
-_FAINT_WORTH: Final = float(worth(np.array([FAINT_HIGHLIGHT], dtype=np.float32))[0])
