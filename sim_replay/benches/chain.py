@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _bench(log: Path, folder: Path, minutes: float, repeat: int) -> None:
     long_log = folder / "tiled.xtf"
-    write_xtf(long_log, _tiled(log, minutes * 60.0), sample_type=_sample_type(log))
+    write_xtf(long_log, tiled(log, minutes * 60.0), sample_type=stored_sample_type(log))
     runs = {"short": [_run_chain(log) for _ in range(repeat)], "long": [_run_chain(long_log) for _ in range(repeat)]}
     exhaustive = [_run_chain(log, "--exhaustive") for _ in range(repeat)]
     print(f"log: {log.name}, whole chain from file to contacts, one core, kernels: {runs['short'][0]['kernels']}, median of {repeat}\n")
@@ -129,7 +129,7 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
     }
 
 
-def _tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
+def tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
     """The log end to end until `duration_s` is reached, each copy later in time and farther along its own line."""
     events = [event for event in open_log(log, Config()) if isinstance(event, NavSample | Ping)]
     times = [event.time_s for event in events if isinstance(event, Ping)]
@@ -149,7 +149,7 @@ def _tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
                 )
 
 
-def _sample_type(log: Path) -> Any:
+def stored_sample_type(log: Path) -> Any:
     ping = next(event for event in open_log(log, Config()) if isinstance(event, Ping))
     trace = ping.port or ping.starboard
     assert trace is not None
