@@ -32,6 +32,7 @@ from auv_mcm.kernels.shape import RowSums
 from auv_mcm.kernels.snake_descent import Schedule
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
+from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.snippet import unpack_snippet
 
 _QUALITY: Final = 0.95  # of a view that nothing speaks against
@@ -79,15 +80,21 @@ class Examination(NamedTuple):
 
 
 def confirm_detection(
-    detection: Detection, beam_width_rad: float, odds: MineOdds, config: ConfirmConfig, thoroughness: Thoroughness = _USUAL
+    detection: Detection,
+    beam_width_rad: float,
+    odds: MineOdds,
+    config: ConfirmConfig,
+    thoroughness: Thoroughness = _USUAL,
+    without_skips: Skips = NO_SKIPS,
 ) -> Detection:
     """Return the detection with p_mine after confirmation, with a Confirmation if its odds allowed one, without surroundings.
 
     p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
     `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
+    without_skips: those that are switched off.
     """
     p_detector = odds.p_mine(_detector_ratio(detection, odds))
-    if detection.surroundings is None or p_detector < config.min_p_mine:
+    if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
     if min(region.intensity.shape) < _LEAST_PIXELS:
@@ -96,7 +103,10 @@ def confirm_detection(
         require_sound(region)
     except ValueError:
         return without_confirmation(detection, odds, "geometry_unknown")
-    examination = examine(detection, region, odds, config.min_p_mine, thoroughness=thoroughness)
+    min_p_mine = 0.0 if "contour-odds" in without_skips else config.min_p_mine
+    if "hopeless-solids" in without_skips:
+        thoroughness = thoroughness._replace(effort=thoroughness.effort._replace(refines_all=True))
+    examination = examine(detection, region, odds, min_p_mine, thoroughness=thoroughness)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
     log_ratio = evidence_of(examination, odds)
     if examination.fits is not None:
@@ -266,6 +276,7 @@ def _confirmation(detection: Detection, surroundings: Surroundings, examination:
         model=None if best is None else _model(best, corner),
         rejected=contours.rejected,
         reasons=tuple(dict.fromkeys(reasons)),
+        n_not_refined=0 if fits is None else sum(not fit.refined for fit in fits.fits),
     )
 
 

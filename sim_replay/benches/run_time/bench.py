@@ -16,12 +16,13 @@ from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.benches.run_time.lines import FIRST_SEED, Line, augment_logs, fly_empty, fly_scenes, repeated
-from sim_replay.benches.run_time.measure import Run, measure, this_machine
+from sim_replay.benches.run_time.measure import CALLED_P, Run, measure, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import page
 from sim_replay.benches.run_time.points import PLAIN, Point, points
 from sim_replay.benches.run_time.quick import quick_checks
 from sim_replay.benches.run_time.results import POINT_HEADER, Results, moved, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import FLAT, LONG_S, TARGET_HEADER, Target, target_rows, targets
 from sim_replay.missions import SCENES
 from sim_replay.simulator.scene_file import read_scene
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--repeat", type=count, default=3, help="repetitions of every run, all points in turn (default 3)")
     parser.add_argument("--knobs", help="turn only these knobs, with commas between, beside the default and the references")
     parser.add_argument("--targets", action="store_true", help="the default and the plain script alone, on all that the targets are about")
+    parser.add_argument("--skips", action="store_true", help="what each skip of the chain saves, and how far the answer differs without it")
     parser.add_argument("--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plot and tables to FILE")
@@ -58,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else SCENES if arguments.targets else SCANNED
     for name in names:
         read_scene(name)
+    if arguments.skips:
+        return _skips(arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
@@ -83,6 +87,20 @@ def run(arguments: argparse.Namespace) -> int:
         print("\nmoved beyond noise:\n" + ("\n".join(moved(old, results)) or "nothing"))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
     _write("--page", arguments.page, page(results).encode())
+    return 0
+
+
+def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
+    laid_out = markdown if arguments.markdown else columns
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
+        lines = _missions(arguments, names, Path(made))
+        effects = measure_skips(lines, arguments.repeat, Path(made), _progress)
+    print(file=sys.stderr)
+    print(laid_out(REGISTER_HEADER, register_rows()))
+    print(f"\nTime without a skip in units of the time with it, of whole processes; medians of {arguments.repeat} repeats in turn.")
+    print(f"Called: p_mine of {CALLED_P:g} or more. Skips that left out nothing on a mission are not in its rows.\n")
+    print(laid_out(SKIP_HEADER, skip_rows(effects)))
+    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
     return 0
 
 

@@ -25,11 +25,14 @@ from auv_mcm.settings.config import config_yaml
 from sim_replay.benches.run_time import one_run
 from sim_replay.benches.run_time.lines import Line
 from sim_replay.benches.run_time.points import Point
-from sim_replay.scoring.inputs import ScoredMission, parse_contacts
+from sim_replay.scoring.inputs import ReportedContact, ScoredMission, parse_contacts
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
 from sim_replay.scoring.score import Score, score_missions
 
 LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)
+CALLED_P: Final = 0.2
+"""p_mine from which on contacts are called mine-like."""
+_METRE_DIGITS: Final = 5  # of degrees, which tell places a metre apart
 _ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 _PLAIN_SCRIPT: Final = (
     "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')\n"
@@ -43,7 +46,8 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     """One operating point on one mission.
 
     process_s: user and system time of the whole process, one per repeat; chain_s: of the chain alone, from file to contacts. stages_s:
-    medians. counters: of work and of what was left out. covered_km2, stages_s and counters are of the chain, empty for the plain script.
+    medians. counters: of work and of what was left out. called: places of contacts with p_mine of CALLED_P or more, latitude and longitude
+    to a metre. covered_km2, stages_s and counters are of the chain, empty for the plain script.
     """
 
     process_s: tuple[float, ...]
@@ -56,6 +60,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     contacts: int
     covered_km2: float
     counters: dict[str, int]
+    called: tuple[tuple[float, float], ...]
     contacts_sha256: str
 
 
@@ -135,7 +140,7 @@ def measure(
     return [_result(point, lines, raw, folder) for point in points]
 
 
-def run_once(point: Point, line: Line, folder: Path, threads: int = 1, options: Sequence[str] = ()) -> dict[str, Any]:
+def run_once(point: Point, line: Line, folder: Path, threads: int = 1) -> dict[str, Any]:
     """Run one point on one mission in a process of its own; its costs and counts, and process_s, its user and system time."""
     contacts = contacts_path(point, line, folder)
     if point.is_plain_script:
@@ -146,7 +151,8 @@ def run_once(point: Point, line: Line, folder: Path, threads: int = 1, options: 
         config.write_text(config_yaml(point.configure(line.config, folder)), "utf-8")
         command = [sys.executable, "-m", one_run.MODULE, str(line.log), "--config", str(config)]
         command += ["--thoroughness", one_run.thoroughness_json(point.thoroughness)]
-        command += ["--contacts", str(contacts), "--threads", str(threads), *options]
+        command += [word for name in sorted(point.without_skips) for word in ("--without-skip", name)]
+        command += ["--contacts", str(contacts), "--threads", str(threads)]
     output, process_s = _timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"))
     done: dict[str, Any] = json.loads(output)
     data = contacts.read_bytes()
@@ -181,9 +187,9 @@ def _result(point: Point, lines: Sequence[Line], raw: dict[tuple[str, str], list
         each = raw[point.name, line.name]
         if len({one["contacts_sha256"] for one in each}) > 1:
             raise BadInputError(f"{point.name} on {line.name}: two runs gave different contacts, though nothing had changed")
-        runs[line.name] = _run(each)
+        found = parse_contacts(json.loads(contacts_path(point, line, folder).read_bytes()), line.name)
+        runs[line.name] = _run(each, found)
         if line.kind in ("scene", "recorded"):
-            found = parse_contacts(json.loads(contacts_path(point, line, folder).read_bytes()), line.name)
             missions.append(ScoredMission(found, line.truth, line.name))
             n_contacts += len(found)
     pd: tuple[Proportion, ...] = ()
@@ -196,7 +202,7 @@ def _result(point: Point, lines: Sequence[Line], raw: dict[tuple[str, str], list
     )
 
 
-def _run(each: Sequence[dict[str, Any]]) -> Run:
+def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Run:
     first = each[0]
     stages = {name: statistics.median(one["stages_s"][name] for one in each) for name in first.get("stages_s", {})}
     return Run(
@@ -207,9 +213,14 @@ def _run(each: Sequence[dict[str, Any]]) -> Run:
         sonar_s=first["sonar_s"],
         pings=first.get("pings", 0),
         samples=first.get("samples", 0),
-        contacts=first.get("contacts", 0),
+        contacts=len(found),
         covered_km2=first.get("covered_km2", 0.0),
         counters=first.get("counters", {}),
+        called=tuple(
+            sorted(
+                (round(one.latitude_deg, _METRE_DIGITS), round(one.longitude_deg, _METRE_DIGITS)) for one in found if one.p_mine >= CALLED_P
+            )
+        ),
         contacts_sha256=first["contacts_sha256"],
     )
 

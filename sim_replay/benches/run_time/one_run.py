@@ -25,6 +25,7 @@ from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Detection, Ping, PipelineEvent
 from auv_mcm.settings.config import Config, parse_config
+from auv_mcm.skips import SKIPS, Skips
 from sim_replay.logs.open_log import open_log
 
 MODULE: Final = "sim_replay.benches.run_time.one_run"
@@ -38,9 +39,12 @@ def peak_memory_mb() -> float:
     return next(int(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmHWM"))
 
 
-def run_chain(log: Path, config: Config, thoroughness: Thoroughness, threads: int, contacts: Path) -> dict[str, object]:
+def run_chain(
+    log: Path, config: Config, thoroughness: Thoroughness, without_skips: Skips, threads: int, contacts: Path
+) -> dict[str, object]:
     """Run the chain and write its contacts; returns costs and counts of work."""
-    pipeline = Pipeline(config, threads=threads, timer=time.process_time, look=_look_of(thoroughness, config))
+    look = _look_of(thoroughness, config)
+    pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=time.process_time, look=look)
     n_pings, n_samples, first_s, last_s, covered_m2, read_s = 0, 0, math.nan, math.nan, 0.0, 0.0
     mark = start = time.process_time()
 
@@ -65,7 +69,6 @@ def run_chain(log: Path, config: Config, thoroughness: Thoroughness, threads: in
         "sonar_s": last_s - first_s,
         "pings": n_pings,
         "samples": n_samples,
-        "contacts": len(pipeline.contacts),
         "covered_km2": covered_m2 * 1e-6,
         "counters": dict(sorted(pipeline.counters.items())),
         "peak_memory_mb": peak_memory_mb(),
@@ -103,13 +106,20 @@ def main() -> int:
     parser.add_argument("log", type=Path)
     parser.add_argument("--config", type=Path, required=True)
     parser.add_argument("--thoroughness", type=parse_thoroughness, default=Thoroughness(), help="of looks, as JSON")
+    parser.add_argument("--without-skip", action="append", default=[], choices=[skip.name for skip in SKIPS])
     parser.add_argument("--contacts", type=Path, required=True)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     if arguments.threads == 1 and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     config = parse_config(arguments.config.read_text("utf-8"), str(arguments.config))
-    print(json.dumps(run_chain(arguments.log, config, arguments.thoroughness, arguments.threads, arguments.contacts)))
+    print(
+        json.dumps(
+            run_chain(
+                arguments.log, config, arguments.thoroughness, frozenset(arguments.without_skip), arguments.threads, arguments.contacts
+            )
+        )
+    )
     return 0
 
 

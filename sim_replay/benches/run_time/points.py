@@ -16,6 +16,7 @@ from auv_mcm.confirmation import Thoroughness
 from auv_mcm.detect.cascade.choose import NONE, shipped_model
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.settings.config import Config
+from auv_mcm.skips import NO_SKIPS, Skips
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.missions import unconfirmed, untrained_alone
 
@@ -26,7 +27,7 @@ class Point(NamedTuple):
     """One way to run the chain.
 
     knob: what is turned; value: to what. configure: makes its configuration from the mission's; what that names is written into the folder
-    given. thoroughness: of each look. is_plain_script: not the chain at all.
+    given. thoroughness: of each look. without_skips: those that are switched off. is_plain_script: not the chain at all.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Point(NamedTuple):
     value: str
     configure: Configure
     thoroughness: Thoroughness = Thoroughness()
+    without_skips: Skips = NO_SKIPS
     is_plain_script: bool = False
 
 
@@ -95,10 +97,15 @@ _HALF: Final = Effort(256, 6, 12, 6, 2, 14, 8)
 _TWICE: Final = Effort(1024, 14, 22, 6, 4, 28, 8)
 
 
+def default_point() -> Point:
+    """The chain as the package ships it."""
+    return Point(DEFAULT, DEFAULT, "", _same)
+
+
 def points() -> tuple[Point, ...]:
     """List every operating point, the default first."""
     return (
-        Point(DEFAULT, DEFAULT, "", _same),
+        default_point(),
         Point(PLAIN, "reference", "", _same, is_plain_script=True),
         Point("contrasts alone", "reference", "", _untrained),
         Point("cascade alone", "reference", "", _unconfirmed),

@@ -57,7 +57,7 @@ def targets(chain: PointResult, plain: PointResult, lines: Sequence[Line], long:
         return times_real_time(runs[name])
 
     slowest, slowest_recorded = min(scenes, key=speed, default=None), min(recorded, key=speed, default=None)
-    by_memory = {f"{LONG_S / 60.0:g} minutes of flat": long} if long is not None else runs
+    by_memory = runs if long is None else {**runs, f"{LONG_S / 60.0:g} minutes of flat": long}
     heaviest = max(by_memory, key=lambda name: by_memory[name].peak_memory_mb)
     swept_km2 = sum(line.truth.area_km2 for line in lines if line.name in flat)
 

@@ -13,6 +13,7 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.confirmation import Thoroughness
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.skips import SKIPS
 from sim_replay.benches.run_time import plain_script
 from sim_replay.benches.run_time.lines import Line, scattered, short, without_objects
 from sim_replay.benches.run_time.measure import Machine, PointResult, Run
@@ -20,6 +21,7 @@ from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import page
 from sim_replay.benches.run_time.points import PLAIN, points
 from sim_replay.benches.run_time.results import Results, moved, on_front, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import target_rows, targets
 from sim_replay.missions import config_for
 from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score_missions
@@ -49,6 +51,7 @@ def a_run(*process_s: float, contacts: int = 3, pings: int = 100, chain_s: tuple
         contacts=contacts,
         covered_km2=0.01,
         counters={},
+        called=(),
         contacts_sha256="0",
     )
 
@@ -190,3 +193,15 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
 def test_what_is_not_there_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "chain", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
+    def point(name: str, called: tuple[tuple[float, float], ...], digest: str) -> PointResult:
+        run = msgspec.structs.replace(a_run(2.0), called=called, contacts_sha256=digest)
+        return msgspec.structs.replace(a_point(name, 2.0), runs={"flat 1": run})
+
+    ours, other = point(DEFAULT, ((1.0, 1.0), (2.0, 2.0)), "a"), point("without gate", ((2.0, 2.0), (3.0, 3.0), (4.0, 4.0)), "b")
+    effect = SkipEffect(mission="flat 1", skip="gate", count=7, with_skip=ours, without=other)
+    (row,) = skip_rows([effect, msgspec.structs.replace(effect, count=0)])
+    assert row == ["flat 1", "gate", "7", "1.00 (1.00-1.00)", "3 -> 3", "2 -> 3", "1 and 2", *["10 -> 10 of 20"] * 2, "no"]
+    assert len(register_rows()) == len(SKIPS)

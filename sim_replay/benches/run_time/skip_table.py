@@ -1,0 +1,88 @@
+"""Measure what each skip of the chain saves and how far the answer differs without it, scene by scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from auv_mcm.skips import ALL_SKIPS, SKIPS
+from sim_replay.benches.run_time.lines import Line
+from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, PointResult, measure, median_ratio
+from sim_replay.benches.run_time.points import Point, default_point
+
+ALL: Final = "all of them"
+SKIP_HEADER: Final = (
+    *("mission", "without", "left out", "time without it", "contacts", "called", "lost or new among called"),
+    *(f"targets at {limit:g} FA/km²" for limit in LIMITS_PER_KM2[1:]),
+    "same bytes",
+)
+REGISTER_HEADER: Final = ("skip", "leaves out", "because", "counter", "proof")
+_PROOFS: Final = {
+    "bytes": "same bytes, by test",
+    "bytes while 0": "same bytes while the counter is 0, by test",
+    "bound": "a bound, measured below",
+}
+
+
+class SkipEffect(msgspec.Struct, frozen=True, kw_only=True):
+    """The default on one mission, and without one skip. count: of what was left out, None for all skips together."""
+
+    mission: str
+    skip: str
+    count: int | None
+    with_skip: PointResult
+    without: PointResult
+
+
+def measure_skips(lines: Sequence[Line], repeat: int, folder: Path, progress: Callable[[str], None]) -> list[SkipEffect]:
+    """Run the default and the chain without each skip, and without any, in turn on every mission."""
+    effects = []
+    for line in lines:
+        ours, *others = measure(list(_points()), [line], repeat, folder, progress)
+        counters = ours.runs[line.name].counters
+        counts = [*(counters.get(skip.counter, 0) for skip in SKIPS), None]
+        effects += [
+            SkipEffect(mission=line.name, skip=other.value, count=count, with_skip=ours, without=other)
+            for other, count in zip(others, counts, strict=True)
+        ]
+    return effects
+
+
+def _points() -> Iterator[Point]:
+    yield default_point()
+    for skip in SKIPS:
+        yield default_point()._replace(name=f"without {skip.name}", knob="skips", value=skip.name, without_skips=frozenset({skip.name}))
+    yield default_point()._replace(name="without any skip", knob="skips", value=ALL, without_skips=ALL_SKIPS)
+
+
+def skip_rows(effects: Sequence[SkipEffect]) -> list[list[str]]:
+    """A row of text per mission and skip that left something out there, and one for all skips together."""
+    rows = []
+    for effect in effects:
+        if effect.count == 0:
+            continue
+        ours, other = (point.runs[effect.mission] for point in (effect.with_skip, effect.without))
+        median, low, high = median_ratio(effect.without, effect.with_skip)
+        called, called_without = set(ours.called), set(other.called)
+        rows.append(
+            [
+                effect.mission,
+                effect.skip,
+                "" if effect.count is None else str(effect.count),
+                f"{median:.2f} ({low:.2f}-{high:.2f})",
+                f"{ours.contacts} -> {other.contacts}",
+                f"{len(called)} -> {len(called_without)}",
+                f"{len(called - called_without)} and {len(called_without - called)}",
+                *(f"{a.count} -> {b.count} of {a.of}" for a, b in zip(effect.with_skip.pd[1:], effect.without.pd[1:], strict=True)),
+                "yes" if ours.contacts_sha256 == other.contacts_sha256 else "no",
+            ]
+        )
+    return rows
+
+
+def register_rows() -> list[list[str]]:
+    """A row of text per registered skip."""
+    return [[skip.name, skip.leaves_out, skip.because, f"`{skip.counter}`", _PROOFS[skip.proof]] for skip in SKIPS]
