@@ -22,6 +22,7 @@ from sim_replay.benches.run_time.page import page
 from sim_replay.benches.run_time.points import PLAIN, Point, points
 from sim_replay.benches.run_time.quick import quick_checks
 from sim_replay.benches.run_time.results import POINT_HEADER, Results, moved, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.scaling import SERIES_HEADER, measure_series, series_rows
 from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import FLAT, LONG_S, TARGET_HEADER, Target, target_rows, targets
 from sim_replay.missions import SCENES
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--knobs", help="turn only these knobs, with commas between, beside the default and the references")
     parser.add_argument("--targets", action="store_true", help="the default and the plain script alone, on all that the targets are about")
     parser.add_argument("--skips", action="store_true", help="what each skip of the chain saves, and how far the answer differs without it")
+    parser.add_argument("--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads")
     parser.add_argument("--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plot and tables to FILE")
@@ -60,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else SCENES if arguments.targets else SCANNED
     for name in names:
         read_scene(name)
+    if arguments.scaling:
+        return _scaling(arguments)
     if arguments.skips:
         return _skips(arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
@@ -101,6 +105,18 @@ def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     print(f"Called: p_mine of {CALLED_P:g} or more. Skips that left out nothing on a mission are not in its rows.\n")
     print(laid_out(SKIP_HEADER, skip_rows(effects)))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
+    return 0
+
+
+def _scaling(arguments: argparse.Namespace) -> int:
+    laid_out = markdown if arguments.markdown else columns
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
+        found = measure_series(arguments.repeat, Path(made), _progress)
+    print(file=sys.stderr)
+    print("processor time of the chain alone, and elapsed time of whole processes, which says something on an idle computer only;")
+    print(f"medians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its standard error\n")
+    print(laid_out(SERIES_HEADER, series_rows(found)))
+    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
     return 0
 
 

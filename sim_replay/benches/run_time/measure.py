@@ -9,6 +9,7 @@ import platform
 import statistics
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -45,12 +46,14 @@ _PLAIN_SCRIPT: Final = (
 class Run(msgspec.Struct, frozen=True, kw_only=True):
     """One operating point on one mission.
 
-    process_s: user and system time of the whole process, one per repeat; chain_s: of the chain alone, from file to contacts. stages_s:
-    medians. counters: of work and of what was left out. called: places of contacts with p_mine of CALLED_P or more, latitude and longitude
-    to a metre. covered_km2, stages_s and counters are of the chain, empty for the plain script.
+    process_s: user and system time of the whole process, one per repeat; elapsed_s: by the clock; chain_s: processor time of the chain
+    alone, from file to contacts. stages_s: medians of that per stage. counters: of work and of what was left out. called: places of
+    contacts with p_mine of CALLED_P or more, latitude and longitude to a metre. covered_km2, chain_s, stages_s and counters are of the
+    chain, empty for the plain script.
     """
 
     process_s: tuple[float, ...]
+    elapsed_s: tuple[float, ...]
     chain_s: tuple[float, ...]
     stages_s: dict[str, float]
     peak_memory_mb: float
@@ -153,10 +156,12 @@ def run_once(point: Point, line: Line, folder: Path, threads: int = 1) -> dict[s
         command += ["--thoroughness", one_run.thoroughness_json(point.thoroughness)]
         command += [word for name in sorted(point.without_skips) for word in ("--without-skip", name)]
         command += ["--contacts", str(contacts), "--threads", str(threads)]
+    started_s = time.monotonic()
     output, process_s = _timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"))
+    elapsed_s = time.monotonic() - started_s
     done: dict[str, Any] = json.loads(output)
     data = contacts.read_bytes()
-    return {"sonar_s": 0.0, **done, "process_s": process_s, "contacts_sha256": hashlib.sha256(data).hexdigest()}
+    return {"sonar_s": 0.0, **done, "process_s": process_s, "elapsed_s": elapsed_s, "contacts_sha256": hashlib.sha256(data).hexdigest()}
 
 
 def contacts_path(point: Point, line: Line, folder: Path) -> Path:
@@ -207,6 +212,7 @@ def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Ru
     stages = {name: statistics.median(one["stages_s"][name] for one in each) for name in first.get("stages_s", {})}
     return Run(
         process_s=tuple(one["process_s"] for one in each),
+        elapsed_s=tuple(one["elapsed_s"] for one in each),
         chain_s=tuple(one["chain_s"] for one in each if "chain_s" in one),
         stages_s=stages,
         peak_memory_mb=max(one["peak_memory_mb"] for one in each),

@@ -21,6 +21,7 @@ from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import page
 from sim_replay.benches.run_time.points import PLAIN, points
 from sim_replay.benches.run_time.results import Results, moved, on_front, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.scaling import Series, Step, exponent, scene_of, series, series_rows
 from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import target_rows, targets
 from sim_replay.missions import config_for
@@ -28,7 +29,7 @@ from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score
 from sim_replay.scoring.intervals import density, proportion
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Lawnmower
-from sim_replay.simulator.scene_file import parse_scene, read_scene
+from sim_replay.simulator.scene_file import check_scene, parse_scene, read_scene
 
 BRIGHT = """
 world: {depth_m: 12, seabeds: [{type: sand}]}
@@ -42,6 +43,7 @@ MACHINE = Machine(processor="one", cores=1, kernels="c", versions={"python": "3"
 def a_run(*process_s: float, contacts: int = 3, pings: int = 100, chain_s: tuple[float, ...] = (1.0,)) -> Run:
     return Run(
         process_s=process_s,
+        elapsed_s=process_s,
         chain_s=chain_s,
         stages_s={"detect": 0.75 * chain_s[0]} if chain_s else {},
         peak_memory_mb=100.0,
@@ -205,3 +207,17 @@ def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
     (row,) = skip_rows([effect, msgspec.structs.replace(effect, count=0)])
     assert row == ["flat 1", "gate", "7", "1.00 (1.00-1.00)", "3 -> 3", "2 -> 3", "1 and 2", *["10 -> 10 of 20"] * 2, "no"]
     assert len(register_rows()) == len(SKIPS)
+
+
+def test_exponents_are_those_of_a_power_law() -> None:
+    values = [1.0, 2.0, 4.0]
+    assert exponent(values, [3.0 * value**1.5 for value in values]) == pytest.approx((1.5, 0.0), abs=1e-9)
+    steps = tuple(Step(value=value, chain_s=value, elapsed_s=1.0) for value in values)
+    (row,) = series_rows([Series(against="length", steps=steps)])
+    assert row == ["length", "1, 2, 4", "1.00, 2.00, 4.00", "1.00 ± 0.00", "1.00, 1.00, 1.00", "0.00 ± 0.00"]
+
+
+def test_every_mission_of_a_series_can_be() -> None:
+    for some in series().values():
+        for _, variant in some:
+            check_scene(scene_of(variant))
