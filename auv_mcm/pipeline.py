@@ -93,7 +93,7 @@ class Pipeline:
         self._suppressors = {side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES}
         model, self._detector = fitting(configured_model(config), config)
         # The gate forecasts what confirmation says.
-        gate = shipped_gate() if config.confirm.enabled and "gate" not in without_skips else None
+        gate = shipped_gate() if config.confirm.enabled else None
         if model is not None and "cascade-rejection" in without_skips:
             model = rejecting_last(model)
         self._detect_in = detect or partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)

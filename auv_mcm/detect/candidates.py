@@ -79,7 +79,7 @@ def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine:
     peaks = contrast.peaks(STEP_M)
     scores = np.array([peak.score for peak in peaks])
     features = place_features(*_ranges(tile, peaks), contrast=scores)
-    reaching = may_reach(None if gate is None else gate.contrast, min_p_mine, features)
+    reaching = may_reach(None if gate is None or "gate" in without_skips else gate.contrast, min_p_mine, features)
     passing = np.flatnonzero(reaching)
     taken = [peaks[k] for k in passing[: _most(config, without_skips)].tolist()]
     candidates = [Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
@@ -126,7 +126,7 @@ def by_both(
     features = place_features(
         *_ranges(tile, [places[k] for k in kept.tolist()]), cascade=cascade_scores[kept], contrast=contrast_scores[kept]
     )
-    reaching = may_reach(None if gate is None else gate.both, min_p_mine, features)
+    reaching = may_reach(None if gate is None or "gate" in without_skips else gate.both, min_p_mine, features)
     passing, faint = kept[reaching], kept[~reaching]
     taken = passing[:most]
     odds = model.calibration.log_odds_of(np.rint(cascade_scores[taken] * SCORE_UNIT).astype(np.int64)).tolist()

@@ -33,7 +33,7 @@ from sim_replay.scoring.score import Score, score_missions
 LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)
 CALLED_P: Final = 0.2
 """p_mine from which on contacts are called mine-like."""
-_METRE_DIGITS: Final = 5  # of degrees, which tell places a metre apart
+_PLACE_DIGITS: Final = 7  # of degrees: a centimetre
 _ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 _PLAIN_SCRIPT: Final = (
     "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')\n"
@@ -48,7 +48,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 
     process_s: user and system time of the whole process, one per repeat; elapsed_s: by the clock; chain_s: processor time of the chain
     alone, from file to contacts. stages_s: medians of that per stage. counters: of work and of what was left out. called: places of
-    contacts with p_mine of CALLED_P or more, latitude and longitude to a metre. covered_km2, chain_s, stages_s and counters are of the
+    contacts with p_mine of CALLED_P or more, latitude and longitude to a centimetre. covered_km2, chain_s, stages_s and counters are of the
     chain, empty for the plain script.
     """
 
@@ -224,7 +224,7 @@ def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Ru
         counters=first.get("counters", {}),
         called=tuple(
             sorted(
-                (round(one.latitude_deg, _METRE_DIGITS), round(one.longitude_deg, _METRE_DIGITS)) for one in found if one.p_mine >= CALLED_P
+                (round(one.latitude_deg, _PLACE_DIGITS), round(one.longitude_deg, _PLACE_DIGITS)) for one in found if one.p_mine >= CALLED_P
             )
         ),
         contacts_sha256=first["contacts_sha256"],

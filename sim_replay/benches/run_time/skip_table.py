@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import msgspec
 
@@ -12,6 +13,9 @@ from auv_mcm.skips import ALL_SKIPS, SKIPS
 from sim_replay.benches.run_time.lines import Line
 from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, PointResult, measure, median_ratio
 from sim_replay.benches.run_time.points import Point, default_point
+from sim_replay.scoring.score import GATE_M
+
+Place: TypeAlias = tuple[float, float]
 
 ALL: Final = "all of them"
 SKIP_HEADER: Final = (
@@ -20,6 +24,7 @@ SKIP_HEADER: Final = (
     "same bytes",
 )
 REGISTER_HEADER: Final = ("skip", "leaves out", "because", "counter", "proof")
+_DEGREE_M: Final = 111_320.0
 _PROOFS: Final = {
     "bytes": "same bytes, by test",
     "bytes while 0": "same bytes while the counter is 0, by test",
@@ -66,7 +71,6 @@ def skip_rows(effects: Sequence[SkipEffect]) -> list[list[str]]:
             continue
         ours, other = (point.runs[effect.mission] for point in (effect.with_skip, effect.without))
         median, low, high = median_ratio(effect.without, effect.with_skip)
-        called, called_without = set(ours.called), set(other.called)
         rows.append(
             [
                 effect.mission,
@@ -74,13 +78,22 @@ def skip_rows(effects: Sequence[SkipEffect]) -> list[list[str]]:
                 "" if effect.count is None else str(effect.count),
                 f"{median:.2f} ({low:.2f}-{high:.2f})",
                 f"{ours.contacts} -> {other.contacts}",
-                f"{len(called)} -> {len(called_without)}",
-                f"{len(called - called_without)} and {len(called_without - called)}",
+                f"{len(ours.called)} -> {len(other.called)}",
+                f"{_without_counterpart(ours.called, other.called)} and {_without_counterpart(other.called, ours.called)}",
                 *(f"{a.count} -> {b.count} of {a.of}" for a, b in zip(effect.with_skip.pd[1:], effect.without.pd[1:], strict=True)),
                 "yes" if ours.contacts_sha256 == other.contacts_sha256 else "no",
             ]
         )
     return rows
+
+
+def _without_counterpart(some: Sequence[Place], others: Sequence[Place]) -> int:
+    """How many places have none of the others within the gate of scoring."""
+
+    def distance_m(a: Place, b: Place) -> float:
+        return _DEGREE_M * math.hypot(a[0] - b[0], (a[1] - b[1]) * math.cos(math.radians(a[0])))
+
+    return sum(all(distance_m(place, other) > GATE_M for other in others) for place in some)
 
 
 def register_rows() -> list[list[str]]:
