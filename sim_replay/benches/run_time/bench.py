@@ -15,16 +15,16 @@ import msgspec
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
-from sim_replay.benches.run_time.lines import FIRST_SEED, Line, augment_logs, fly_empty, fly_scenes, repeated
-from sim_replay.benches.run_time.measure import CALLED_P, Run, measure, this_machine
+from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes, repeated
+from sim_replay.benches.run_time.measure import CALLED_P, MissionCost, measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
-from sim_replay.benches.run_time.page import page
-from sim_replay.benches.run_time.points import PLAIN, Point, points
+from sim_replay.benches.run_time.page import run_time_page
+from sim_replay.benches.run_time.points import PLAIN, ChainSetting, chain_settings
 from sim_replay.benches.run_time.quick import quick_checks
-from sim_replay.benches.run_time.results import POINT_HEADER, Results, moved, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.results import POINT_HEADER, RunTimeResults, changes_since, point_rows, read_results, reason_words
 from sim_replay.benches.run_time.scaling import SERIES_HEADER, measure_series, series_rows
 from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
-from sim_replay.benches.run_time.targets import FLAT, LONG_S, TARGET_HEADER, Target, target_rows, targets
+from sim_replay.benches.run_time.targets import FLAT, LONG_S, TARGET_HEADER, CostTarget, cost_targets, target_rows
 from sim_replay.missions import SCENES
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns, markdown
@@ -71,14 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
         folder = Path(made)
         lines = _missions(arguments, names, folder)
-        found = measure(chosen, lines, arguments.repeat, folder, _progress)
+        found = measure_settings(chosen, lines, arguments.repeat, folder, _progress)
         long = _long_run(lines, folder, chosen[0]) if arguments.targets else None
     print(file=sys.stderr)
-    aims: list[Target] = []
+    aims: list[CostTarget] = []
     by_name = {point.name: point for point in found}
     if arguments.targets:
-        aims = targets(by_name[DEFAULT], by_name[PLAIN], lines, long)
-    results = Results(
+        aims = cost_targets(by_name[DEFAULT], by_name[PLAIN], lines, long)
+    results = RunTimeResults(
         machine=this_machine(load),
         repeat=arguments.repeat,
         missions=tuple(line.name for line in lines),
@@ -88,9 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     _print(results, markdown if arguments.markdown else columns)
     if old is not None:
-        print("\nmoved beyond noise:\n" + ("\n".join(moved(old, results)) or "nothing"))
+        print("\nmoved beyond noise:\n" + ("\n".join(changes_since(old, results)) or "nothing"))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-    _write("--page", arguments.page, page(results).encode())
+    _write("--page", arguments.page, run_time_page(results).encode())
     return 0
 
 
@@ -129,7 +129,7 @@ def _quick() -> int:
     return 0 if all(check.holds for check in checks) else _FAILED
 
 
-def _missions(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> list[Line]:
+def _missions(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> list[BenchMission]:
     seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
     lines = fly_scenes(names, seeds, folder, _progress)
     if arguments.targets and FLAT in names:
@@ -138,9 +138,9 @@ def _missions(arguments: argparse.Namespace, names: Sequence[str], folder: Path)
     return lines + augment_logs(arguments.log, range(FIRST_SEED, FIRST_SEED + arguments.log_seeds), folder, _progress)
 
 
-def _chosen(knobs: str | None, targets_alone: bool) -> list[Point]:
+def _chosen(knobs: str | None, targets_alone: bool) -> list[ChainSetting]:
     """The operating points to measure. Raises UsageError for a knob that is not there."""
-    every = points()
+    every = chain_settings()
     if targets_alone:
         return [point for point in every if point.name in (DEFAULT, PLAIN)]
     if knobs is None:
@@ -153,17 +153,17 @@ def _chosen(knobs: str | None, targets_alone: bool) -> list[Point]:
     return [point for point in every if point.knob in (DEFAULT, "reference", *wanted)]
 
 
-def _long_run(lines: Sequence[Line], folder: Path, default: Point) -> Run | None:
+def _long_run(lines: Sequence[BenchMission], folder: Path, default: ChainSetting) -> MissionCost | None:
     """The default operating point once over a long mission on flat sand, for its memory."""
     flat = next((line for line in lines if line.group == FLAT and line.kind == "scene"), None)
     if flat is None:
         return None
     line = repeated(flat, LONG_S, folder)
     _progress(f"{line.name}, once")
-    return measure([default], [line], 1, folder)[0].runs[line.name]
+    return measure_settings([default], [line], 1, folder)[0].runs[line.name]
 
 
-def _print(results: Results, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:
+def _print(results: RunTimeResults, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:
     machine = results.machine
     load = " to ".join(f"{value:.1f}" for value in machine.load)
     print(f"{len(results.missions)} missions, {results.sonar_s:.0f} s of sonar: {', '.join(results.missions)}")

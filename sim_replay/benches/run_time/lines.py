@@ -23,24 +23,24 @@ from sim_replay.simulator.scene_file import read_scene
 FIRST_SEED: Final = 9600  # on seeds from here on nothing was ever trained, fitted or tried
 LEG_SHARE: Final = 0.5
 """Of a named scene's legs: two to three minutes of sonar, and some 1300 objects per km² on flat sand."""
-Kind: TypeAlias = Literal["scene", "empty", "recorded", "long"]
+MissionKind: TypeAlias = Literal["scene", "empty", "recorded", "long"]
 """scene: a named scene; empty: one without its objects; recorded: with targets put in; long: a recording repeated end to end."""
 _TARGETS_PER_LINE: Final = 8  # and as many rocks
 _APART_M: Final = 5.0
 
 
-class Line(NamedTuple):
+class BenchMission(NamedTuple):
     """A mission to measure on. group: the scene or the recorded log."""
 
     name: str
     group: str
-    kind: Kind
+    kind: MissionKind
     log: Path
     config: Config
     truth: Truth
 
 
-def short(scene: Scene, seed: int, leg_share: float = LEG_SHARE) -> Scene:
+def with_short_legs(scene: Scene, seed: int, leg_share: float = LEG_SHARE) -> Scene:
     """The scene with a seed and shorter legs; all its objects lie on them."""
     plan = scene.track.plan
     if isinstance(plan, Lawnmower):
@@ -48,26 +48,26 @@ def short(scene: Scene, seed: int, leg_share: float = LEG_SHARE) -> Scene:
     return msgspec.structs.replace(scene, seed=seed, track=msgspec.structs.replace(scene.track, plan=plan))
 
 
-def fly(scene: Scene, name: str, group: str, folder: Path, kind: Kind = "scene") -> Line:
+def fly_scene(scene: Scene, name: str, group: str, folder: Path, kind: MissionKind = "scene") -> BenchMission:
     """Simulate a scene into a folder of its own."""
     done = simulate(scene, folder / name.replace(" ", "-"))
-    return Line(name, group, kind, done.log, config_for(scene), parse_truth(json.loads(done.truth.read_bytes()), name))
+    return BenchMission(name, group, kind, done.log, config_for(scene), parse_truth(json.loads(done.truth.read_bytes()), name))
 
 
-def fly_scenes(names: Sequence[str], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]) -> list[Line]:
+def fly_scenes(names: Sequence[str], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]) -> list[BenchMission]:
     """Fly named scenes with each of the seeds."""
     lines = []
     for name in names:
         for seed in seeds:
             progress(f"flying {name}, seed {seed}")
-            lines.append(fly(short(read_scene(name), seed), f"{name} {seed}", name, folder))
+            lines.append(fly_scene(with_short_legs(read_scene(name), seed), f"{name} {seed}", name, folder))
     return lines
 
 
-def fly_empty(name: str, seed: int, folder: Path) -> Line:
+def fly_empty(name: str, seed: int, folder: Path) -> BenchMission:
     """Fly a named scene without any of its objects."""
-    bare = without_objects(short(read_scene(name), seed))
-    return fly(bare, f"{name} {seed} without objects", name, folder, "empty")
+    bare = without_objects(with_short_legs(read_scene(name), seed))
+    return fly_scene(bare, f"{name} {seed} without objects", name, folder, "empty")
 
 
 def without_objects(scene: Scene) -> Scene:
@@ -75,7 +75,7 @@ def without_objects(scene: Scene) -> Scene:
     return msgspec.structs.replace(scene, objects=(), scatter=())
 
 
-def repeated(line: Line, duration_s: float, folder: Path) -> Line:
+def repeated(line: BenchMission, duration_s: float, folder: Path) -> BenchMission:
     """Repeat a line's recording end to end until it lasts so long; its truth holds for the first pass alone."""
     name = f"{line.name} repeated to {duration_s / 60.0:g} min"
     log = folder / (name.replace(" ", "-") + ".xtf")
@@ -91,7 +91,7 @@ def crowded(scene: Scene, times: float) -> Scene:
     return msgspec.structs.replace(scene, scatter=scatter)
 
 
-def augment_logs(logs: Sequence[Path], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]) -> list[Line]:
+def augment_logs(logs: Sequence[Path], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]) -> list[BenchMission]:
     """Put targets and rocks into recorded lines, drawn by each of the seeds."""
     lines = []
     for log in logs:
@@ -99,7 +99,7 @@ def augment_logs(logs: Sequence[Path], seeds: Sequence[int], folder: Path, progr
             progress(f"putting targets into {log.name}, seed {seed}")
             written = augment(log, scattered(seed), folder / f"{log.stem}-{seed}", Config())
             truth = parse_truth(json.loads(written.truth.read_bytes()), log.name)
-            lines.append(Line(f"{log.stem} {seed}", log.stem, "recorded", written.log, Config(), truth))
+            lines.append(BenchMission(f"{log.stem} {seed}", log.stem, "recorded", written.log, Config(), truth))
     return lines
 
 

@@ -24,8 +24,8 @@ from auv_mcm import __version__, kernels
 from auv_mcm.errors import BadInputError
 from auv_mcm.settings.config import config_yaml
 from sim_replay.benches.run_time import one_run
-from sim_replay.benches.run_time.lines import Line
-from sim_replay.benches.run_time.points import Point
+from sim_replay.benches.run_time.lines import BenchMission
+from sim_replay.benches.run_time.points import ChainSetting
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, parse_contacts
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
 from sim_replay.scoring.score import Score, score_missions
@@ -43,7 +43,7 @@ _PLAIN_SCRIPT: Final = (
 """Run the plain script as a program, then read its peak memory."""
 
 
-class Run(msgspec.Struct, frozen=True, kw_only=True):
+class MissionCost(msgspec.Struct, frozen=True, kw_only=True):
     """One operating point on one mission.
 
     process_s: user and system time of the whole process, one per repeat; elapsed_s: by the clock; chain_s: processor time of the chain
@@ -67,13 +67,13 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     contacts_sha256: str
 
 
-class PointResult(msgspec.Struct, frozen=True, kw_only=True):
+class SettingResult(msgspec.Struct, frozen=True, kw_only=True):
     """One operating point over all missions. pd: at LIMITS_PER_KM2 of false alarms. contacts: per km² of swept area."""
 
     name: str
     knob: str
     value: str
-    runs: dict[str, Run]
+    runs: dict[str, MissionCost]
     pd: tuple[Proportion, ...]
     contacts: Density
 
@@ -91,7 +91,7 @@ class PointResult(msgspec.Struct, frozen=True, kw_only=True):
         return dict(total)
 
 
-class Machine(msgspec.Struct, frozen=True, kw_only=True):
+class BenchMachine(msgspec.Struct, frozen=True, kw_only=True):
     """What was measured on, and when. load: of the last minute before and after, in processes that wanted to run."""
 
     processor: str
@@ -102,9 +102,9 @@ class Machine(msgspec.Struct, frozen=True, kw_only=True):
     load: tuple[float, float]
 
 
-def this_machine(load_before: float) -> Machine:
+def this_machine(load_before: float) -> BenchMachine:
     """Describe this computer and what runs on it."""
-    return Machine(
+    return BenchMachine(
         processor=_processor(),
         cores=os.cpu_count() or 1,
         kernels=kernels.backend(),
@@ -122,14 +122,14 @@ def _processor() -> str:
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
-def measure(
-    points: Sequence[Point],
-    lines: Sequence[Line],
+def measure_settings(
+    points: Sequence[ChainSetting],
+    lines: Sequence[BenchMission],
     repeat: int,
     folder: Path,
     progress: Callable[[str], None] = lambda words: None,
     threads: int = 1,
-) -> list[PointResult]:
+) -> list[SettingResult]:
     """Run every point on every mission `repeat` times, all points in turn on each mission.
 
     Raises BadInputError where a run fails, or where two runs of one point give different contacts.
@@ -143,7 +143,7 @@ def measure(
     return [_result(point, lines, raw, folder) for point in points]
 
 
-def run_once(point: Point, line: Line, folder: Path, threads: int = 1) -> dict[str, Any]:
+def run_once(point: ChainSetting, line: BenchMission, folder: Path, threads: int = 1) -> dict[str, Any]:
     """Run one point on one mission in a process of its own; its costs and counts, and process_s, its user and system time."""
     contacts = contacts_path(point, line, folder)
     if point.is_plain_script:
@@ -164,7 +164,7 @@ def run_once(point: Point, line: Line, folder: Path, threads: int = 1) -> dict[s
     return {"sonar_s": 0.0, **done, "process_s": process_s, "elapsed_s": elapsed_s, "contacts_sha256": hashlib.sha256(data).hexdigest()}
 
 
-def contacts_path(point: Point, line: Line, folder: Path) -> Path:
+def contacts_path(point: ChainSetting, line: BenchMission, folder: Path) -> Path:
     """Name the file of a point's contacts on a mission."""
     words = f"{point.name}-{line.name}"
     return folder / ("".join(letter if letter.isalnum() else "-" for letter in words) + ".geojson")
@@ -186,7 +186,9 @@ def _timed(command: Sequence[str], what: str, errors: Path) -> tuple[str, float]
     return output, usage.ru_utime + usage.ru_stime
 
 
-def _result(point: Point, lines: Sequence[Line], raw: dict[tuple[str, str], list[dict[str, Any]]], folder: Path) -> PointResult:
+def _result(
+    point: ChainSetting, lines: Sequence[BenchMission], raw: dict[tuple[str, str], list[dict[str, Any]]], folder: Path
+) -> SettingResult:
     runs, missions, n_contacts = {}, [], 0
     for line in lines:
         each = raw[point.name, line.name]
@@ -202,15 +204,15 @@ def _result(point: Point, lines: Sequence[Line], raw: dict[tuple[str, str], list
     if any(mission.truth.objects for mission in missions):
         score = score_missions(missions)
         pd = tuple(pd_at(score, limit) for limit in LIMITS_PER_KM2)
-    return PointResult(
+    return SettingResult(
         name=point.name, knob=point.knob, value=point.value, runs=runs, pd=pd, contacts=density(n_contacts, area_km2 or None)
     )
 
 
-def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Run:
+def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> MissionCost:
     first = each[0]
     stages = {name: statistics.median(one["stages_s"][name] for one in each) for name in first.get("stages_s", {})}
-    return Run(
+    return MissionCost(
         process_s=tuple(one["process_s"] for one in each),
         elapsed_s=tuple(one["elapsed_s"] for one in each),
         chain_s=tuple(one["chain_s"] for one in each if "chain_s" in one),
@@ -237,12 +239,12 @@ def pd_at(score: Score, limit_per_km2: float) -> Proportion:
     return max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets))
 
 
-def median_ratio(result: PointResult, other: PointResult) -> tuple[float, float, float]:
+def median_ratio(result: SettingResult, other: SettingResult) -> tuple[float, float, float]:
     """Processor time of one point over that of another, repeat by repeat: median, lowest, highest."""
     ratios = [a / b for a, b in zip(result.process_s(), other.process_s(), strict=True)]
     return statistics.median(ratios), min(ratios), max(ratios)
 
 
-def times_real_time(run: Run) -> float:
+def times_real_time(run: MissionCost) -> float:
     """Duration of the sonar's recording over processor time of the chain alone."""
     return run.sonar_s / statistics.median(run.chain_s)

@@ -8,9 +8,9 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, PointResult
+from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, SettingResult
 from sim_replay.benches.run_time.one_run import DEFAULT
-from sim_replay.benches.run_time.results import POINT_HEADER, Results, on_front, point_rows, reason_words
+from sim_replay.benches.run_time.results import POINT_HEADER, RunTimeResults, on_front, point_rows, reason_words
 from sim_replay.benches.run_time.targets import TARGET_HEADER, target_rows
 
 _WIDTH, _HEIGHT = 900, 520
@@ -24,7 +24,7 @@ _STYLE: Final = (
 )
 
 
-def page(results: Results) -> str:
+def run_time_page(results: RunTimeResults) -> str:
     """HTML that needs nothing but itself."""
     machine = results.machine
     versions = ", ".join(f"{name} {version}" for name, version in machine.versions.items())
@@ -39,14 +39,14 @@ def page(results: Results) -> str:
         f"kernels: {_text(machine.kernels)}; {_text(versions)}. Processor time of whole processes on one core, medians of {results.repeat} "
         f"repeats, all points in turn. {len(results.missions)} missions, {results.sonar_s:.0f} s of sonar: "
         f"{_text(', '.join(results.missions))}. Intervals of Pd and contacts are 95 %; those of ratios go from the lowest to the highest "
-        f"repeat.</p>{plot(results)}<p><b>The default</b> (ringed): {_text(reason_words(results))}.</p>"
+        f"repeat.</p>{pareto_plot(results)}<p><b>The default</b> (ringed): {_text(reason_words(results))}.</p>"
         f"<h2>Operating points</h2><div>{_table(POINT_HEADER, rows)}</div>"
         + (f"<h2>Targets</h2><div>{_table(TARGET_HEADER, target_lines)}</div><ul>{profiles}</ul>" if results.targets else "")
         + "</html>\n"
     )
 
 
-def plot(results: Results) -> str:
+def pareto_plot(results: RunTimeResults) -> str:
     """SVG of Pd against processor time per minute of sonar, with the front that no point beats in both."""
     shown = [point for point in results.points if point.pd and point.pd[_PLOTTED].value is not None]
     if not shown:
@@ -107,11 +107,11 @@ def _axes(x: Callable[[float], float], y: Callable[[float], float], low: float, 
     return "".join(parts)
 
 
-def _cost(point: PointResult, sonar_s: float) -> float:
+def _cost(point: SettingResult, sonar_s: float) -> float:
     return statistics.median(point.process_s()) / sonar_s * 60.0
 
 
-def _pd(point: PointResult) -> float:
+def _pd(point: SettingResult) -> float:
     return point.pd[_PLOTTED].value or 0.0
 
 

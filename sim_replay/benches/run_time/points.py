@@ -23,7 +23,7 @@ from sim_replay.missions import unconfirmed, untrained_alone
 Configure = Callable[[Config, Path], Config]
 
 
-class Point(NamedTuple):
+class ChainSetting(NamedTuple):
     """One way to run the chain.
 
     knob: what is turned; value: to what. configure: makes its configuration from the mission's; what that names is written into the folder
@@ -53,17 +53,17 @@ def _set(section: str, values: dict[str, Any], config: Config, _: Path) -> Confi
     return msgspec.structs.replace(config, **{section: changed})
 
 
-def _turned(knob: str, section: str, key: str, value: Any) -> Point:
-    return Point(f"{section}.{key} {value:g}", knob, f"{value:g}", partial(_set, section, {key: value}))
+def _turned(knob: str, section: str, key: str, value: Any) -> ChainSetting:
+    return ChainSetting(f"{section}.{key} {value:g}", knob, f"{value:g}", partial(_set, section, {key: value}))
 
 
-def _pixels(row_m: float, column_m: float) -> Point:
+def _pixels(row_m: float, column_m: float) -> ChainSetting:
     sizes = {"row_spacing_m": row_m, "column_spacing_m": column_m}
     name = f"{row_m:g} x {column_m:g} m"
-    return Point(f"pixels {name}", "pixel size", name, partial(_set, "waterfall", sizes))
+    return ChainSetting(f"pixels {name}", "pixel size", name, partial(_set, "waterfall", sizes))
 
 
-def _shallow(n_groups: int) -> Point:
+def _shallow(n_groups: int) -> ChainSetting:
     """The shipped cascade without its last groups; the calibration stays that of the whole one."""
     model = shipped_model()
     n_stumps = sum(len(group) for group in itertools.islice(model.groups, n_groups))
@@ -74,11 +74,11 @@ def _shallow(n_groups: int) -> Point:
         path.write_bytes(encode_model(cut))
         return _set("detect", {"model": str(path)}, config, folder)
 
-    return Point(f"cascade of {n_stumps} stumps", "cascade depth", str(n_stumps), configure)
+    return ChainSetting(f"cascade of {n_stumps} stumps", "cascade depth", str(n_stumps), configure)
 
 
-def _look(knob: str, value: str, thoroughness: Thoroughness) -> Point:
-    return Point(f"{knob} {value}", knob, value, _same, thoroughness)
+def _look(knob: str, value: str, thoroughness: Thoroughness) -> ChainSetting:
+    return ChainSetting(f"{knob} {value}", knob, value, _same, thoroughness)
 
 
 def _unconfirmed(config: Config, _: Path) -> Config:
@@ -97,25 +97,25 @@ _HALF: Final = Effort(256, 6, 12, 6, 2, 14, 8)
 _TWICE: Final = Effort(1024, 14, 22, 6, 4, 28, 8)
 
 
-def default_point() -> Point:
+def default_point() -> ChainSetting:
     """The chain as the package ships it."""
-    return Point(DEFAULT, DEFAULT, "", _same)
+    return ChainSetting(DEFAULT, DEFAULT, "", _same)
 
 
-def points() -> tuple[Point, ...]:
+def chain_settings() -> tuple[ChainSetting, ...]:
     """List every operating point, the default first."""
     return (
         default_point(),
-        Point(PLAIN, "reference", "", _same, is_plain_script=True),
-        Point("contrasts alone", "reference", "", _untrained),
-        Point("cascade alone", "reference", "", _unconfirmed),
+        ChainSetting(PLAIN, "reference", "", _same, is_plain_script=True),
+        ChainSetting("contrasts alone", "reference", "", _untrained),
+        ChainSetting("cascade alone", "reference", "", _unconfirmed),
         *(_turned("cascade budget", "detect", "max_evaluations_per_tile", n) for n in (400_000, 2_000_000, 4_000_000, 10_000_000)),
         *(_turned("lowest p_mine reported", "contacts", "min_p_mine", p) for p in (0.0, 0.001, 0.05)),
         *(_turned("lowest p_mine looked at", "confirm", "min_p_mine", p) for p in (0.001, 0.05)),
         *(_turned("candidates per tile", "detect", "max_candidates_per_tile", n) for n in (8, 32)),
         *(_turned("looks per tile", "confirm", "max_per_tile", n) for n in (2, 8)),
         *(_pixels(*size) for size in ((0.108, 0.054), (0.132, 0.066), (0.24, 0.12))),
-        Point("no cascade", "cascade depth", "0", partial(_set, "detect", {"model": NONE})),
+        ChainSetting("no cascade", "cascade depth", "0", partial(_set, "detect", {"model": NONE})),
         *(_shallow(n) for n in (10, 15, 20)),
         _look("contour nodes", "4", Thoroughness(fine=_NODES_4)),
         _look("contour nodes", "8", Thoroughness(fine=_NODES_8)),

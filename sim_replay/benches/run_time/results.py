@@ -10,28 +10,28 @@ from typing import Final
 import msgspec
 
 from auv_mcm.errors import BadInputError, UsageError
-from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, Machine, PointResult, median_ratio
+from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, BenchMachine, SettingResult, median_ratio
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.points import PLAIN, REASON
-from sim_replay.benches.run_time.targets import Target
+from sim_replay.benches.run_time.targets import CostTarget
 from sim_replay.text_tables import density_cell, share_cell
 
 FORMAT_VERSION: Final = 1
 _LEAST_CHANGE: Final = 0.03  # of a cost: runs of the same program differ by as much on an idle computer
 
 
-class Results(msgspec.Struct, frozen=True, kw_only=True):
+class RunTimeResults(msgspec.Struct, frozen=True, kw_only=True):
     """One run of the bench. missions: by name; sonar_s: how long they last together."""
 
     format_version: int = FORMAT_VERSION
-    machine: Machine
+    machine: BenchMachine
     repeat: int
     missions: tuple[str, ...]
     sonar_s: float
-    points: tuple[PointResult, ...]
-    targets: tuple[Target, ...]
+    points: tuple[SettingResult, ...]
+    targets: tuple[CostTarget, ...]
 
-    def point(self, name: str) -> PointResult | None:
+    def point(self, name: str) -> SettingResult | None:
         """Find an operating point, None if it was not measured."""
         return next((point for point in self.points if point.name == name), None)
 
@@ -43,7 +43,7 @@ POINT_HEADER: Final = (
 )
 
 
-def point_rows(results: Results) -> list[list[str]]:
+def point_rows(results: RunTimeResults) -> list[list[str]]:
     """A row of text per operating point."""
     default, plain = results.point(DEFAULT), results.point(PLAIN)
     rows = []
@@ -64,7 +64,7 @@ def point_rows(results: Results) -> list[list[str]]:
     return rows
 
 
-def reason_words(results: Results) -> str:
+def reason_words(results: RunTimeResults) -> str:
     """Why the default is the default, and which points did better in this run in time without being worse in error."""
     default = results.point(DEFAULT)
     if default is None or not default.pd:
@@ -80,7 +80,7 @@ def reason_words(results: Results) -> str:
     return f"{REASON}. Points that cost less in every repeat and found as many targets at every limit: {found}"
 
 
-def on_front(results: Results) -> set[str]:
+def on_front(results: RunTimeResults) -> set[str]:
     """Names of the points that no other beats in time and in Pd at 100 false alarms per km² at once."""
     values = [(statistics.median(point.process_s()), point.pd[1].count, point.name) for point in results.points if point.pd]
     return {
@@ -90,14 +90,14 @@ def on_front(results: Results) -> set[str]:
     }
 
 
-def read_results(path: Path) -> Results:
+def read_results(path: Path) -> RunTimeResults:
     """Read an older run. Raises UsageError for a file that cannot be read, BadInputError for one that is no such run."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise UsageError(f"--compare {path} cannot be read: {error.strerror}") from error
     try:
-        found = msgspec.json.decode(data, type=Results)
+        found = msgspec.json.decode(data, type=RunTimeResults)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}. Name a file that 'auv-mcm bench chain --json FILE' wrote") from error
     if found.format_version != FORMAT_VERSION:
@@ -105,7 +105,7 @@ def read_results(path: Path) -> Results:
     return found
 
 
-def moved(old: Results, new: Results) -> list[str]:
+def changes_since(old: RunTimeResults, new: RunTimeResults) -> list[str]:
     """Say what moved beyond noise, a line each.
 
     Costs are compared in units of the plain script in the same run, since computers differ and are busy. A cost has moved where the ranges
@@ -126,7 +126,7 @@ def moved(old: Results, new: Results) -> list[str]:
     return lines
 
 
-def _differences(before: PointResult, after: PointResult, old: Results, new: Results) -> list[str]:
+def _differences(before: SettingResult, after: SettingResult, old: RunTimeResults, new: RunTimeResults) -> list[str]:
     found = []
     old_plain, new_plain = old.point(PLAIN), new.point(PLAIN)
     if old_plain is not None and new_plain is not None and after.name != PLAIN:
@@ -142,6 +142,6 @@ def _differences(before: PointResult, after: PointResult, old: Results, new: Res
     return found
 
 
-def _ratio_cell(point: PointResult, other: PointResult) -> str:
+def _ratio_cell(point: SettingResult, other: SettingResult) -> str:
     median, low, high = median_ratio(point, other)
     return f"{median:.2f} ({low:.2f}-{high:.2f})"

@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from sim_replay.benches.run_time.lines import FIRST_SEED, Line, fly
-from sim_replay.benches.run_time.measure import Run, measure
+from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, fly_scene
+from sim_replay.benches.run_time.measure import MissionCost, measure_settings
 from sim_replay.benches.run_time.points import default_point
 from sim_replay.simulator.scene import Lawnmower, Scatter, Scene
 from sim_replay.simulator.scene_file import read_scene
@@ -25,7 +25,7 @@ _OBJECTS_PER_KM2: Final = 1000.0
 _LEG_M: Final = 120.0
 
 
-class Variant(NamedTuple):
+class ScalingVariant(NamedTuple):
     """One mission of a series. range_m: of the sonar to either side; leg_m: length of its only leg."""
 
     range_m: float = _RANGE_M
@@ -35,7 +35,7 @@ class Variant(NamedTuple):
     threads: int = 1
 
 
-class Step(msgspec.Struct, frozen=True, kw_only=True):
+class ScalingStep(msgspec.Struct, frozen=True, kw_only=True):
     """One value of a series, and medians of what it cost, s."""
 
     value: float
@@ -43,25 +43,25 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
     elapsed_s: float
 
 
-class Series(msgspec.Struct, frozen=True, kw_only=True):
+class ScalingSeries(msgspec.Struct, frozen=True, kw_only=True):
     """How cost grows with one quantity."""
 
     against: str
-    steps: tuple[Step, ...]
+    steps: tuple[ScalingStep, ...]
 
 
-def series() -> dict[str, list[tuple[float, Variant]]]:
+def scaling_variants() -> dict[str, list[tuple[float, ScalingVariant]]]:
     """List the missions of every series by the value of what they differ in."""
     return {
-        "swath width, m": [(2.0 * range_m, Variant(range_m=range_m)) for range_m in (25.0, 50.0, 100.0)],
-        "ping rate, Hz": [(rate_hz, Variant(ping_rate_hz=rate_hz)) for rate_hz in (3.5, 7.0, 14.0)],
-        "objects per km²": [(per_km2, Variant(objects_per_km2=per_km2)) for per_km2 in (250.0, 1000.0, 4000.0)],
-        "mission length, m": [(leg_m, Variant(leg_m=leg_m)) for leg_m in (60.0, 120.0, 240.0)],
-        "threads": [(float(threads), Variant(threads=threads)) for threads in (1, 2, 4)],
+        "swath width, m": [(2.0 * range_m, ScalingVariant(range_m=range_m)) for range_m in (25.0, 50.0, 100.0)],
+        "ping rate, Hz": [(rate_hz, ScalingVariant(ping_rate_hz=rate_hz)) for rate_hz in (3.5, 7.0, 14.0)],
+        "objects per km²": [(per_km2, ScalingVariant(objects_per_km2=per_km2)) for per_km2 in (250.0, 1000.0, 4000.0)],
+        "mission length, m": [(leg_m, ScalingVariant(leg_m=leg_m)) for leg_m in (60.0, 120.0, 240.0)],
+        "threads": [(float(threads), ScalingVariant(threads=threads)) for threads in (1, 2, 4)],
     }
 
 
-def scene_of(variant: Variant) -> Scene:
+def scene_of(variant: ScalingVariant) -> Scene:
     """Change the flat scene to a variant: one leg, rocks of a mine's size as its only objects."""
     scene = read_scene(_SCENE)
     assert isinstance(scene.track.plan, Lawnmower)
@@ -77,24 +77,24 @@ def scene_of(variant: Variant) -> Scene:
     )
 
 
-def measure_series(repeat: int, folder: Path, progress: Callable[[str], None]) -> list[Series]:
+def measure_series(repeat: int, folder: Path, progress: Callable[[str], None]) -> list[ScalingSeries]:
     """Fly every mission once and run the default operating point on it."""
-    flown: dict[Variant, Line] = {}
-    costs: dict[Variant, Run] = {}
-    for some in series().values():
+    flown: dict[ScalingVariant, BenchMission] = {}
+    costs: dict[ScalingVariant, MissionCost] = {}
+    for some in scaling_variants().values():
         for _, variant in some:
             bare = variant._replace(threads=1)
             if bare not in flown:
                 progress(f"flying {bare}")
-                flown[bare] = fly(scene_of(bare), f"variant {len(flown)}", _SCENE, folder)
+                flown[bare] = fly_scene(scene_of(bare), f"variant {len(flown)}", _SCENE, folder)
             if variant not in costs:
                 line = flown[bare]
-                costs[variant] = measure([default_point()], [line], repeat, folder, progress, variant.threads)[0].runs[line.name]
+                costs[variant] = measure_settings([default_point()], [line], repeat, folder, progress, variant.threads)[0].runs[line.name]
     return [
-        Series(
+        ScalingSeries(
             against=against,
             steps=tuple(
-                Step(
+                ScalingStep(
                     value=value,
                     chain_s=statistics.median(costs[variant].chain_s),
                     elapsed_s=statistics.median(costs[variant].elapsed_s),
@@ -102,11 +102,11 @@ def measure_series(repeat: int, folder: Path, progress: Callable[[str], None]) -
                 for value, variant in some
             ),
         )
-        for against, some in series().items()
+        for against, some in scaling_variants().items()
     ]
 
 
-def exponent(values: Sequence[float], costs_s: Sequence[float]) -> tuple[float, float]:
+def fitted_exponent(values: Sequence[float], costs_s: Sequence[float]) -> tuple[float, float]:
     """Fit cost = constant * value ** exponent by least squares of logarithms; the exponent and its standard error."""
     x, y = np.log(values), np.log(costs_s)
     x = x - x.mean()
@@ -115,14 +115,14 @@ def exponent(values: Sequence[float], costs_s: Sequence[float]) -> tuple[float, 
     return slope, float(np.sqrt(residual @ residual / max(len(x) - 2, 1) / (x @ x)))
 
 
-def series_rows(found: Sequence[Series]) -> list[list[str]]:
+def series_rows(found: Sequence[ScalingSeries]) -> list[list[str]]:
     """A row of text per series."""
     rows = []
     for one in found:
         values = [step.value for step in one.steps]
         row = [one.against, ", ".join(f"{value:g}" for value in values)]
         for costs_s in ([step.chain_s for step in one.steps], [step.elapsed_s for step in one.steps]):
-            slope, error = exponent(values, costs_s)
+            slope, error = fitted_exponent(values, costs_s)
             row += [", ".join(f"{cost_s:.2f}" for cost_s in costs_s), f"{slope:.2f} ± {error:.2f}"]
         rows.append(row)
     return rows

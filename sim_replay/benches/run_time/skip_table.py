@@ -10,9 +10,9 @@ from typing import Final, TypeAlias
 import msgspec
 
 from auv_mcm.skips import ALL_SKIPS, SKIPS
-from sim_replay.benches.run_time.lines import Line
-from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, PointResult, measure, median_ratio
-from sim_replay.benches.run_time.points import Point, default_point
+from sim_replay.benches.run_time.lines import BenchMission
+from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, SettingResult, measure_settings, median_ratio
+from sim_replay.benches.run_time.points import ChainSetting, default_point
 from sim_replay.scoring.score import GATE_M
 
 Place: TypeAlias = tuple[float, float]
@@ -38,15 +38,15 @@ class SkipEffect(msgspec.Struct, frozen=True, kw_only=True):
     mission: str
     skip: str
     count: int | None
-    with_skip: PointResult
-    without: PointResult
+    with_skip: SettingResult
+    without: SettingResult
 
 
-def measure_skips(lines: Sequence[Line], repeat: int, folder: Path, progress: Callable[[str], None]) -> list[SkipEffect]:
+def measure_skips(lines: Sequence[BenchMission], repeat: int, folder: Path, progress: Callable[[str], None]) -> list[SkipEffect]:
     """Run the default and the chain without each skip, and without any, in turn on every mission."""
     effects = []
     for line in lines:
-        ours, *others = measure(list(_points()), [line], repeat, folder, progress)
+        ours, *others = measure_settings(list(_points()), [line], repeat, folder, progress)
         counters = ours.runs[line.name].counters
         counts = [*(counters.get(skip.counter, 0) for skip in SKIPS), None]
         effects += [
@@ -56,7 +56,7 @@ def measure_skips(lines: Sequence[Line], repeat: int, folder: Path, progress: Ca
     return effects
 
 
-def _points() -> Iterator[Point]:
+def _points() -> Iterator[ChainSetting]:
     yield default_point()
     for skip in SKIPS:
         yield default_point()._replace(name=f"without {skip.name}", knob="skips", value=skip.name, without_skips=frozenset({skip.name}))

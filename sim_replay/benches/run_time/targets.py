@@ -9,8 +9,8 @@ from typing import Final
 
 import msgspec
 
-from sim_replay.benches.run_time.lines import Kind, Line
-from sim_replay.benches.run_time.measure import PointResult, Run, times_real_time
+from sim_replay.benches.run_time.lines import BenchMission, MissionKind
+from sim_replay.benches.run_time.measure import MissionCost, SettingResult, times_real_time
 
 FLAT: Final = "flat"
 BUSY: Final = "boulders"
@@ -19,7 +19,7 @@ LONG_S: Final = 2400.0
 _STAGES_SHOWN: Final = 6
 
 
-class Target(msgspec.Struct, frozen=True, kw_only=True):
+class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
     """A figure beside its target. before: on 2026-11-20; aim: what would be better still; at_most: the lower the better.
 
     measured: None where the missions for it were not flown. where: the mission that decided. profile: share of processor time per stage,
@@ -43,11 +43,11 @@ class Target(msgspec.Struct, frozen=True, kw_only=True):
         return self.measured <= self.target if self.at_most else self.measured >= self.target
 
 
-def targets(chain: PointResult, plain: PointResult, lines: Sequence[Line], long: Run | None) -> list[Target]:
+def cost_targets(chain: SettingResult, plain: SettingResult, lines: Sequence[BenchMission], long: MissionCost | None) -> list[CostTarget]:
     """Compute every figure from the default operating point and the plain script over the same missions; long: of LONG_S, for memory."""
     runs = chain.runs
 
-    def named(kind: Kind, *groups: str) -> list[str]:
+    def named(kind: MissionKind, *groups: str) -> list[str]:
         return [line.name for line in lines if line.kind == kind and (not groups or line.group in groups)]
 
     flat, busy, empty = named("scene", FLAT), named("scene", BUSY), named("empty", FLAT)
@@ -63,9 +63,9 @@ def targets(chain: PointResult, plain: PointResult, lines: Sequence[Line], long:
 
     def target(
         name: str, values: tuple[float, float, float], at_most: bool, measured: float | None, of: Sequence[str | None], where: str = ""
-    ) -> Target:
+    ) -> CostTarget:
         profile = "" if measured is None else profile_words([runs[one] for one in of if one is not None])
-        made = Target(
+        made = CostTarget(
             name=name, before=values[0], target=values[1], aim=values[2], at_most=at_most, measured=measured, where=where, profile=profile
         )
         return msgspec.structs.replace(made, profile="") if made.met else made
@@ -98,7 +98,7 @@ def targets(chain: PointResult, plain: PointResult, lines: Sequence[Line], long:
     ]
 
 
-def profile_words(runs: Sequence[Run]) -> str:
+def profile_words(runs: Sequence[MissionCost]) -> str:
     """Share of the chain's processor time per stage, the largest first, over some runs."""
     total: dict[str, float] = defaultdict(float)
     for run in runs:
@@ -111,7 +111,7 @@ def profile_words(runs: Sequence[Run]) -> str:
     )
 
 
-def target_rows(found: Sequence[Target]) -> list[list[str]]:
+def target_rows(found: Sequence[CostTarget]) -> list[list[str]]:
     """A row of text per target."""
     return [
         [
@@ -130,7 +130,9 @@ def target_rows(found: Sequence[Target]) -> list[list[str]]:
 TARGET_HEADER: Final = ("figure", "before", "target", "aim", "measured", "", "on")
 
 
-def _cost_ratio(runs: dict[str, Run], some: Sequence[str], others: Sequence[str], unit: Callable[[Run], int]) -> float | None:
+def _cost_ratio(
+    runs: dict[str, MissionCost], some: Sequence[str], others: Sequence[str], unit: Callable[[MissionCost], int]
+) -> float | None:
     """Processor time of the chain alone per unit, of some missions over others."""
     if not some or not others:
         return None

@@ -15,15 +15,15 @@ from auv_mcm.confirmation import Thoroughness
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.skips import SKIPS
 from sim_replay.benches.run_time import plain_script
-from sim_replay.benches.run_time.lines import Line, scattered, short, without_objects
-from sim_replay.benches.run_time.measure import Machine, PointResult, Run
+from sim_replay.benches.run_time.lines import BenchMission, scattered, with_short_legs, without_objects
+from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult
 from sim_replay.benches.run_time.one_run import DEFAULT
-from sim_replay.benches.run_time.page import page
-from sim_replay.benches.run_time.points import PLAIN, points
-from sim_replay.benches.run_time.results import Results, moved, on_front, point_rows, read_results, reason_words
-from sim_replay.benches.run_time.scaling import Series, Step, exponent, scene_of, series, series_rows
+from sim_replay.benches.run_time.page import run_time_page
+from sim_replay.benches.run_time.points import PLAIN, chain_settings
+from sim_replay.benches.run_time.results import RunTimeResults, changes_since, on_front, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.scaling import ScalingSeries, ScalingStep, fitted_exponent, scaling_variants, scene_of, series_rows
 from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
-from sim_replay.benches.run_time.targets import target_rows, targets
+from sim_replay.benches.run_time.targets import cost_targets, target_rows
 from sim_replay.missions import config_for
 from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score_missions
 from sim_replay.scoring.intervals import density, proportion
@@ -37,11 +37,11 @@ sonar: {frequency_khz: 450, range_m: 25, n_samples: 400, ping_rate_hz: 10}
 track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 40, spacing_m: 40}}
 objects: [{kind: cylinder, leg: 0, along_m: 20, across_m: 12, azimuth_deg: 0, strength_db: -6}]
 """
-MACHINE = Machine(processor="one", cores=1, kernels="c", versions={"python": "3"}, date="2026-11-23", load=(0.0, 0.0))
+MACHINE = BenchMachine(processor="one", cores=1, kernels="c", versions={"python": "3"}, date="2026-11-23", load=(0.0, 0.0))
 
 
-def a_run(*process_s: float, contacts: int = 3, pings: int = 100, chain_s: tuple[float, ...] = (1.0,)) -> Run:
-    return Run(
+def a_run(*process_s: float, contacts: int = 3, pings: int = 100, chain_s: tuple[float, ...] = (1.0,)) -> MissionCost:
+    return MissionCost(
         process_s=process_s,
         elapsed_s=process_s,
         chain_s=chain_s,
@@ -58,14 +58,14 @@ def a_run(*process_s: float, contacts: int = 3, pings: int = 100, chain_s: tuple
     )
 
 
-def a_point(name: str, *process_s: float, found: int = 10, contacts: int = 30) -> PointResult:
+def a_point(name: str, *process_s: float, found: int = 10, contacts: int = 30) -> SettingResult:
     pd = tuple(proportion(found, 20) for _ in range(3))
     runs = {"flat 1": a_run(*process_s)}
-    return PointResult(name=name, knob=name, value="", runs=runs, pd=pd, contacts=density(contacts, 0.01))
+    return SettingResult(name=name, knob=name, value="", runs=runs, pd=pd, contacts=density(contacts, 0.01))
 
 
-def of(*some: PointResult, missions: tuple[str, ...] = ("flat 1",)) -> Results:
-    return Results(machine=MACHINE, repeat=3, missions=missions, sonar_s=60.0, points=some, targets=())
+def of(*some: SettingResult, missions: tuple[str, ...] = ("flat 1",)) -> RunTimeResults:
+    return RunTimeResults(machine=MACHINE, repeat=3, missions=missions, sonar_s=60.0, points=some, targets=())
 
 
 PLAIN_POINT = a_point(PLAIN, 1.0, 1.0, 1.1, found=5)
@@ -92,7 +92,7 @@ def test_the_quick_check_holds_errors_and_counts_of_work(capsys: pytest.CaptureF
 
 
 def test_points_have_names_of_their_own_and_each_turns_something(tmp_path: Path) -> None:
-    every = points()
+    every = chain_settings()
     assert len({point.name for point in every}) == len(every)
     assert every[0].name == DEFAULT
     config = config_for(read_scene("flat"))
@@ -102,7 +102,7 @@ def test_points_have_names_of_their_own_and_each_turns_something(tmp_path: Path)
 
 def test_short_missions_keep_all_objects_and_empty_ones_have_none() -> None:
     scene = read_scene("flat")
-    shortened = short(scene, 7)
+    shortened = with_short_legs(scene, 7)
     assert isinstance(scene.track.plan, Lawnmower)
     assert isinstance(shortened.track.plan, Lawnmower)
     assert shortened.track.plan.leg_m == 0.5 * scene.track.plan.leg_m
@@ -113,21 +113,21 @@ def test_short_missions_keep_all_objects_and_empty_ones_have_none() -> None:
 
 def test_a_cost_has_moved_only_where_no_repeat_overlaps() -> None:
     old = of(a_point(DEFAULT, 10.0, 10.4, 10.2), PLAIN_POINT)
-    assert moved(old, of(a_point(DEFAULT, 10.3, 10.1, 10.5), PLAIN_POINT)) == []
-    (line,) = moved(old, of(a_point(DEFAULT, 5.0, 5.2, 5.1), PLAIN_POINT))
+    assert changes_since(old, of(a_point(DEFAULT, 10.3, 10.1, 10.5), PLAIN_POINT)) == []
+    (line,) = changes_since(old, of(a_point(DEFAULT, 5.0, 5.2, 5.1), PLAIN_POINT))
     assert line.startswith("default: cost 10.00 -> 5.00 of the plain script")
 
 
 def test_a_slower_computer_is_no_change() -> None:
     old = of(a_point(DEFAULT, 10.0, 10.4, 10.2), PLAIN_POINT)
     slower = of(a_point(DEFAULT, 20.0, 20.8, 20.4), a_point(PLAIN, 2.0, 2.0, 2.2, found=5))
-    assert moved(old, slower) == []
+    assert changes_since(old, slower) == []
 
 
 def test_errors_have_moved_where_they_leave_the_older_interval() -> None:
     old = of(a_point(DEFAULT, 10.0, found=10, contacts=30))
-    assert moved(old, of(a_point(DEFAULT, 10.0, found=11, contacts=31))) == []
-    said = moved(old, of(a_point(DEFAULT, 10.0, found=19, contacts=90)))
+    assert changes_since(old, of(a_point(DEFAULT, 10.0, found=11, contacts=31))) == []
+    said = changes_since(old, of(a_point(DEFAULT, 10.0, found=19, contacts=90)))
     assert [words.partition(": ")[2] for words in said] == [
         *(f"Pd at {limit} FA/km² 0.50 -> 0.95" for limit in (10, 100, 300)),
         "contacts per km² 3000 -> 9000",
@@ -136,7 +136,7 @@ def test_errors_have_moved_where_they_leave_the_older_interval() -> None:
 
 def test_runs_on_other_missions_are_not_compared() -> None:
     with pytest.raises(UsageError, match="ripple 1"):
-        moved(of(PLAIN_POINT), of(PLAIN_POINT, missions=("ripple 1",)))
+        changes_since(of(PLAIN_POINT), of(PLAIN_POINT, missions=("ripple 1",)))
 
 
 def test_results_survive_their_file_and_others_are_refused(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_the_front_holds_points_that_none_beats_in_both() -> None:
 
 def test_the_page_rings_the_default_and_stands_alone() -> None:
     results = of(a_point(DEFAULT, 10.0), a_point("a <b>", 12.0, found=12), a_point(PLAIN, 1.0, found=5))
-    text = page(results)
+    text = run_time_page(results)
     assert text.count('r="10" fill="none"') == 1
     assert "a &lt;b&gt;" in text
     assert "http" not in text
@@ -171,13 +171,13 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     truth = parse_truth({"area_km2": 0.001, "objects": []}, "here")
     config = config_for(read_scene("flat"))
     lines = [
-        Line("flat 1", "flat", "scene", tmp_path, config, truth),
-        Line("flat 1 without objects", "flat", "empty", tmp_path, config, truth),
+        BenchMission("flat 1", "flat", "scene", tmp_path, config, truth),
+        BenchMission("flat 1 without objects", "flat", "empty", tmp_path, config, truth),
     ]
     runs = {"flat 1": a_run(3.0, chain_s=(2.0,)), "flat 1 without objects": a_run(1.5, chain_s=(0.4,))}
-    chain = PointResult(name=DEFAULT, knob="", value="", runs=runs, pd=(), contacts=density(0, None))
+    chain = SettingResult(name=DEFAULT, knob="", value="", runs=runs, pd=(), contacts=density(0, None))
     plain = msgspec.structs.replace(chain, runs={name: a_run(1.0) for name in runs})
-    found = {one.name: one for one in targets(chain, plain, lines, None)}
+    found = {one.name: one for one in cost_targets(chain, plain, lines, None)}
     script = found["chain over plain script, flat, whole process"]
     assert (script.measured, script.met) == (3.0, False)
     assert script.profile == "detect 75%, other 25%"
@@ -198,7 +198,7 @@ def test_what_is_not_there_is_refused(arguments: list[str], words: str, capsys: 
 
 
 def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
-    def point(name: str, called: tuple[tuple[float, float], ...], digest: str) -> PointResult:
+    def point(name: str, called: tuple[tuple[float, float], ...], digest: str) -> SettingResult:
         run = msgspec.structs.replace(a_run(2.0), called=called, contacts_sha256=digest)
         return msgspec.structs.replace(a_point(name, 2.0), runs={"flat 1": run})
 
@@ -211,13 +211,13 @@ def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
 
 def test_exponents_are_those_of_a_power_law() -> None:
     values = [1.0, 2.0, 4.0]
-    assert exponent(values, [3.0 * value**1.5 for value in values]) == pytest.approx((1.5, 0.0), abs=1e-9)
-    steps = tuple(Step(value=value, chain_s=value, elapsed_s=1.0) for value in values)
-    (row,) = series_rows([Series(against="length", steps=steps)])
+    assert fitted_exponent(values, [3.0 * value**1.5 for value in values]) == pytest.approx((1.5, 0.0), abs=1e-9)
+    steps = tuple(ScalingStep(value=value, chain_s=value, elapsed_s=1.0) for value in values)
+    (row,) = series_rows([ScalingSeries(against="length", steps=steps)])
     assert row == ["length", "1, 2, 4", "1.00, 2.00, 4.00", "1.00 ± 0.00", "1.00, 1.00, 1.00", "0.00 ± 0.00"]
 
 
 def test_every_mission_of_a_series_can_be() -> None:
-    for some in series().values():
+    for some in scaling_variants().values():
         for _, variant in some:
             check_scene(scene_of(variant))
