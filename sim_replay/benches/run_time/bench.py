@@ -21,7 +21,15 @@ from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, ChainSetting, chain_settings
 from sim_replay.benches.run_time.quick import quick_checks
-from sim_replay.benches.run_time.results import POINT_HEADER, RunTimeResults, changes_since, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.results import (
+    POINT_HEADER,
+    RunTimeResults,
+    changes_since,
+    point_rows,
+    read_results,
+    reason_words,
+    require_same_missions,
+)
 from sim_replay.benches.run_time.scaling import SERIES_HEADER, measure_series, series_rows
 from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import FLAT, LONG_S, TARGET_HEADER, CostTarget, cost_targets, target_rows
@@ -41,10 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log-seeds", type=count, default=2, help="draws of targets per recorded line (default 2)")
     parser.add_argument("--repeat", type=count, default=3, help="repetitions of every run, all points in turn (default 3)")
     parser.add_argument("--knobs", help="turn only these knobs, with commas between, beside the default and the references")
-    parser.add_argument("--targets", action="store_true", help="the default and the plain script alone, on all that the targets are about")
-    parser.add_argument("--skips", action="store_true", help="what each skip of the chain saves, and how far the answer differs without it")
-    parser.add_argument("--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads")
-    parser.add_argument("--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--targets", action="store_true", help="the default and the plain script alone, on all that the targets are about")
+    instead.add_argument(
+        "--skips", action="store_true", help="what each skip of the chain saves, and how far the answer differs without it"
+    )
+    instead.add_argument("--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads")
+    instead.add_argument("--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plot and tables to FILE")
     parser.add_argument("--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote")
@@ -58,6 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
     for option, path in (("--json", arguments.json), ("--page", arguments.page)):
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
+    if (arguments.skips or arguments.scaling) and (arguments.page is not None or arguments.compare is not None):
+        raise UsageError("--page and --compare are for operating points and targets: leave them out beside --skips and --scaling")
     old = None if arguments.compare is None else read_results(arguments.compare)
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else SCENES if arguments.targets else SCANNED
     for name in names:
@@ -71,6 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
         folder = Path(made)
         lines = _missions(arguments, names, folder)
+        if old is not None:
+            require_same_missions(old, [line.name for line in lines])
         found = measure_settings(chosen, lines, arguments.repeat, folder, _progress)
         long = _long_run(lines, folder, chosen[0]) if arguments.targets else None
     print(file=sys.stderr)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -105,16 +106,19 @@ def read_results(path: Path) -> RunTimeResults:
     return found
 
 
+def require_same_missions(old: RunTimeResults, missions: Sequence[str]) -> None:
+    """Raise UsageError where an older run was not on these missions."""
+    if set(old.missions) != set(missions):
+        differing = ", ".join(sorted(set(old.missions) ^ set(missions)))
+        raise UsageError(f"the older run was on other missions ({differing}): give the same scenes, seeds and logs")
+
+
 def changes_since(old: RunTimeResults, new: RunTimeResults) -> list[str]:
     """Say what moved beyond noise, a line each.
 
     Costs are compared in units of the plain script in the same run, since computers differ and are busy. A cost has moved where the ranges
     over the repeats do not overlap; Pd and contacts where the new value lies outside the old one's 95 % interval.
-    Raises UsageError where the two did not measure the same missions.
     """
-    if set(old.missions) != set(new.missions):
-        differing = ", ".join(sorted(set(old.missions) ^ set(new.missions)))
-        raise UsageError(f"the older run was on other missions ({differing}): give the same scenes, seeds and logs")
     lines = []
     for point in new.points:
         before = old.point(point.name)

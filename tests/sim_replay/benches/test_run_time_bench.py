@@ -20,7 +20,15 @@ from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, Setti
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, chain_settings
-from sim_replay.benches.run_time.results import RunTimeResults, changes_since, on_front, point_rows, read_results, reason_words
+from sim_replay.benches.run_time.results import (
+    RunTimeResults,
+    changes_since,
+    on_front,
+    point_rows,
+    read_results,
+    reason_words,
+    require_same_missions,
+)
 from sim_replay.benches.run_time.scaling import ScalingSeries, ScalingStep, fitted_exponent, scaling_variants, scene_of, series_rows
 from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import cost_targets, target_rows
@@ -136,7 +144,7 @@ def test_errors_have_moved_where_they_leave_the_older_interval() -> None:
 
 def test_runs_on_other_missions_are_not_compared() -> None:
     with pytest.raises(UsageError, match="ripple 1"):
-        changes_since(of(PLAIN_POINT), of(PLAIN_POINT, missions=("ripple 1",)))
+        require_same_missions(of(PLAIN_POINT), ["ripple 1"])
 
 
 def test_results_survive_their_file_and_others_are_refused(tmp_path: Path) -> None:
@@ -190,7 +198,13 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"), [(["--scenes", "moon"], "moon"), (["--knobs", "colour"], "colour"), (["--json", "no/a"], "no")]
+    ("arguments", "words"),
+    [
+        (["--scenes", "moon"], "moon"),
+        (["--skips", "--page", "a.html"], "--page"),
+        (["--knobs", "colour"], "colour"),
+        (["--json", "no/a"], "no"),
+    ],
 )
 def test_what_is_not_there_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "chain", *arguments]) == 2
