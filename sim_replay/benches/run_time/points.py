@@ -54,7 +54,7 @@ def _set(section: str, values: dict[str, Any], config: Config, _: Path) -> Confi
 
 
 def _turned(knob: str, section: str, key: str, value: Any) -> ChainSetting:
-    return ChainSetting(f"{section}.{key} {value:g}", knob, f"{value:g}", partial(_set, section, {key: value}))
+    return ChainSetting(f"{section}.{key} {value}", knob, str(value), partial(_set, section, {key: value}))
 
 
 def _pixels(row_m: float, column_m: float) -> ChainSetting:

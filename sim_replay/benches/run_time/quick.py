@@ -16,7 +16,7 @@ from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import read_scene
 
 SMALL_BUDGET: Final = 400_000
-_BUDGETED: Final = f"detect.max_evaluations_per_tile {SMALL_BUDGET:g}"
+_BUDGETED: Final = f"detect.max_evaluations_per_tile {SMALL_BUDGET}"
 _LEG_M: Final = 60.0
 _OBJECTS: Final = 0.4  # of those of the scene
 _EVALUATIONS_PER_WINDOW: Final = 60.0  # the cascade makes 31 on quiet and 54 on busy tiles

@@ -40,7 +40,7 @@ class RunTimeResults(msgspec.Struct, frozen=True, kw_only=True):
 POINT_HEADER: Final = (
     *("operating point", "knob", "process s", "times real time", "of the default", "of the plain script"),
     *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
-    *("contacts per km²", "peak MB"),
+    *("contacts per km²", "covered km²", "peak MB"),
 )
 
 
@@ -59,6 +59,7 @@ def point_rows(results: RunTimeResults) -> list[list[str]]:
                 *("-" if other is None else _ratio_cell(point, other) for other in (default, plain)),
                 *(share_cell(pd) for pd in point.pd),
                 density_cell(point.contacts),
+                _covered_cell(point),
                 f"{max(run.peak_memory_mb for run in point.runs.values()):.0f}",
             ]
         )
@@ -144,6 +145,11 @@ def _differences(before: SettingResult, after: SettingResult, old: RunTimeResult
     if ours_km2 is not None and low_km2 is not None and high_km2 is not None and not low_km2 <= ours_km2 <= high_km2:
         found.append(f"contacts per km² {before.contacts.per_km2:.0f} -> {ours_km2:.0f}")
     return found
+
+
+def _covered_cell(point: SettingResult) -> str:
+    covered_km2 = sum(run.covered_km2 for run in point.runs.values())
+    return "-" if all(not run.stages_s for run in point.runs.values()) else f"{covered_km2:.4f}"
 
 
 def _ratio_cell(point: SettingResult, other: SettingResult) -> str:
