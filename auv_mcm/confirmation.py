@@ -23,14 +23,16 @@ from auv_mcm.classify.features import Features, contour_features, detector_featu
 from auv_mcm.classify.fit import Effort, ShapeFit, ShapeFits, fit_to
 from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
-from auv_mcm.confirm.mrf import Segmentation, segment
+from auv_mcm.confirm.mrf import DEFAULT_SWEEPS, Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
-from auv_mcm.confirm.snake import Contours, converge_on, start_from_labels, survey
+from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge_on, start_from_labels, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.kernels.shape import ImageRowSums
+from auv_mcm.kernels.snake_descent import Schedule
 from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
+from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.snippet import unpack_snippet
 
 _QUALITY: Final = 0.95  # of a view that nothing speaks against
@@ -40,9 +42,24 @@ _LEAST_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
 
-_EFFORT: Final = Effort()
 _NONE: Final = np.empty((0, 2))
 _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
+
+
+class Thoroughness(NamedTuple):
+    """How much each step of a look tries; the odds are fitted with the default.
+
+    coarse, fine: schedules of contours, (nodes added, stride in pixels, rounds) per stage. n_sweeps: maximum of the Markov field.
+    effort: of the search for solids.
+    """
+
+    coarse: Schedule = COARSE
+    fine: Schedule = FINE
+    n_sweeps: int = DEFAULT_SWEEPS
+    effort: Effort = Effort()
+
+
+_USUAL: Final = Thoroughness()
 
 
 class Examination(NamedTuple):
@@ -62,14 +79,22 @@ class Examination(NamedTuple):
     p_contours: float
 
 
-def confirm_detection(detection: Detection, beam_width_rad: float, odds: MineOdds, config: ConfirmConfig) -> Detection:
+def confirm_detection(
+    detection: Detection,
+    beam_width_rad: float,
+    odds: MineOdds,
+    config: ConfirmConfig,
+    thoroughness: Thoroughness = _USUAL,
+    without_skips: Skips = NO_SKIPS,
+) -> Detection:
     """Return the detection with p_mine after confirmation, with a Confirmation if its odds allowed one, without surroundings.
 
     p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
     `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
+    without_skips: those that are switched off.
     """
     p_detector = odds.p_mine(_detector_ratio(detection, odds))
-    if detection.surroundings is None or p_detector < config.min_p_mine:
+    if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
     if min(region.intensity.shape) < _LEAST_PIXELS:
@@ -78,7 +103,10 @@ def confirm_detection(detection: Detection, beam_width_rad: float, odds: MineOdd
         require_sound(region)
     except ValueError:
         return without_confirmation(detection, odds, "geometry_unknown")
-    examination = examine(detection, region, odds, config.min_p_mine)
+    min_p_mine = 0.0 if "contour-odds" in without_skips else config.min_p_mine
+    if "hopeless-solids" in without_skips:
+        thoroughness = thoroughness._replace(effort=thoroughness.effort._replace(refines_all=True))
+    examination = examine(detection, region, odds, min_p_mine, thoroughness=thoroughness)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
     log_ratio = evidence_of(examination, odds)
     if examination.fits is not None:
@@ -142,16 +170,17 @@ def examine(
     odds: MineOdds | None,
     min_p_mine: float,
     done: Callable[[ExaminationStep], None] = lambda step: None,
-    effort: Effort = _EFFORT,
+    thoroughness: Thoroughness = _USUAL,
 ) -> Examination:
     """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
 
-    done: called after each step. effort: of the search for solids. Both are for benches: the odds are fitted with the default effort.
+    done: called after each step, for benches.
     """
+    coarse, fine, n_sweeps, effort = thoroughness
     area = grain_area(region.intensity, region.valid)
     ground = survey(region, area)
     done("survey")
-    contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes)
+    contours = ground if isinstance(ground, Contours) else converge_on(ground, ground.boxes, coarse=coarse, fine=fine)
     done("first contours")
     before = detector_features(detection)
     first = before | contour_features(contours) | outline_features(contours, region)
@@ -160,11 +189,11 @@ def examine(
     done("features")
     if p_contours < min_p_mine:
         return Examination(region, contours, None, None, first, first, seen, p_contours)
-    segmentation = segment(region)
+    segmentation = segment(region, n_sweeps=n_sweeps)
     done("field")
     own = labels_near(segmentation.labels, region)
     if own is not None and not isinstance(ground, Contours):
-        again = converge_on(ground, start_from_labels(region, own))
+        again = converge_on(ground, start_from_labels(region, own), coarse=coarse, fine=fine)
         # Whichever start led to the better contours; a criterion that is not a number is no contour.
         if not contours.criterion <= again.criterion and not math.isnan(again.criterion):
             contours = again
@@ -247,6 +276,7 @@ def _confirmation(detection: Detection, surroundings: Surroundings, examination:
         model=None if best is None else _model(best, corner),
         rejected=contours.rejected,
         reasons=tuple(dict.fromkeys(reasons)),
+        n_not_refined=0 if fits is None else sum(not fit.refined for fit in fits.fits),
     )
 
 

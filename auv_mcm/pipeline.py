@@ -25,6 +25,7 @@ from auv_mcm.confirmation import confirm_detection, is_worth_confirming, without
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
+from auv_mcm.detect.cascade.model import rejecting_last
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
 from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.detect.place_counts import PlaceCounts
@@ -49,6 +50,7 @@ from auv_mcm.records import (
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import configured_seabed_model
 from auv_mcm.settings.config import Config
+from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
 from auv_mcm.waterfall.sample_checks import SampleCheck
 from auv_mcm.waterfall.waterfall import Waterfall
@@ -58,7 +60,7 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. With `exhaustive` the cascade has no budget, and tiles without a usable pixel are scored too. `detect`,
+    when another view joins them. without_skips: skips of `auv_mcm.skips` that are switched off. `detect`,
     `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the kinds of sea floor in a tile, to
     compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
@@ -70,7 +72,7 @@ class Pipeline:
         self,
         config: Config,
         *,
-        exhaustive: bool = False,
+        without_skips: Skips = NO_SKIPS,
         threads: int = 1,
         timer: Callable[[], float] | None = None,
         detect: Callable[[Tile], TileDetections] | None = None,
@@ -79,7 +81,7 @@ class Pipeline:
         kept: Contacts | None = None,
     ) -> None:
         self._config = config
-        self._exhaustive = exhaustive
+        self._without_skips = without_skips
         self._timer = timer
         self._counts: Counter[str] = Counter()
         self.costs_s: dict[str, float] = {}
@@ -91,11 +93,15 @@ class Pipeline:
         self._suppressors = {side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES}
         model, self._detector = fitting(configured_model(config), config)
         # The gate forecasts what confirmation says.
-        gate = shipped_gate() if config.confirm.enabled and not exhaustive else None
-        self._detect_in = detect or partial(detect_tile, config=config, model=model, gate=gate, exhaustive=exhaustive)
+        gate = shipped_gate() if config.confirm.enabled else None
+        if model is not None and "cascade-rejection" in without_skips:
+            model = rejecting_last(model)
+        self._detect_in = detect or partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
-        self._look_closely = look or partial(confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm)
+        self._look_closely = look or partial(
+            confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm, without_skips=without_skips
+        )
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
@@ -251,6 +257,9 @@ class Pipeline:
             self._counts["detect.windows"] += result.n_windows
             self._counts["detect.evaluations"] += result.n_evaluations
             self._counts["detect.windows_cut"] += result.n_cut
+            self._counts["detect.windows_rejected"] += result.n_rejected
+            self._counts["detect.pixels_bounded"] += result.n_bounded
+            self._counts["detect.tiles_clear_contrasts"] += result.clear_contrasts
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
             with self._timed("suppress"):
@@ -284,7 +293,8 @@ class Pipeline:
 
     def _detect(self, tile: Tile) -> TileDetections | Defect | None:
         """What was found; None if there is nothing to see."""
-        return caught(lambda: None if not self._exhaustive and not worth_looking(tile) else self._detect_in(tile))
+        looks_anyway = "empty-tiles" in self._without_skips
+        return caught(lambda: self._detect_in(tile) if looks_anyway or worth_looking(tile) else None)
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
         """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
@@ -316,11 +326,13 @@ class Pipeline:
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
         # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
-        worthwhile = [config.min_p_mine <= 0.0 or is_worth_confirming(detection, self._odds, config) for detection in detections]
+        takes_all = config.min_p_mine <= 0.0 or "detector-odds" in self._without_skips
+        worthwhile = [takes_all or is_worth_confirming(detection, self._odds, config) for detection in detections]
         best_first = sorted(
             (d for d, worth in zip(detections, worthwhile, strict=True) if worth), key=lambda d: (-d.p_mine, d.row, d.column)
         )
-        chosen, rest = best_first[: config.max_per_tile], best_first[config.max_per_tile :]
+        most = len(best_first) if "look-limit" in self._without_skips else config.max_per_tile
+        chosen, rest = best_first[:most], best_first[most:]
         mapped = map if self._threads is None else self._threads.map
         tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
         looks = list(mapped(lambda detection: caught(partial(self._look_closely, detection)), tried))
@@ -330,6 +342,8 @@ class Pipeline:
             found = detection.confirmation
             self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
             self._counts["confirm.rejected"] += found is not None and found.rejected
+            self._counts["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
+            self._counts["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
         looked_at += [without_confirmation(detection, self._odds, "look_failed") for detection, _ in defects]
         return looked_at + [without_confirmation(detection, self._odds, "over_budget") for detection in rest], len(rest), defects
 

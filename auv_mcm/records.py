@@ -194,7 +194,8 @@ class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mine it may be; mass: the same with log_ratio. half_turn_symmetric: the best solid looks alike from the opposite side. labels: (n, m)
     uint8 of `auv_mcm.confirm.region` for the pixels of the snippet; (0, 0) where the field was not solved. highlight, shadow: (n, 2)
     float64 contours (row, column) in pixels of the snippet; (0, 2) where there is none. model: None if no solid explains the view.
-    rejected: the contours cannot be those of a mine, for the codes in `reasons`.
+    rejected: the contours cannot be those of a mine, for the codes in `reasons`. n_not_refined: solids whose search ended before the
+    beam was taken into account.
     """
 
     log_ratio: float
@@ -207,6 +208,7 @@ class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     model: ShapeModel | None
     rejected: bool
     reasons: tuple[str, ...]
+    n_not_refined: int = 0
 
 
 Detector: TypeAlias = Literal["cascade", "contrast"]

@@ -29,6 +29,7 @@ from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
 from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.whole_files import write_json
+from auv_mcm.skips import ALL_SKIPS, NO_SKIPS, Skips
 from sim_replay.logs.open_log import CHUNK_BYTES
 from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, write_report
@@ -43,7 +44,7 @@ def replay(
     folder: Path,
     config: Config,
     *,
-    exhaustive: bool = False,
+    without_skips: Skips = NO_SKIPS,
     threads: int = 1,
     chunk_bytes: int = CHUNK_BYTES,
     speed: float = math.inf,
@@ -52,12 +53,13 @@ def replay(
 ) -> dict[str, Any]:
     """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`, replacing an earlier replay's.
 
+    without_skips: those of `auv_mcm.skips` that are switched off.
     speed: times real time; inf does not wait. progress: called with the fraction done, 0..1. Returns what summary.json holds.
     Raises UsageError for a folder that cannot be written to, BadInputError if there is nothing to replay.
     """
     clock = clock or SystemClock()
     mission = open_mission(logs, config, chunk_bytes)
-    pipeline = Pipeline(config, exhaustive=exhaustive, threads=threads, timer=clock.monotonic_s)
+    pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
     tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
     make_results_directory(folder)
     (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
@@ -125,7 +127,8 @@ def replay(
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
         "kernels": kernels.backend(),
         "threads": threads,
-        "exhaustive": exhaustive,
+        "exhaustive": without_skips == ALL_SKIPS,
+        "without_skips": sorted(without_skips),
         "config": msgspec.to_builtins(config),
     }
     write_json(folder / "summary.json", summary)

@@ -14,7 +14,7 @@ STAGES = ("intake", "waterfall", "detect", "seabed", "confirm", "classify", "con
 """The stages of the payload in the order of the data."""
 UNDER_STAGES = {
     *("records", "errors", "clock", "source", "settings", "geometry", "kernels", "solids", "snippet"),
-    *("clean_text", "safe_files", "model_file"),
+    *("clean_text", "safe_files", "model_file", "skips"),
 }
 """What every stage may import."""
 

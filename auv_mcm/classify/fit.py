@@ -45,7 +45,10 @@ _PLACE_GRAIN_M: Final = 0.05
 
 
 class Effort(NamedTuple):
-    """How many hypotheses are tried: starts per solid; how many walk, for how many steps of how many tries; the same with the beam."""
+    """How many hypotheses are tried: starts per solid; how many walk, for how many steps of how many tries; the same with the beam.
+
+    refines_all: with the beam also for solids that are far behind.
+    """
 
     n_starts: int = 512
     n_walks: int = 10
@@ -54,6 +57,7 @@ class Effort(NamedTuple):
     n_fine_walks: int = 3
     n_fine_steps: int = 20
     n_fine_tries: int = 8
+    refines_all: bool = False
 
 
 class Optimum(msgspec.Struct, frozen=True, kw_only=True):
@@ -194,7 +198,7 @@ def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | Non
     clutter = contour_cost is not None and lowest > contour_cost + _CLUTTER
     found: list[_Class] = []
     for entry in classes:
-        refined = not clutter and bool(entry.found.cost[0] < lowest + _HOPELESS)
+        refined = effort.refines_all or (not clutter and bool(entry.found.cost[0] < lowest + _HOPELESS))
         final = _refine(entry, image, beam, effort) if refined else entry
         n_tried += effort.n_fine_walks * effort.n_fine_steps * effort.n_fine_tries if refined else 0
         if final.found.cost[0] < FORBIDDEN:

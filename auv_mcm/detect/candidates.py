@@ -18,6 +18,7 @@ from auv_mcm.detect.gate import Gate, may_reach, place_features
 from auv_mcm.detect.prescreen import NO_ECHO, Floor, Peak
 from auv_mcm.records import CONTRAST_SHARE, NAN, Tile
 from auv_mcm.settings.config import DetectConfig
+from auv_mcm.skips import NO_SKIPS, Skips
 
 STEP_M: Final = 0.4
 """Peaks closer than this, along and across the track, are one candidate."""
@@ -27,6 +28,7 @@ _AROUND_PX: Final = (1, 2)  # rows and columns that a peak of contrast may be of
 _CLEAR_PEAK_P: Final = 5.8e-8
 """Tail probability of a contrast of 5.3 deviates: from there on a place may be reported at a p_mine of 0.01 without the cascade's help. Of
 the small objects marked on a recorded line one, of 8.1 deviates, is reported thanks to it; fainter peaks changed no Pd in ten scenes."""
+_NO_LIMIT: Final = 1 << 40  # more than a tile has pixels
 _FAINTEST: Final = -5.0  # where contrast says nothing, as beside what is masked
 
 
@@ -55,7 +57,9 @@ NO_FAINT_PLACES: Final = FaintPlaces(np.empty(0), np.empty(0), np.empty(0))
 class TileCandidates(NamedTuple):
     """Hold the candidates of a tile's core, best first. n_over_budget: more there were. faint: places that cannot become contacts.
 
-    n_windows, n_evaluations, n_cut: of the cascade, as in CascadeResult; 0 without.
+    n_windows, n_evaluations, n_cut: of the cascade, as in CascadeResult; 0 without. n_rejected: windows that it
+    rejected before its last group. n_bounded: as
+    in Contrasts. clear_contrasts: only clear peaks of contrast were looked for.
     """
 
     candidates: list[Candidate]
@@ -64,24 +68,33 @@ class TileCandidates(NamedTuple):
     n_windows: int = 0
     n_evaluations: int = 0
     n_cut: int = 0
+    n_rejected: int = 0
+    n_bounded: int = 0
+    clear_contrasts: bool = False
 
 
-def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine: float) -> TileCandidates:
+def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine: float, without_skips: Skips = NO_SKIPS) -> TileCandidates:
     """Find peaks of the contrast of highlight and shadow against the sea floor around. gate, min_p_mine: as for by_both."""
-    contrast = contrasts(tile, config.p_false_alarm)
+    contrast = contrasts(tile, config.p_false_alarm, bounded="contrast-bounds" not in without_skips)
     peaks = contrast.peaks(STEP_M)
     scores = np.array([peak.score for peak in peaks])
     features = place_features(*_ranges(tile, peaks), contrast=scores)
-    reaching = may_reach(None if gate is None else gate.contrast, min_p_mine, features)
+    reaching = may_reach(None if gate is None or "gate" in without_skips else gate.contrast, min_p_mine, features)
     passing = np.flatnonzero(reaching)
-    taken = [peaks[k] for k in passing[: config.max_candidates_per_tile].tolist()]
+    taken = [peaks[k] for k in passing[: _most(config, without_skips)].tolist()]
     candidates = [Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
     faint = _faint([peaks[k] for k in np.flatnonzero(~reaching).tolist()], scores[~reaching])
-    return TileCandidates(candidates, len(passing) - len(taken), faint)
+    return TileCandidates(candidates, len(passing) - len(taken), faint, n_bounded=contrast.n_bounded)
 
 
 def by_both(
-    tile: Tile, model: CascadeModel, config: DetectConfig, max_evaluations: int | None, gate: Gate | None, min_p_mine: float
+    tile: Tile,
+    model: CascadeModel,
+    config: DetectConfig,
+    max_evaluations: int | None,
+    gate: Gate | None,
+    min_p_mine: float,
+    without_skips: Skips = NO_SKIPS,
 ) -> TileCandidates:
     """Find the best of the windows that pass the trained cascade, and peaks of contrast that it rejects, each with the score of both.
 
@@ -89,10 +102,12 @@ def by_both(
     max_evaluations: the cascade's budget, None for none; the peaks' scores come out of it first. gate, min_p_mine: what cannot become a
     contact of that p_mine is dropped, and of the contrast only clear peaks are looked for. Without a gate nothing is dropped.
     """
-    contrast = contrasts(tile, config.p_false_alarm if gate is None or min_p_mine <= 0.0 else min(config.p_false_alarm, _CLEAR_PEAK_P))
+    clear_alone = gate is not None and min_p_mine > 0.0 and "faint-contrasts" not in without_skips
+    p_false_alarm = min(config.p_false_alarm, _CLEAR_PEAK_P) if clear_alone else config.p_false_alarm
+    contrast = contrasts(tile, p_false_alarm, bounded="contrast-bounds" not in without_skips)
     peaks = contrast.peaks(STEP_M)
     plane = core_plane(tile)
-    most = config.max_candidates_per_tile
+    most = _most(config, without_skips)
     peak_scores, n_spent = _scores_of(plane, model, peaks, most, max_evaluations)
     passed = run_plane(plane, model, None if max_evaluations is None else max_evaluations - n_spent)
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
@@ -111,7 +126,7 @@ def by_both(
     features = place_features(
         *_ranges(tile, [places[k] for k in kept.tolist()]), cascade=cascade_scores[kept], contrast=contrast_scores[kept]
     )
-    reaching = may_reach(None if gate is None else gate.both, min_p_mine, features)
+    reaching = may_reach(None if gate is None or "gate" in without_skips else gate.both, min_p_mine, features)
     passing, faint = kept[reaching], kept[~reaching]
     taken = passing[:most]
     odds = model.calibration.log_odds_of(np.rint(cascade_scores[taken] * SCORE_UNIT).astype(np.int64)).tolist()
@@ -126,7 +141,15 @@ def by_both(
         n_windows=passed.n_windows,
         n_evaluations=passed.n_evaluations + n_spent,
         n_cut=passed.n_cut,
+        n_rejected=passed.n_windows - passed.n_cut - passed.n_alive[-2] if len(passed.n_alive) > 1 else 0,
+        n_bounded=contrast.n_bounded,
+        clear_contrasts=clear_alone,
     )
+
+
+def _most(config: DetectConfig, without_skips: Skips) -> int:
+    """Maximum number of candidates of a tile."""
+    return _NO_LIMIT if "candidate-limit" in without_skips else config.max_candidates_per_tile
 
 
 def _scores_of(

@@ -59,6 +59,7 @@ class Contrasts(NamedTuple):
 
     background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, in the rows scored, and
     the score where it is at least the threshold, -inf elsewhere. rows: [start, stop) of those scored. shadows: of all sizes looked for.
+    n_bounded: pixels of the rows scored that were not weighed, since bounds hold them below the threshold.
     """
 
     tile: Tile
@@ -72,6 +73,7 @@ class Contrasts(NamedTuple):
     small: Values
     large: Values
     score: Values
+    n_bounded: int = 0
 
     def floor(self, row: int, column: int) -> Floor:
         """The sea floor around a pixel of the rows scored."""
@@ -110,8 +112,11 @@ class Contrasts(NamedTuple):
         return found
 
 
-def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
-    """Find all that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle."""
+def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Contrasts:
+    """Find all that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle.
+
+    bounded: weigh only pixels that may reach it; the result is the same.
+    """
     grid = PixelGrid(tile.row_spacing_m, tile.column_spacing_m)
     margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
     rows = max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])
@@ -127,10 +132,11 @@ def contrasts(tile: Tile, p_false_alarm: float) -> Contrasts:
     score = np.full(tile.mask.shape, -np.inf, dtype=np.float32)
     found = Contrasts(tile, grid, rows, _shadows(tile, grid), sums, level, known, thin, small, large, score)
     threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
-    places, values = _all_scores(found) if threshold < LEAST_THRESHOLD else _high_scores(found, float(threshold))
+    weighs_all = threshold < LEAST_THRESHOLD or not bounded
+    places, values = _all_scores(found) if weighs_all else _high_scores(found, float(threshold))
     high = values >= threshold
     score.ravel()[places[high]] = values[high]
-    return found
+    return found if weighs_all else found._replace(n_bounded=int(np.count_nonzero(known[rows[0] : rows[1]])) - places.size)
 
 
 def scores_at(tile: Contrasts, places: Places) -> Values:

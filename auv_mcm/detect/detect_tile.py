@@ -18,6 +18,7 @@ from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry,
 from auv_mcm.geometry.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
 from auv_mcm.settings.config import Config
+from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.snippet import pack_snippet
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 
@@ -38,7 +39,8 @@ class TileDetections(NamedTuple):
 
     faint: places that cannot become contacts and were not measured, on the mission grid.
     n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
-    used up, of n_windows; all 0 where contrasts alone serve.
+    used up, of n_windows, n_rejected: windows that it rejected before its last group; all 0 where contrasts alone serve.
+    n_bounded: pixels whose contrast was not weighed. clear_contrasts: only clear peaks of contrast were looked for.
     """
 
     detections: tuple[Detection, ...]
@@ -48,6 +50,9 @@ class TileDetections(NamedTuple):
     n_windows: int = 0
     n_evaluations: int = 0
     n_cut: int = 0
+    n_rejected: int = 0
+    n_bounded: int = 0
+    clear_contrasts: bool = False
 
 
 def worth_looking(tile: Tile) -> bool:
@@ -57,19 +62,19 @@ def worth_looking(tile: Tile) -> bool:
 
 
 def detect_tile(
-    tile: Tile, config: Config, model: CascadeModel | None = None, gate: Gate | None = None, *, exhaustive: bool = False
+    tile: Tile, config: Config, model: CascadeModel | None = None, gate: Gate | None = None, *, without_skips: Skips = NO_SKIPS
 ) -> TileDetections:
     """Find the objects whose score peaks in the tile's core. Positions are NaN-free; detections without a known pose are counted instead.
 
     model: the trained cascade; contrasts serve without one. gate: drops what cannot become a contact that is reported, before it is
-    measured; without one everything is measured. exhaustive: no budget for the cascade.
+    measured; without one everything is measured. without_skips: those that are switched off.
     """
     min_p_mine = config.contacts.min_p_mine
     if model is None:
-        found = by_contrast(tile, config.detect, gate, min_p_mine)
+        found = by_contrast(tile, config.detect, gate, min_p_mine, without_skips)
     else:
-        budget = None if exhaustive else config.detect.max_evaluations_per_tile
-        found = by_both(tile, model, config.detect, budget, gate, min_p_mine)
+        budget = None if "cascade-budget" in without_skips else config.detect.max_evaluations_per_tile
+        found = by_both(tile, model, config.detect, budget, gate, min_p_mine, without_skips)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
     detections = _placed(tile, config, found.candidates, measured)
@@ -81,6 +86,9 @@ def detect_tile(
         n_windows=found.n_windows,
         n_evaluations=found.n_evaluations,
         n_cut=found.n_cut,
+        n_rejected=found.n_rejected,
+        n_bounded=found.n_bounded,
+        clear_contrasts=found.clear_contrasts,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from auv_mcm import kernels
 from auv_mcm.classify.fit import Effort
 from auv_mcm.classify.odds import MineOdds, shipped_odds
-from auv_mcm.confirmation import ExaminationStep, confirm_detection, evidence_of, examine, region_of
+from auv_mcm.confirmation import ExaminationStep, Thoroughness, confirm_detection, evidence_of, examine, region_of
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector
 from auv_mcm.settings.config import Config
@@ -108,7 +108,9 @@ def p_mine_by_effort(detection: Detection, config: Config) -> list[float]:
         raise ValueError("a detection without surroundings cannot be looked at")
     beam_width_rad, odds = math.radians(config.sonar.beam_width_deg), _odds_for(detection)
     region = region_of(detection, detection.surroundings, beam_width_rad)
-    looks = (examine(detection, region, odds, config.confirm.min_p_mine, effort=effort) for effort in EFFORTS.values())
+    looks = (
+        examine(detection, region, odds, config.confirm.min_p_mine, thoroughness=Thoroughness(effort=effort)) for effort in EFFORTS.values()
+    )
     return [odds.p_mine(evidence_of(look, odds)) for look in looks]
 
 

@@ -10,6 +10,7 @@ from auv_mcm.commands import Commands, Parser, command
 from auv_mcm.errors import UsageError
 
 BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
+    "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
     "waterfall": ("benches.chain", "the whole chain, cost per stage"),
     "detect": ("benches.detect", "the detector's cost per tile"),
     "confirmation": ("benches.confirmation", "a close look's cost, step by step"),

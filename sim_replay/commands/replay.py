@@ -7,6 +7,7 @@ from pathlib import Path
 
 from auv_mcm.clean_text import clean
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
+from auv_mcm.skips import ALL_SKIPS, SKIPS
 
 
 def add(commands: Commands) -> None:
@@ -39,8 +40,14 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--exhaustive",
         action="store_true",
-        help="give the cascade no budget, and score tiles that hold nothing but masked or near-nadir pixels too; the contacts are the same "
-        "wherever the budget suffices. What the stages reject early stays rejected",
+        help="switch all skips off: everything is scored, measured and confirmed to the last step (many times slower)",
+    )
+    parser.add_argument(
+        "--without-skip",
+        action="append",
+        choices=[skip.name for skip in SKIPS],
+        metavar="NAME",
+        help="switch one skip off, repeatable: " + "; ".join(f"{skip.name} ({skip.leaves_out})" for skip in SKIPS),
     )
     parser.add_argument(
         "--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work; the contacts are the same (default 1)"
@@ -71,7 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
             arguments.logs,
             arguments.out,
             config,
-            exhaustive=arguments.exhaustive,
+            without_skips=ALL_SKIPS if arguments.exhaustive else frozenset(arguments.without_skip or ()),
             threads=arguments.threads,
             chunk_bytes=arguments.chunk_bytes,
             speed=parse_speed(arguments.speed, "--speed"),

@@ -99,6 +99,16 @@ class CascadeModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return sum(len(group) for group in self.groups)
 
 
+def rejecting_last(model: CascadeModel) -> CascadeModel:
+    """The model without thresholds on the way: windows go through all groups and are judged by the last threshold alone.
+
+    Stages each start at a score of 0, so that every threshold of theirs is a decision: such a model is returned as it is.
+    """
+    if model.kind != "soft":
+        return model
+    return msgspec.structs.replace(model, reject=(*(-_MAX_SCORE for _ in model.reject[:-1]), model.reject[-1]))
+
+
 def parse_model(data: bytes, place: str) -> CascadeModel:
     """A model from JSON. Raises BadInputError naming `place`, what is wrong with it and where."""
     try:

@@ -1,0 +1,148 @@
+"""Compare what the chain costs with its targets, and say which stages take the time where one is missed."""
+
+from __future__ import annotations
+
+import statistics
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import msgspec
+
+from sim_replay.benches.run_time.lines import BenchMission, MissionKind
+from sim_replay.benches.run_time.measure import MissionCost, SettingResult, times_real_time
+
+FLAT: Final = "flat"
+BUSY: Final = "boulders"
+LONG_S: Final = 2400.0
+"""Duration of the long mission that memory is measured on, s."""
+_STAGES_SHOWN: Final = 6
+
+
+class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
+    """A figure beside its target. before: on 2026-11-20; aim: what would be better still; at_most: the lower the better.
+
+    measured: None where the missions for it were not flown. where: the mission that decided. profile: share of processor time per stage,
+    of what missed the target.
+    """
+
+    name: str
+    before: float
+    target: float
+    aim: float
+    at_most: bool
+    measured: float | None
+    where: str
+    profile: str
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met; None where nothing was measured."""
+        if self.measured is None:
+            return None
+        return self.measured <= self.target if self.at_most else self.measured >= self.target
+
+
+def cost_targets(chain: SettingResult, plain: SettingResult, lines: Sequence[BenchMission], long: MissionCost | None) -> list[CostTarget]:
+    """Compute every figure from the default operating point and the plain script over the same missions; long: of LONG_S, for memory."""
+    runs = chain.runs
+
+    def named(kind: MissionKind, *groups: str) -> list[str]:
+        return [line.name for line in lines if line.kind == kind and (not groups or line.group in groups)]
+
+    flat, busy, empty = named("scene", FLAT), named("scene", BUSY), named("empty", FLAT)
+    scenes, recorded = named("scene"), named("recorded")
+
+    def speed(name: str) -> float:
+        return times_real_time(runs[name])
+
+    slowest, slowest_recorded = min(scenes, key=speed, default=None), min(recorded, key=speed, default=None)
+    by_memory = runs if long is None else {**runs, f"{LONG_S / 60.0:g} minutes of flat": long}
+    heaviest = max(by_memory, key=lambda name: by_memory[name].peak_memory_mb)
+    swept_km2 = sum(line.truth.area_km2 for line in lines if line.name in flat)
+
+    def target(
+        name: str, values: tuple[float, float, float], at_most: bool, measured: float | None, of: Sequence[str | None], where: str = ""
+    ) -> CostTarget:
+        profile = "" if measured is None else profile_words([runs[one] for one in of if one is not None])
+        made = CostTarget(
+            name=name, before=values[0], target=values[1], aim=values[2], at_most=at_most, measured=measured, where=where, profile=profile
+        )
+        return msgspec.structs.replace(made, profile="") if made.met else made
+
+    script = _median_ratio(chain.process_s(flat), plain.process_s(flat)) if flat else None
+    return [
+        target("chain over plain script, flat, whole process", (10.5, 2.0, 1.0), True, script, flat),
+        target("times real time, flat", (26.0, 250.0, 500.0), False, statistics.median(map(speed, flat)) if flat else None, flat),
+        target(
+            *("times real time, worst named scene", (14.0, 60.0, 100.0), False),
+            *(None if slowest is None else speed(slowest), [slowest], slowest or ""),
+        ),
+        target(
+            *("times real time, recorded line", (18.0, 100.0, 200.0), False),
+            *(None if slowest_recorded is None else speed(slowest_recorded), [slowest_recorded], slowest_recorded or "no --log"),
+        ),
+        target(
+            *("empty floor over busy floor: flat without objects over flat", (0.99, 0.25, 0.1), True),
+            *(_cost_ratio(runs, empty, flat, lambda run: run.pings), empty, "per ping"),
+        ),
+        target(
+            *("the same: flat without objects over boulders", (0.40, 0.25, 0.1), True),
+            *(_cost_ratio(runs, empty, busy, lambda run: run.samples), empty, "per sample"),
+        ),
+        target(
+            *("contacts per km², flat", (65000.0, 8000.0, 3000.0), True),
+            *(sum(runs[name].contacts for name in flat) / swept_km2 if flat else None, []),
+        ),
+        target("peak memory of the chain, MB", (190.0, 200.0, 150.0), True, by_memory[heaviest].peak_memory_mb, [], heaviest),
+    ]
+
+
+def profile_words(runs: Sequence[MissionCost]) -> str:
+    """Share of the chain's processor time per stage, the largest first, over some runs."""
+    total: dict[str, float] = defaultdict(float)
+    for run in runs:
+        for stage, cost_s in run.stages_s.items():
+            total[stage] += cost_s
+        total["other"] += statistics.median(run.chain_s) - sum(run.stages_s.values())
+    whole_s = sum(total.values())
+    return ", ".join(
+        f"{stage} {cost_s / whole_s:.0%}" for stage, cost_s in sorted(total.items(), key=lambda item: -item[1])[:_STAGES_SHOWN]
+    )
+
+
+def target_rows(found: Sequence[CostTarget]) -> list[list[str]]:
+    """A row of text per target."""
+    return [
+        [
+            one.name,
+            f"{one.before:g}",
+            f"{'<=' if one.at_most else '>='} {one.target:g}",
+            f"{one.aim:g}",
+            "-" if one.measured is None else f"{one.measured:.3g}" if one.measured < 1000.0 else f"{one.measured:.0f}",
+            {True: "met", False: "missed", None: "not measured"}[one.met],
+            one.where,
+        ]
+        for one in found
+    ]
+
+
+TARGET_HEADER: Final = ("figure", "before", "target", "aim", "measured", "", "on")
+
+
+def _cost_ratio(
+    runs: dict[str, MissionCost], some: Sequence[str], others: Sequence[str], unit: Callable[[MissionCost], int]
+) -> float | None:
+    """Processor time of the chain alone per unit, of some missions over others."""
+    if not some or not others:
+        return None
+
+    def each_s(names: Sequence[str]) -> list[float]:
+        n_units = sum(unit(runs[name]) for name in names)
+        return [sum(parts) / n_units for parts in zip(*(runs[name].chain_s for name in names), strict=True)]
+
+    return _median_ratio(each_s(some), each_s(others))
+
+
+def _median_ratio(some_s: Sequence[float], others_s: Sequence[float]) -> float:
+    return statistics.median(a / b for a, b in zip(some_s, others_s, strict=True))
