@@ -35,6 +35,7 @@ from auv_mcm.clean_text import clean_lines
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
 from auv_mcm.clearance.detection_performance import Performance, configured_performance
 from auv_mcm.contacts.contact import best_view
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.contacts.shelf import Shelf
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.records import Contact, CoveragePatch, Detection, EchoTrace, Notice, Ping, PipelineEvent, SourceEvent, Tile
@@ -65,6 +66,9 @@ class Perceiving(Protocol):
 
     @property
     def places(self) -> dict[str, Any]: ...
+
+    @property
+    def operating_point(self) -> OperatingPoint | None: ...
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
 
@@ -102,6 +106,7 @@ class Finished(NamedTuple):
 
     counters: Counter[str]
     places: dict[str, Any]  # by range and strength, for the summary
+    operating_point: OperatingPoint | None
     clearance: Clearance | None
     clearance_png: bytes  # its picture, empty without one
 
@@ -365,7 +370,7 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         clearance = searched.snapshot()
         of_disk = Counter({"perception.kept_in_memory": kept.n_in_memory, "perception.unreadable": kept.n_unreadable})
         png = b"" if clearance is None else _clearance_png(clearance)
-        connection.send(Finished(pipeline.counters + of_disk, pipeline.places, clearance, png))
+        connection.send(Finished(pipeline.counters + of_disk, pipeline.places, pipeline.operating_point, clearance, png))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:
