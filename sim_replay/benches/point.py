@@ -56,6 +56,7 @@ _HEADER: Final = (
     "asked",
     "FA asked",
     "FA reached",
+    "of them on objects",
     "per km²",
     "in the interval",
     "FA, mines taken out",
@@ -86,11 +87,16 @@ class Judged(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """Missions pooled at an operating point. n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of
-    n_judged that call some contacts and not all. best: targets that the best threshold of p_mine calls with as many false alarms."""
+    """Missions pooled at an operating point.
+
+    n_on_objects: false alarms on objects of the truth, such as rocks. n_without_mines: false alarms where mines' contacts are taken out.
+    n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of n_judged that call some contacts and not all. best:
+    targets that the best threshold of p_mine calls with as many false alarms.
+    """
 
     n_asked: float
     n_false_alarms: int
+    n_on_objects: int
     n_without_mines: int
     n_inside: int
     n_judged: int
@@ -148,12 +154,13 @@ def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
 
 def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
     """Call contacts of each mission at its own level, and pool."""
-    n_asked, n_false_alarms, n_without_mines, n_inside, n_judged, n_called = 0.0, 0, 0, 0, 0, 0
+    n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called = 0.0, 0, 0, 0, 0, 0, 0
     for one in missions:
         level = one.background.level_nats(asked_per_km2)
         n = _reaching(one.mission.background, level)
         n_asked += asked_per_km2 * one.mission.truth_km2
         n_false_alarms += n
+        n_on_objects += _reaching(one.mission.background[one.mission.on_objects], level)
         n_called += _reaching(one.mission.mines, level)
         n_without_mines += _reaching(one.mission.background, one.without_mines.level_nats(asked_per_km2))
         if np.isfinite(level):
@@ -162,7 +169,7 @@ def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
     false_alarms = np.sort(np.concatenate([one.mission.background for one in missions]))[::-1]
     above = false_alarms[n_false_alarms] if n_false_alarms < len(false_alarms) else -np.inf
     best = sum(int(np.count_nonzero(one.mission.mines > above)) for one in missions)
-    return Reached(n_asked, n_false_alarms, n_without_mines, n_inside, n_judged, n_called, best)
+    return Reached(n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called, best)
 
 
 def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
@@ -203,6 +210,7 @@ def _row(name: str, missions: Sequence[Judged], asked_per_km2: float) -> list[st
         f"{asked_per_km2:g}",
         f"{found.n_asked:.1f}",
         str(found.n_false_alarms),
+        str(found.n_on_objects),
         density_cell(density(found.n_false_alarms, area_km2)),
         f"{found.n_inside} of {found.n_judged}",
         str(found.n_without_mines),

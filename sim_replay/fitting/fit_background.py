@@ -59,7 +59,7 @@ class SortedContacts(NamedTuple):
     """Tell the contacts of one mission apart by what they are, as log-odds.
 
     everything: (n,) all contacts; background: (k,) those on no target; mines: (m,) those on targets. n_targets: that a pass saw.
-    area_km2: as the payload itself knows it; truth_km2: as the truth has it.
+    area_km2: as the payload itself knows it; truth_km2: as the truth has it. on_objects: (k,) bool, background on an object of the truth.
     """
 
     scene: str
@@ -69,6 +69,7 @@ class SortedContacts(NamedTuple):
     n_targets: int
     area_km2: float
     truth_km2: float
+    on_objects: NDArray[np.bool_]
 
 
 class SeenMission:
@@ -91,15 +92,17 @@ def sorted_contacts(scene: str, contacts: Sequence[Contact], truth: Truth, area_
     outcome = np.full(len(layout.contacts), int(Outcome.NOT_CALLED))
     for state in states(layout):
         outcome = state.outcome
+    is_background = np.isin(outcome, (Outcome.ON_CLUTTER, Outcome.ELSEWHERE))
     placed = log_odds_of([contact.p_mine for contact in layout.contacts])
     return SortedContacts(
         scene=scene,
         everything=log_odds_of([contact.p_mine for contact in reported]),
-        background=placed[np.isin(outcome, (Outcome.ON_CLUTTER, Outcome.ELSEWHERE))],
+        background=placed[is_background],
         mines=placed[outcome == Outcome.DETECTION],
         n_targets=int(np.count_nonzero(layout.is_target & layout.is_seen)),
         area_km2=area_km2,
         truth_km2=truth.area_km2,
+        on_objects=outcome[is_background] == Outcome.ON_CLUTTER,
     )
 
 

@@ -23,6 +23,8 @@ def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> No
     levels = [one.background.level_nats(100.0) for one in some]
     assert found.n_asked == pytest.approx(100.0 * 0.8)
     assert found.n_false_alarms == sum(np.count_nonzero(one.mission.background >= level) for one, level in zip(some, levels, strict=True))
+    on_objects = [one.mission.background[one.mission.on_objects] for one in some]
+    assert found.n_on_objects == sum(np.count_nonzero(part >= level) for part, level in zip(on_objects, levels, strict=True))
     assert found.n_called == sum(np.count_nonzero(one.mission.mines >= level) for one, level in zip(some, levels, strict=True))
     assert found.n_asked / 3.0 < found.n_without_mines < 3.0 * found.n_asked
     assert found.n_inside == found.n_judged == 4

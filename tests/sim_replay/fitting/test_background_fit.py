@@ -20,7 +20,7 @@ def drawn_mission(seed: int, scene: str = "flat", area_km2: float = 0.2, shift: 
     middle = LEVELS_NATS + 0.5 * BIN_NATS
     background = np.repeat(middle, random.poisson(area_km2 * BIN_NATS * np.exp(interpolation(middle) @ values)))
     mines = random.normal(0.5, 1.5, 20)
-    return SortedContacts(scene, np.concatenate([background, mines]), background, mines, 22, area_km2, area_km2)
+    return SortedContacts(scene, np.concatenate([background, mines]), background, mines, 22, area_km2, area_km2, background > 0.0)
 
 
 def test_the_fit_finds_what_missions_were_drawn_from() -> None:
