@@ -22,7 +22,9 @@ import numpy as np
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.confirmation import confirm_detection, is_worth_confirming, without_confirmation
+from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.ledger import Contacts, Ledger
+from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
 from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.cascade.model import rejecting_last
@@ -60,7 +62,7 @@ class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
     `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them. without_skips: skips of `auv_mcm.skips` that are switched off. `detect`,
+    when another view joins them or their call turns. without_skips: skips of `auv_mcm.skips` that are switched off. `detect`,
     `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the kinds of sea floor in a tile, to
     compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
@@ -103,6 +105,9 @@ class Pipeline:
             confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm, without_skips=without_skips
         )
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
+        # What is known of backgrounds is in log-odds that confirmation ends with.
+        background = shipped_background().prior("contrast" if model is None else "cascade") if config.confirm.enabled else None
+        self._calls = CallWatch(config.contacts, background)
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._places = PlaceCounts()
@@ -112,7 +117,13 @@ class Pipeline:
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        return self._ledger.contacts
+        """All contacts reported so far, by id, called by what was found so far."""
+        return tuple(map(self._calls.point.marked, self._ledger.contacts))
+
+    @property
+    def operating_point(self) -> OperatingPoint:
+        """Which contacts are called, by what was found so far."""
+        return self._calls.point
 
     @property
     def counters(self) -> Counter[str]:
@@ -167,7 +178,9 @@ class Pipeline:
             events += self._run(released)
         if self._threads is not None:
             self._threads.shutdown()
-        return events
+        with self._timed("calls"):
+            events += self._calls.announce((), self._ledger.numbered, is_last=True)
+        return [*events, *self._calls.take_notices()]
 
     def _prepare(self, ping: Ping) -> Ping | None:
         """The ping without what cannot be an echo trace; None if nothing is left."""
@@ -244,6 +257,7 @@ class Pipeline:
                 events += self._failed(patch, "coverage", tile)
                 patch = uncovered(tile)
             events.append(patch)
+            self._calls.cover(patch)
             if result is None:
                 self._counts["detect.tile_skipped_nothing_to_see"] += 1
                 result = TileDetections((), 0, 0)
@@ -309,7 +323,10 @@ class Pipeline:
                 self._counts["confirm.over_budget"] += n_over_budget
                 final += looked_at
         with self._timed("ledger"):
-            return [*events, *self._ledger.add(final)]
+            changed = self._ledger.add(final)
+        with self._timed("calls"):
+            events += self._calls.announce(changed, self._ledger.numbered)
+        return [*events, *self._calls.take_notices()]
 
     def _looks_failed(self, defects: list[tuple[Detection, Defect]]) -> list[PipelineEvent]:
         first = not self._counts["pipeline.close_look_failed"]

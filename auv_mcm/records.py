@@ -278,6 +278,8 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     aspects_deg: compass direction from sonar to object per view, [0, 360). *_sigma_m: 1-sigma of the sizes, NaN where no shape was
     fitted. conflict: how far the views contradict each other, 0..1, NaN for one view. next_look_deg: compass directions to look from, the
     most telling first, each standing for its opposite as well; empty if another look would hardly change the decision.
+    false_alarms_per_km2: density of non-mines at least as mine-like that is to be expected in this mission, NaN where it is not known;
+    false_alarms_95_per_km2: its 95 % interval. called: whether that is no more than the operator accepts; None before it was decided.
     """
 
     id: str
@@ -299,6 +301,9 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     height_sigma_m: float = NAN
     conflict: float = NAN
     next_look_deg: tuple[float, ...] = ()
+    false_alarms_per_km2: float = NAN
+    false_alarms_95_per_km2: tuple[float, float] = (NAN, NAN)
+    called: bool | None = None
 
 
 def contact_id(number: int) -> str:

@@ -24,7 +24,7 @@ from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
-from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, search_totals
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, point_totals, search_totals
 from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
 from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
 from auv_mcm.shell.tally import Tally
@@ -95,7 +95,8 @@ def replay(
     gathered.add(clearance_notices(clearance))
     searched = search_totals(clearance, contacts)
     area = area_totals(clearance, config.plan)
-    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **searched, **area}
+    point = point_totals(pipeline.operating_point)
+    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **point, **searched, **area}
     record = MissionRecord(
         name=clean(config.mission or ", ".join(path.stem for path in mission.sizes_bytes)),
         logs=tuple(clean(str(path)) for path in mission.sizes_bytes),

@@ -24,6 +24,17 @@ def best_view(contact: Contact) -> Detection | None:
     return max(contact.views, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=None)
 
 
+def call_words(contact: Contact) -> str:
+    """Word the call and the density of false alarms that stands behind it; empty before it was decided."""
+    if contact.called is None:
+        return ""
+    called = "yes" if contact.called else "no"
+    if not math.isfinite(contact.false_alarms_per_km2):
+        return called
+    low, high = contact.false_alarms_95_per_km2
+    return f"{called}; {contact.false_alarms_per_km2:.2g} false alarms per km² as mine-like are expected ({low:.2g} to {high:.2g})"
+
+
 def view_reasons(view: Detection) -> tuple[str, ...]:
     """List the codes of detection and of confirmation, each once."""
     return tuple(dict.fromkeys((*view.reasons, *(view.confirmation.reasons if view.confirmation else ()))))

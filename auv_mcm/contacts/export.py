@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.antimeridian import split_line, split_ring
-from auv_mcm.contacts.contact import best_view, error_ellipse_ring_m, is_mine_like, sigma_m, view_reasons
+from auv_mcm.contacts.contact import best_view, call_words, error_ellipse_ring_m, is_mine_like, sigma_m, view_reasons
 from auv_mcm.contacts.geojson import (
     DEGREE_DIGITS,
     METRE_DIGITS,
@@ -63,7 +63,8 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
 
     `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north], [east-north, north-north]].
     `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score. `views` are in order of time;
-    `log_ratio` and `belief` of one that was not looked at closely are null.
+    `log_ratio` and `belief` of one that was not looked at closely are null. `false_alarms_per_km2` is the density of non-mines at least as
+    mine-like that the mission's own background makes expected, with its 95 % interval; `called` says that the operator accepts as many.
     """
     return b"".join(contacts_geojson_parts(sorted(contacts, key=contact_order)))
 
@@ -113,6 +114,7 @@ CSV_COLUMNS: Final = (
     *("id", "time", "latitude_deg", "longitude_deg", "sigma_m", "p_mine", "class", "length_m", "width_m", "height_m", "n_views"),
     *("aspects_deg", "side", "ground_range_m", "score", "snippet", "reasons"),
     *("length_sigma_m", "width_sigma_m", "height_sigma_m"),
+    *("false_alarms_per_km2", "false_alarms_low_per_km2", "false_alarms_high_per_km2", "called"),
 )
 
 
@@ -176,6 +178,9 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "height_sigma_m": rounded(contact.height_sigma_m, METRE_DIGITS),
         "conflict": rounded(contact.conflict, PROBABILITY_DIGITS),
         "next_look_deg": [rounded(direction, METRE_DIGITS) for direction in contact.next_look_deg],
+        "false_alarms_per_km2": rounded(contact.false_alarms_per_km2, METRE_DIGITS),
+        "false_alarms_95_per_km2": [rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2],
+        "called": contact.called,
         "views": [_view(view) for view in contact.views],
     }
     return feature(geojson_point(contact.longitude_deg, contact.latitude_deg), properties)
@@ -238,6 +243,9 @@ def _csv_cells(contact: Contact) -> list[Any]:
         rounded(contact.length_sigma_m, METRE_DIGITS),
         rounded(contact.width_sigma_m, METRE_DIGITS),
         rounded(contact.height_sigma_m, METRE_DIGITS),
+        rounded(contact.false_alarms_per_km2, METRE_DIGITS),
+        *(rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2),
+        None if contact.called is None else str(contact.called).lower(),
     ]
 
 
@@ -298,6 +306,7 @@ def _kml_table(contact: Contact) -> str:
     belief = contact.belief.get(contact.classification, NAN)
     rows: list[tuple[str, Any]] = [
         ("p_mine", f"{contact.p_mine:.2f}"),
+        ("called a mine", call_words(contact)),
         ("class", contact.classification.replace("_", " ")),
         ("belief in the class", f"{belief:.2f}" if math.isfinite(belief) else "?"),
         ("size (length, width, height) ± 1 sigma", " × ".join(_size(*size) for size in _sizes(contact)) + " m"),

@@ -80,6 +80,10 @@ class Ledger:
         """Contacts that have never reached the lowest p_mine reported."""
         return self._reported.count(0)
 
+    def numbered(self, numbers: Sequence[int]) -> list[Contact]:
+        """Read contacts by the numbers in their ids, without those that the disk does not give back."""
+        return list(self._read([number - 1 for number in numbers]).values())
+
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         """Contacts at least so likely to be mines that say from where another look would tell more."""
         return tuple(self._read(np.flatnonzero(self._asking_p[: self._n_contacts] >= min_p_mine).tolist()).values())

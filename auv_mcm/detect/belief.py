@@ -7,9 +7,10 @@ constants are set on simple simulated missions; `auv-mcm score` says per tenth o
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from auv_mcm.detect.measure import Measurement
+if TYPE_CHECKING:  # measuring needs OpenCV, which the process that serves never loads
+    from auv_mcm.detect.measure import Measurement
 
 _EVEN_SCORE: Final = 5.2
 _PER_DEVIATION: Final = 1.6

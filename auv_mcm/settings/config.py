@@ -183,7 +183,7 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
 
 
 class ContactsConfig(_Section, frozen=True, kw_only=True):
-    """Association of detections to contacts, and which of them are reported."""
+    """Association of detections to contacts, which of them are reported, and which are called mines."""
 
     min_p_mine: Annotated[
         float,
@@ -198,6 +198,15 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
         9.21
     )
     max_gate_m: Annotated[float, Meta(gt=0.0, le=100.0, description="never associate views farther apart than this, m")] = 4.0
+    false_alarms_per_km2: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=1e6,
+            description="false alarms per km2 that are acceptable: a contact is called a mine where no more non-mines as "
+            "mine-like as it are to be expected, by the mission's own background; what is reported does not depend on it",
+        ),
+    ] = 30.0
 
 
 class PlanConfig(_Section, frozen=True, kw_only=True):

@@ -13,16 +13,48 @@ from auv_mcm.clearance.area import area_state, over_area
 from auv_mcm.clearance.clearance_export import BANDS
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import remaining_mines
+from auv_mcm.contacts.background import LOWEST_P_MINE, FalseAlarms
 from auv_mcm.contacts.contact import is_mine_like
+from auv_mcm.contacts.operating_point import OperatingPoint
+from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, Notice
 from auv_mcm.settings.config import PlanConfig
 
 
 def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
-    """Counts of contacts, and the area covered: summed over tiles, so that sea floor seen twice counts twice."""
+    """Count contacts, and the area covered: summed over tiles, so that sea floor seen twice counts twice."""
     covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
-    counted = Counter(bool(is_mine_like(contact)) for contact in contacts)
-    return {"covered_km2": round(covered_m2 / 1e6, 6), "contacts": counted.total(), "contacts_mine_like": counted[True]}
+    counted: Counter[str] = Counter()
+    for contact in contacts:
+        counted.update(contacts=1, contacts_mine_like=int(is_mine_like(contact)), contacts_called=int(bool(contact.called)))
+    return {
+        "covered_km2": round(covered_m2 / 1e6, 6),
+        **{name: counted[name] for name in ("contacts", "contacts_mine_like", "contacts_called")},
+    }
+
+
+def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
+    """State the operating point: what was asked, from which p_mine on that calls, and the background of the mission behind it.
+
+    called_from_p_mine: None where no p_mine is high enough. expected_per_km2: false alarms among what is called, with the 95 % interval.
+    background_per_km2: non-mines that reach a p_mine.
+    """
+    if point is None:
+        return {}
+    level = point.level_nats
+    told: dict[str, Any] = {
+        "asked_per_km2": point.asked_per_km2,
+        "called_from_p_mine": None if level == math.inf else round(probability(level), 6),
+        "contacts_counted": point.n_contacts,
+        "searched_km2": round(point.area_km2, 6),
+    }
+    if point.background is not None:
+        expected = point.background.false_alarms(level) if level < math.inf else FalseAlarms(0.0, 0.0, 0.0)
+        told["expected_per_km2"] = {name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)}
+        told["background_per_km2"] = {
+            f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3) for p in (LOWEST_P_MINE, 0.1, 0.2, 0.5, 0.8)
+        }
+    return {"operating_point": told}
 
 
 def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from auv_mcm.clearance.detection_performance import Performance, configured_perf
 from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import StoredPatch, store_patch
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.records import (
@@ -78,6 +79,9 @@ class Perceiving(Protocol):
 
     @property
     def places(self) -> dict[str, Any]: ...
+
+    @property
+    def operating_point(self) -> OperatingPoint | None: ...
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
 
@@ -121,6 +125,7 @@ class Finished(NamedTuple):
 
     counters: Counter[str]
     places: dict[str, Any]  # by range and strength, for the summary
+    operating_point: OperatingPoint | None
     clearance: Clearance | None
     clearance_png: bytes  # its picture, empty without one
 
@@ -386,7 +391,7 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         clearance = searched.snapshot()
         of_disk = Counter({"perception.kept_in_memory": store.n_in_memory, "perception.unreadable": records.n_unreadable})
         png = b"" if clearance is None else _clearance_png(clearance)
-        connection.send(Finished(pipeline.counters + of_disk, pipeline.places, clearance, png))
+        connection.send(Finished(pipeline.counters + of_disk, pipeline.places, pipeline.operating_point, clearance, png))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: nobody left to answer
     except errors.AuvMcmError as error:

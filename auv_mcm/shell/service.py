@@ -16,7 +16,7 @@ import secrets
 import signal
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from functools import partial
@@ -29,13 +29,14 @@ from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore
 from auv_mcm.contacts.export import contact_feature, iso_time
+from auv_mcm.contacts.operating_point import MarkedContacts, OperatingPoint
 from auv_mcm.contacts.record_file import temporary_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.records import Contact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.journal import Journal
-from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, search_totals
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, point_totals, search_totals
 from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
 from auv_mcm.shell.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
 from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
@@ -84,6 +85,7 @@ class Service:
         self._is_finished = False
         self._pipeline_counters: Counter[str] = Counter()
         self._places: dict[str, Any] = {}
+        self._operating_point: OperatingPoint | None = None
         self._clearance: Clearance | None = None
         self._clearance_png = b""
         self._recorder: Recorder | None = None
@@ -270,6 +272,7 @@ class Service:
                 self._announce(event)
         self._is_finished = True
         self._pipeline_counters, self._places = answer.counters, answer.places
+        self._operating_point = answer.operating_point
         self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
         for notice in clearance_notices(self._clearance):
             self._announce(notice)
@@ -351,7 +354,10 @@ class Service:
 
     def _write(self) -> HardwareError | None:
         """Write each result, whatever becomes of the others. Returns an error that names the missing ones."""
-        contacts, coverage = self._contacts.in_order(), self._coverage.in_order()
+        contacts: Iterable[Contact] = self._contacts.in_order()
+        coverage = self._coverage.in_order()
+        if self._operating_point is not None:  # of the whole mission; those announced carry what was known then
+            contacts = MarkedContacts(contacts, self._operating_point)
         proposed = None if self._vehicle_link is None else self._vehicle_link.plan
         waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
         writers = result_writers(self._folder, contacts, coverage, waypoints, self._config.mission)
@@ -365,6 +371,7 @@ class Service:
             "source": self._config.service.source,
             **self._tally.totals(),
             **contact_totals(contacts, coverage),
+            **point_totals(self._operating_point),
             **search_totals(self._clearance, contacts),
             **area_totals(self._clearance, self._config.plan, "" if self._vehicle_link is None else self._vehicle_link.verdict),
             "waypoints": len(waypoints),

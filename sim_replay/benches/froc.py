@@ -176,7 +176,7 @@ def fly_line(line: Line) -> FlownLine:
         mission = simulated.Mission(scene)
         return _seen(line, config_for(scene), mission.events(), mission.truth)
     with tempfile.TemporaryDirectory() as folder:
-        written = augment(line.log, _scattered(line.seed), Path(folder), Config())
+        written = augment(line.log, scattered(line.seed), Path(folder), Config())
         recorded = RecordedMission([written.log], Config())
         return _seen(line, Config(), recorded.events(), lambda: json.loads(written.truth.read_bytes()))
 
@@ -245,7 +245,8 @@ def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetection
     return detect_tile(tile, config, model)
 
 
-def _scattered(seed: int) -> TargetSpec:
+def scattered(seed: int) -> TargetSpec:
+    """Draw targets and as many rocks over a recorded line."""
     targets = ScatteredTargets(
         kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=True
     )

@@ -20,6 +20,7 @@ import numpy as np
 from auv_mcm.clock import SystemClock
 from auv_mcm.commands import read_config
 from auv_mcm.contacts.ledger import Contacts
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.records import Contact, Ping, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.service import Service
@@ -67,6 +68,7 @@ class BusyPipeline:
     def __init__(self, config: Config, kept: Contacts) -> None:
         self.counters: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
+        self.operating_point: OperatingPoint | None = None
         self._values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:

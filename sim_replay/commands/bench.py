@@ -34,6 +34,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left as estimated against those really left"),
     "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
+    "point": ("benches.point", "false alarms at the operating point beside those asked, and Pd, on domains left out"),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second looks: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),

@@ -30,6 +30,7 @@ def add(commands: Commands) -> None:
         commands,
         "calibrate",
         "measure this computer, or the payload's own performance",
+        "background:   how the background of non-mines scores, from simulated missions; the file that ships was fitted so\n"
         "budget:       the detector's budget that this computer can afford; also without the word, with --speed\n"
         "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; the file\n"
         "              that ships was fitted so\n"
@@ -42,6 +43,7 @@ def add(commands: Commands) -> None:
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
             "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
+            "auv-mcm calibrate background --out background.json",
             "auv-mcm calibrate gate --out gate.json",
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate performance --out performance.json",
@@ -51,12 +53,30 @@ def add(commands: Commands) -> None:
     # As it was before there was a choice, and as scripts have it.
     _add_budget_options(parser, required=False)
     parser.set_defaults(command=partial(_run_without_a_word, parser))
-    kinds = parser.add_subparsers(title="what to calibrate", metavar="budget|gate|odds|performance|seabed")
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="background|budget|gate|odds|performance|seabed")
+    _add_background(kinds)
     _add_budget(kinds)
     _add_gate(kinds)
     _add_odds(kinds)
     _add_performance(kinds)
     _add_seabed(kinds)
+
+
+def _add_background(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "background",
+        "learn how the background of non-mines scores",
+        "Flies simulated missions through the named scenes, with both detectors, and fits how densely contacts on no mine reach each\n"
+        "log-odds, and how that differs from mission to mission. Fit it anew after new odds. The same seeds make the same model.",
+        ["auv-mcm calibrate background --out background.json", "auv-mcm calibrate background --seeds 1500-1501 --out background.json"],
+    )
+    parser.add_argument(
+        "--seeds", metavar="FIRST-LAST", type=_seeds, default=range(1500, 1503), help="seeds of the missions (default 1500-1502)"
+    )
+    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the model, JSON")
+    parser.set_defaults(command=_run_background)
 
 
 def _add_budget(kinds: Commands) -> None:
@@ -158,7 +178,7 @@ def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
 
 def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
-        parser.error("choose what to calibrate: budget, odds, performance or seabed; or give --speed for the budget")
+        parser.error("choose what to calibrate: background, budget, gate, odds, performance or seabed; or give --speed for the budget")
     return _run_budget(arguments)
 
 
@@ -183,6 +203,14 @@ def _run_budget(arguments: argparse.Namespace) -> int:
         detect = msgspec.structs.replace(config.detect, max_evaluations_per_tile=budget)
         text = config_yaml(msgspec.structs.replace(config, detect=detect))
         write_new(arguments.write, text)
+    return 0
+
+
+def _run_background(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.fit_background import background_json, calibrate_background
+
+    _check_new(arguments.out)
+    write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, _show)))
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
-from auv_mcm.contacts.contact import best_view, error_ellipse, is_mine_like, view_reasons
+from auv_mcm.contacts.contact import best_view, call_words, error_ellipse, is_mine_like, view_reasons
 from auv_mcm.records import Contact, Detection, Waypoint
 from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
@@ -285,6 +285,8 @@ def _facts(contact: Contact) -> list[tuple[str, str]]:
         ("First seen", f"{words.utc(contact.time_s)} UTC"),
         ("Aspect", ", ".join(_compass_deg(aspect) for aspect in contact.aspects_deg) or "not known"),
     ]
+    if contact.called is not None:
+        facts.insert(0, ("Called a mine", call_words(contact)))
     view = best_view(contact)
     if view is not None:
         facts += [

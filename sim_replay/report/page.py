@@ -133,6 +133,9 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
         (words.distance(mission.distance_m), "sailed", "along the track"),
         (words.duration(span_s), "of recording", _period(mission)),
     ]
+    if any(contact.called is not None for contact in contacts):
+        called = sum(bool(contact.called) for contact in contacts)
+        facts.insert(1, (str(called), "called", "no more false alarms as mine-like are expected than accepted"))
     if mission.wall_s > 0.0 and math.isfinite(span_s):
         speed = span_s / mission.wall_s
         facts.append((f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×", "real time", f"processed in {words.duration(mission.wall_s)}"))

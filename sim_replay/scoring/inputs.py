@@ -38,6 +38,7 @@ class ReportedContact(NamedTuple):
     height_m: float = NAN
     sigma_m: float = NAN
     ground_range_m: float = NAN
+    called: bool | None = None
 
 
 class ObjectPass(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,6 +77,7 @@ class ScoredMission(NamedTuple):
     contacts: tuple[ReportedContact, ...]
     truth: Truth
     name: str = ""
+    asked_per_km2: float = NAN  # false alarms that the operator accepts
 
 
 class _Point(msgspec.Struct, frozen=True):
@@ -91,6 +93,7 @@ class _Properties(msgspec.Struct, frozen=True):
     height_m: float | None = None
     sigma_m: float | None = None
     ground_range_m: float | None = None
+    called: bool | None = None
 
 
 class _Feature(msgspec.Struct, frozen=True):
@@ -158,6 +161,7 @@ def _contact(feature: _Feature, place: str) -> ReportedContact:
         height_m=_or_nan(told.height_m),
         sigma_m=_or_nan(told.sigma_m),
         ground_range_m=_or_nan(told.ground_range_m),
+        called=told.called,
     )
 
 

@@ -30,6 +30,8 @@ from sim_replay.scoring.breakdown import (
     rocks_called,
     size_errors,
 )
+from sim_replay.scoring.calibration import Calibration, calibration
+from sim_replay.scoring.called import CalledPoint, asked_beside, called_point, last_state
 from sim_replay.scoring.froc import (
     Bootstrap,
     Headline,
@@ -43,7 +45,7 @@ from sim_replay.scoring.froc import (
 )
 from sim_replay.scoring.inputs import ScoredMission, read_contacts, read_truth
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
-from sim_replay.scoring.layout import Outcome, lay_out
+from sim_replay.scoring.layout import MissionLayout, Outcome, lay_out
 
 GATE_M: Final = 2.0
 THRESHOLD: Final = 0.5
@@ -69,8 +71,9 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     """Missions pooled. All but `froc`, `ladder`, `headlines` and `partial_area` is at `threshold`.
 
     `false_alarms` of an operating point are all contacts on no target, those on known clutter among them; `rocks_called_mines` is
-    the share of seen objects that are no targets but have a contact. `froc` has a point per distinct p_mine, falling, `ladder`
-    one per tenth.
+    the share of seen objects that are no targets but have a contact. `called` is what the payload itself calls; `calibration` how far
+    p_mine holds over all contacts but those on targets that no pass saw. `froc` has a point per distinct p_mine, falling, `ladder` one
+    per tenth.
     """
 
     gate_m: float
@@ -94,6 +97,8 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     size_errors: SizeErrors
     ladder: tuple[OperatingPoint, ...]
     froc: tuple[OperatingPoint, ...]
+    called: CalledPoint | None = None
+    calibration: Calibration | None = None
 
 
 def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:
@@ -109,7 +114,9 @@ def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: flo
         raise UsageError(f"{repeated} is given twice: its contacts would count double. Name each contacts file once")
     _check(gate_m, threshold)
     pairs = zip(paths[::2], paths[1::2], strict=True)
-    missions = [ScoredMission(read_contacts(contacts), read_truth(truth), clean(str(contacts))) for contacts, truth in pairs]
+    missions = [
+        ScoredMission(read_contacts(contacts), read_truth(truth), clean(str(contacts)), asked_beside(contacts)) for contacts, truth in pairs
+    ]
     return score_missions(missions, gate_m=gate_m, threshold=threshold)
 
 
@@ -163,11 +170,24 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
         size_errors=size_errors(found),
         ladder=tuple(point_at(curve, step) for step in _LADDER),
         froc=operating_points(curve),
+        called=called_point(missions, gate_m),
+        calibration=_calibrated(layouts),
     )
 
 
 def score_json(score: Score) -> bytes:
     return msgspec.json.format(msgspec.json.encode(score), indent=2) + b"\n"
+
+
+def _calibrated(layouts: Sequence[MissionLayout]) -> Calibration:
+    p_mine: list[float] = []
+    on_mine: list[bool] = []
+    for layout in layouts:
+        outcome = last_state(layout).outcome
+        judged = outcome != Outcome.ON_UNSEEN
+        p_mine += layout.p_mine[judged].tolist()
+        on_mine += np.isin(outcome[judged], (Outcome.DETECTION, Outcome.DUPLICATE)).tolist()
+    return calibration(p_mine, on_mine)
 
 
 def _count(outcome: NDArray[np.int64], *wanted: Outcome) -> int:

@@ -21,13 +21,15 @@ def table(score: Score) -> str:
     parts = [
         _about(score),
         _at_threshold(score),
+        _called(score),
+        _calibration(score),
         _curve(score),
         _kinds(score),
         _ranges(score.ranges),
         _seabeds(score.seabeds),
     ]
     if len(score.missions) > 1:
-        parts.insert(3, _missions(score))
+        parts.insert(5, _missions(score))
     parts += [_confusion(score), _errors(score), _notes(score)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -71,6 +73,34 @@ def _at_threshold(score: Score) -> str:
     if score.bootstrap:
         rows += _resampled(score.bootstrap)
     return _laid_out([f"p_mine >= {score.threshold:g}", "", "interval", "count"], rows, to_left=(0, 3))
+
+
+def _called(score: Score) -> str:
+    point = score.called
+    if point is None:
+        return ""
+    asked, area_km2 = point.asked_per_km2, point.false_alarms.area_km2
+    rows = [
+        ["Pd", *_share(point.pd)],
+        [
+            "false alarms per km²",
+            *_per_km2(point.false_alarms),
+            f"{point.false_alarms.count}, {point.on_known_clutter} of them on known clutter",
+        ],
+    ]
+    if asked is not None:
+        expected = "" if area_km2 is None else f"{asked * area_km2:.1f} on this area"
+        rows.append(["false alarms per km² asked", f"{asked:g}", "", expected])
+    return _laid_out(["called by the payload", "", "interval", "count"], rows, to_left=(0, 3))
+
+
+def _calibration(score: Score) -> str:
+    kept = score.calibration
+    if kept is None or kept.error is None:
+        return ""
+    rows = [[f"{each.low:g}-{each.high:g}", f"{each.mean_p_mine:.3f}", *_share(each.on_mines)] for each in kept.bins]
+    laid_out = _laid_out(["p_mine", "mean", "on mines", "interval", "count"], rows)
+    return f"{laid_out}\nexpected calibration error of p_mine, in ten bins: {kept.error:.3f}"
 
 
 def _resampled(bootstrap: Bootstrap) -> list[list[str]]:

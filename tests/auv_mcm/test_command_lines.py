@@ -201,6 +201,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.detection_performance.calibrate_performance.fly_all",
         "sim_replay.fitting.cascade.farm.run_tasks",
         "sim_replay.hil.run.run_scenario",
+        "sim_replay.fitting.fit_background.run_tasks",
         "sim_replay.fitting.fit_gate.run_tasks",
         "sim_replay.fitting.fit_odds.ProcessPoolExecutor",
         "sim_replay.studies.contact_sheet.contact_sheet",

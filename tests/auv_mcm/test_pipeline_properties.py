@@ -171,6 +171,25 @@ def test_navigation_arriving_late_gives_the_same_bytes() -> None:
     assert contacts_geojson(run(late)[0].contacts) == contacts_geojson(reference())
 
 
+def test_every_announced_contact_is_called_or_not_and_in_the_end_as_the_whole_mission_says() -> None:
+    pipeline, events = referred()
+    announced = [event for event in events if isinstance(event, Contact)]
+    assert announced
+    assert all(contact.called is not None for contact in announced)
+    assert all(contact.false_alarms_per_km2 > 0.0 for contact in announced)
+    last = {contact.id: contact.called for contact in announced}
+    assert last == {contact.id: contact.called for contact in pipeline.contacts}
+    assert all(contact.called == pipeline.operating_point.calls(contact) for contact in pipeline.contacts)
+
+
+def test_what_is_accepted_changes_calls_and_nothing_else() -> None:
+    few, many = (run(mission(), Config(contacts=ContactsConfig(false_alarms_per_km2=accepted)))[0].contacts for accepted in (1e-3, 1e6))
+    assert {contact.called for contact in few} == {False}
+    assert {contact.called for contact in many} == {True}
+    alike = [[msgspec.structs.replace(contact, called=None) for contact in some] for some in (few, many)]
+    assert contacts_geojson(alike[0]) == contacts_geojson(alike[1])
+
+
 def test_finish_twice_adds_nothing() -> None:
     pipeline, _ = run(mission())
     assert pipeline.finish() == []

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import contacts_geojson
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Contact, NavSample, Ping
+from auv_mcm.records import Contact, NavSample, Notice, Ping
 from auv_mcm.settings.config import Config, ContactsConfig
 from sim_replay.logs.xtf import XtfLog
 
@@ -36,12 +37,17 @@ class Mark(NamedTuple):
 
 
 @cache
-def mission(path: Path, threads: int = 1, chunk_bytes: int = 1 << 18, min_p_mine: float = 0.01) -> tuple[Contact, ...]:
+def replayed(
+    path: Path, threads: int = 1, chunk_bytes: int = 1 << 18, min_p_mine: float = 0.01
+) -> tuple[tuple[Contact, ...], OperatingPoint, list[Notice]]:
     pipeline = Pipeline(Config(contacts=ContactsConfig(min_p_mine=min_p_mine)), threads=threads)
-    for event in XtfLog(path, Config().sonar, chunk_bytes=chunk_bytes):
-        pipeline.feed(event)
-    pipeline.finish()
-    return pipeline.contacts
+    events = [result for event in XtfLog(path, Config().sonar, chunk_bytes=chunk_bytes) for result in pipeline.feed(event)]
+    events += pipeline.finish()
+    return pipeline.contacts, pipeline.operating_point, [event for event in events if isinstance(event, Notice)]
+
+
+def mission(path: Path, threads: int = 1, chunk_bytes: int = 1 << 18, min_p_mine: float = 0.01) -> tuple[Contact, ...]:
+    return replayed(path, threads, chunk_bytes, min_p_mine)[0]
 
 
 def marked_places_m(path: Path, marks: list[Mark]) -> tuple[NDArray[np.float64], Callable[[Contact], NDArray[np.float64]]]:
@@ -153,3 +159,14 @@ def test_colorado_river_bed_raises_few_mine_like_contacts(shared_data: SharedDat
 def test_threads_and_chunks_give_the_same_bytes(threads: int, chunk_bytes: int, shared_data: SharedData) -> None:
     log = shared_data("sidescan/scotsman-iver2.xtf")
     assert contacts_geojson(mission(log, threads, chunk_bytes)) == contacts_geojson(mission(log))
+
+
+@pytest.mark.parametrize("log", ["sidescan/scotsman-iver2.xtf", "sidescan/colorado-river-455k.xtf", "floors/barbados-reef-450k-dev.xtf"])
+def test_no_recorded_sea_floor_is_taken_for_unlike_all_that_was_learnt_and_few_contacts_are_called(
+    log: str, shared_data: SharedData
+) -> None:
+    contacts, point, notices = replayed(shared_data(log))
+    assert "contacts.background_unlike" not in [notice.code for notice in notices]
+    assert point.n_contacts == sum(contact.p_mine >= 0.01 for contact in contacts)
+    assert 1e-4 < point.area_km2 < 0.01
+    assert sum(bool(contact.called) for contact in contacts) <= MOST_OTHERS

@@ -128,6 +128,21 @@ def test_the_process_that_serves_never_loads_what_perception_needs(logs: tuple[P
     assert len(list((tmp_path / "latest" / "snippets").iterdir())) > 0
 
 
+def test_a_mission_that_is_served_leaves_the_contacts_and_calls_of_its_replay(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}")
+    code = f"from auv_mcm.cli import main; raise SystemExit(main(['run', '--config', '{tmp_path / 'c.yaml'}']))"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, timeout=120, check=True)
+    summary = replay([logs[0]], tmp_path / "replayed", Config())
+    served = tmp_path / "latest"
+    for name in ("contacts.geojson", "contacts.csv", "contacts.kml"):
+        assert (served / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes()
+    assert json.loads((served / "summary.json").read_bytes())["operating_point"] == summary["operating_point"]
+    lines = (served / "contacts.jsonl").read_text().splitlines()
+    announced = {feature["id"]: feature["called"] for line in lines for feature in [json.loads(line)["contact"]["properties"]]}
+    features = json.loads((served / "contacts.geojson").read_bytes())["features"]
+    assert announced == {feature["properties"]["id"]: feature["properties"]["called"] for feature in features}
+
+
 def test_replaying_again_replaces_results_and_leaves_other_files_alone(logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
     (tmp_path / "snippets").mkdir()
     (tmp_path / "snippets" / "C9999.png").write_bytes(b"stale")

@@ -117,6 +117,9 @@ def test_contact_properties_are_those_of_the_contract() -> None:
         "height_sigma_m": None,
         "conflict": None,
         "next_look_deg": [],
+        "false_alarms_per_km2": None,
+        "false_alarms_95_per_km2": [None, None],
+        "called": None,
         "views": [
             {
                 "time": time,
@@ -154,11 +157,22 @@ def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None
     assert close["reasons"] == ["bright", "buried"]
     assert [far[name] for name in ("aspect_deg", "log_ratio", "belief")] == [None, None, None]
     row = next(csv.DictReader(io.StringIO(contacts_csv([told]))))
-    assert [row[name] for name in CSV_COLUMNS[-3:]] == ["0.123", "0.05", ""]
-    assert CSV_COLUMNS[-4:-3] == ("reasons",), "columns of before stay where they were"
+    assert [row[name] for name in CSV_COLUMNS[17:20]] == ["0.123", "0.05", ""]
+    assert CSV_COLUMNS[16] == "reasons", "columns of before stay where they were"
     description = contacts_kml([told])
     assert "2.00 ± 0.12 × 0.50 ± 0.05 × ? m" in description
     assert "belief in the class&lt;/td&gt;&lt;td&gt;0.75" in description
+
+
+def test_a_call_and_the_density_behind_it_are_in_every_file() -> None:
+    told = contact(false_alarms_per_km2=12.34567, false_alarms_95_per_km2=(3.0, 51.23456), called=True)
+    properties = strict(contacts_geojson([told]))["features"][0]["properties"]
+    assert properties["false_alarms_per_km2"] == 12.346
+    assert properties["false_alarms_95_per_km2"] == [3.0, 51.235]
+    assert properties["called"] is True
+    row = next(csv.DictReader(io.StringIO(contacts_csv([told]))))
+    assert [row[name] for name in CSV_COLUMNS[-4:]] == ["12.346", "3.0", "51.235", "true"]
+    assert "yes; 12 false alarms per km² as mine-like are expected (3 to 51)" in contacts_kml([told])
 
 
 def test_bytes_do_not_depend_on_the_order_of_contacts_or_beliefs() -> None:

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.contacts.ledger import Contacts
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import (
     NAN,
@@ -82,6 +83,7 @@ class Base:
         self.undecided: tuple[Contact, ...] = ()
         self.counters: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
+        self.operating_point: OperatingPoint | None = None
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         return self.undecided
@@ -143,6 +145,14 @@ class Undecided(Base):
             self.undecided = (self.find(msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,))),)
             return [*self.undecided]
         return events
+
+
+class Calling(Base):
+    """Calls what has the usual p_mine."""
+
+    def __init__(self, config: Config, kept: Contacts) -> None:
+        super().__init__(config, kept)
+        self.operating_point = OperatingPoint(config.contacts.false_alarms_per_km2, 11, 0.5, None)
 
 
 class Failing(Base):

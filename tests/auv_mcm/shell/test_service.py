@@ -153,6 +153,22 @@ def test_a_mission_leaves_every_result(tmp_path: Path) -> None:
     assert content["counters"] == {"ping.received": 30, "source.events": 60}
 
 
+def test_the_results_are_called_by_the_operating_point_of_the_whole_mission(tmp_path: Path) -> None:
+    results = serve(tmp_path, Events(mission(30)), fake.Calling)
+    features = json.loads((results / "contacts.geojson").read_bytes())["features"]
+    assert [feature["properties"]["called"] for feature in features] == [True] * 11
+    content = summary(results)
+    assert content["contacts_called"] == 11
+    assert content["operating_point"] == {
+        "asked_per_km2": 30.0,
+        "called_from_p_mine": 0.2,
+        "contacts_counted": 11,
+        "searched_km2": 0.5,
+    }
+    announced = [json.loads(line)["contact"]["properties"] for line in (results / "contacts.jsonl").read_text().splitlines()]
+    assert {properties["called"] for properties in announced} == {None}, "what was known then"
+
+
 def test_a_contact_is_on_disk_before_it_is_announced(tmp_path: Path) -> None:
     def console(line: str) -> None:
         if line.startswith("contact"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -10,10 +11,10 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from sim_replay.scoring import ReportedContact, Score, ScoredMission, score_missions
+from sim_replay.scoring import ReportedContact, Score, ScoredMission, score_files, score_missions, table
 from sim_replay.scoring.breakdown import Group
 from sim_replay.scoring.seabed_map import encode
-from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, thing
+from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, thing, write_pair
 
 
 def scored(contacts: list[dict[str, Any]], objects: list[dict[str, Any]], **options: Any) -> Score:
@@ -237,3 +238,55 @@ def test_impossible_threshold_is_refused(threshold: float) -> None:
 def test_nothing_to_score_is_refused() -> None:
     with pytest.raises(UsageError, match="no missions"):
         score_missions([])
+
+
+def test_the_payloads_own_calls_are_scored_beside_what_was_asked(tmp_path: Path) -> None:
+    contacts = [
+        contact(0.0, 0.0, 0.3, called=True),
+        contact(20.0, 0.0, 0.9, called=False),
+        contact(40.0, 0.0, 0.4, called=True),
+        contact(60.0, 0.0, 0.5, called=True),
+    ]
+    objects = [thing(0.0, 0.0), thing(20.0, 0.0), rock(40.0, 0.0)]
+    paths = write_pair(tmp_path, contacts, {"area_km2": 0.1, "objects": objects})
+    asked_nowhere = score_files(paths).called
+    assert asked_nowhere is not None
+    assert asked_nowhere.asked_per_km2 is None
+    for text in ("{}", "["):
+        (tmp_path / "summary.json").write_text(text)
+        silent = score_files(paths).called
+        assert silent == asked_nowhere
+    (tmp_path / "summary.json").write_text('{"operating_point": {"asked_per_km2": 25.0}}')
+    score = score_files(paths)
+    assert score.called is not None
+    assert score.called.asked_per_km2 == 25.0
+    assert (score.called.pd.count, score.called.pd.of) == (1, 2)
+    assert score.called.false_alarms.count == 2
+    assert score.called.false_alarms.per_km2 == pytest.approx(20.0)
+    assert score.called.on_known_clutter == 1
+    text = table(score)
+    assert "called by the payload" in text
+    assert "2.5 on this area" in text
+
+
+def test_contacts_that_do_not_say_whether_they_are_called_have_no_operating_point() -> None:
+    score = score_missions([mission([contact(0.0, 0.0, called=True), contact(5.0, 0.0)], [thing(0.0, 0.0)])])
+    assert score.called is None
+    assert "called by the payload" not in table(score)
+
+
+def test_p_mine_is_compared_with_what_lay_there() -> None:
+    contacts = [contact(10.0 * number, 0.0, 0.25) for number in range(4)] + [contact(0.5, 0.5, 0.95), contact(100.0, 0.0, 0.95)]
+    objects = [thing(0.0, 0.0), thing(100.0, 0.0, looks=[])]
+    kept = score_missions([mission(contacts, objects)]).calibration
+    assert kept is not None
+    assert [(each.low, each.on_mines.count, each.on_mines.of) for each in kept.bins] == [(0.2, 1, 4), (0.9, 1, 1)]
+    assert kept.error == pytest.approx((4 * 0.0 + 1 * 0.05) / 5)
+    assert "expected calibration error of p_mine, in ten bins: 0.010" in table(score_missions([mission(contacts, objects)]))
+
+
+def test_without_contacts_there_is_no_calibration() -> None:
+    score = score_missions([mission([], [thing(0.0, 0.0)])])
+    assert score.calibration is not None
+    assert score.calibration.error is None
+    assert "calibration" not in table(score)

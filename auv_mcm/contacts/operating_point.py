@@ -1,0 +1,193 @@
+"""Call contacts mines where no more non-mines are to be expected as mine-like as they are than the operator accepts."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.contacts.background import (
+    BIN_NATS,
+    LEVELS_NATS,
+    LOWEST_NATS,
+    N_BINS,
+    Background,
+    BackgroundPrior,
+    estimate_background,
+    expected_background,
+)
+from auv_mcm.contacts.seen_area import SeenArea
+from auv_mcm.detect.belief import odds_of
+from auv_mcm.records import NAN, Contact, CoveragePatch, Notice, contact_number
+from auv_mcm.settings.config import ContactsConfig
+
+_GROWTH: Final = 0.1  # of contacts or area, after which the background is estimated anew: about 150 estimates in a mission
+_TURNED_NATS: Final = 0.25  # by which the level must have passed a contact for its call to be announced again: a bin of log-odds
+_UNLIKE_SIGMAS: Final = 6.0  # of training missions: of 19 simulated and recorded missions left out the highest has 3.8
+_UNLIKE_P_MINE: Final = (0.05, 0.2)
+
+_UNKNOWN: Final = 0
+_NOT_CALLED: Final = 1
+_CALLED: Final = 2
+
+
+class OperatingPoint(NamedTuple):
+    """Hold what is accepted, and the background that a mission has shown so far.
+
+    asked_per_km2: false alarms accepted. n_contacts, area_km2: what the background was estimated from. background: None where there is
+    no prior for the odds, as without confirmation; contacts of p_mine 0.2 or more are called then.
+    """
+
+    asked_per_km2: float
+    n_contacts: int
+    area_km2: float
+    background: Background | None
+
+    @property
+    def level_nats(self) -> float:
+        """The lowest log-odds called, those of p_mine 0.01 at least: less is not counted. inf where nothing is called."""
+        if self.background is None:
+            return odds_of(MINE_LIKE_P)
+        return max(self.background.level_nats(self.asked_per_km2), LOWEST_NATS)
+
+    def calls(self, contact: Contact) -> bool:
+        """Decide whether a contact is called a mine."""
+        return odds_of(contact.p_mine) >= self.level_nats
+
+    def marked(self, contact: Contact) -> Contact:
+        """Copy a contact with the density of false alarms as mine-like as it, and its call."""
+        if self.background is None:
+            return msgspec.structs.replace(
+                contact, false_alarms_per_km2=NAN, false_alarms_95_per_km2=(NAN, NAN), called=self.calls(contact)
+            )
+        expected = self.background.false_alarms(odds_of(contact.p_mine))
+        return msgspec.structs.replace(
+            contact,
+            false_alarms_per_km2=expected.per_km2,
+            false_alarms_95_per_km2=(expected.low, expected.high),
+            called=self.calls(contact),
+        )
+
+
+class MarkedContacts:
+    """Mark contacts one at a time as they are gone through, again and again."""
+
+    def __init__(self, contacts: Iterable[Contact], point: OperatingPoint) -> None:
+        self._contacts = contacts
+        self._point = point
+
+    def __iter__(self) -> Iterator[Contact]:
+        return map(self._point.marked, self._contacts)
+
+
+class CallWatch:
+    """Follow a mission's contacts and area, keep the estimate of its background, and say which contacts to announce.
+
+    Uses nothing but what came before. Memory: 9 bytes per contact.
+    """
+
+    def __init__(self, config: ContactsConfig, prior: BackgroundPrior | None) -> None:
+        """prior: of the log-odds of the detector that serves; None where there is none."""
+        self._asked_per_km2 = config.false_alarms_per_km2
+        self._reported_from_nats = odds_of(config.min_p_mine)
+        self._prior = prior
+        self._area = SeenArea()
+        self._counts = np.zeros(N_BINS)
+        self._log_odds = array("d")  # by number of the contact, NaN of those never reported
+        self._announced = bytearray()
+        self._n_changed = 0
+        self._point: OperatingPoint | None = None
+        self._notices: list[Notice] = []
+        self._is_unlike = False
+
+    @property
+    def point(self) -> OperatingPoint:
+        """The operating point as it was estimated last."""
+        return self._point or self._estimated()
+
+    def cover(self, patch: CoveragePatch) -> None:
+        """Add sea floor that was searched."""
+        self._area.add(patch)
+
+    def announce(
+        self, changed: Sequence[Contact], read: Callable[[Sequence[int]], Iterable[Contact]], *, is_last: bool = False
+    ) -> list[Contact]:
+        """Mark contacts that are new or changed, and add those whose call has turned since it was announced; all by number.
+
+        read: gives contacts by number. is_last: nothing follows, so that the background is estimated from everything and every call that
+        differs from the last one announced is announced.
+        """
+        for contact in changed:
+            self._learn(contact_number(contact.id), odds_of(contact.p_mine))
+        if is_last or self._is_due():
+            self._point = self._estimated()
+            turned = set(self._turned(0.0 if is_last else _TURNED_NATS))
+        else:
+            turned = set()
+        turned -= {contact_number(contact.id) for contact in changed}
+        announced = [self.point.marked(contact) for contact in (*changed, *read(sorted(turned)))]
+        for contact in announced:
+            self._announced[contact_number(contact.id)] = _CALLED if contact.called else _NOT_CALLED
+        return sorted(announced, key=lambda contact: contact_number(contact.id))
+
+    def take_notices(self) -> list[Notice]:
+        """Return what a person should know since the last time."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def _learn(self, number: int, nats: float) -> None:
+        if number >= len(self._log_odds):
+            missing = number + 1 - len(self._log_odds)
+            self._log_odds.extend([math.nan] * missing)
+            self._announced.extend(bytes(missing))
+        for value, sign in ((self._log_odds[number], -1.0), (nats, 1.0)):
+            if value >= LOWEST_NATS:
+                self._counts[min(int((value - LOWEST_NATS) / BIN_NATS), N_BINS - 1)] += sign
+        self._log_odds[number] = nats
+        self._n_changed += 1
+
+    def _is_due(self) -> bool:
+        before = self._point
+        if before is None:
+            return True
+        return self._n_changed > _GROWTH * before.n_contacts or self._area.km2 > (1.0 + _GROWTH) * before.area_km2
+
+    def _estimated(self) -> OperatingPoint:
+        background = None
+        if self._prior is not None:
+            background = estimate_background(
+                self._counts, self._area.km2, self._prior, reported_from_nats=max(self._reported_from_nats, LOWEST_NATS)
+            )
+            self._compare(background, self._prior)
+        self._n_changed = 0
+        return OperatingPoint(self._asked_per_km2, int(self._counts.sum()), self._area.km2, background)
+
+    def _turned(self, margin_nats: float) -> list[int]:
+        level, values = self.point.level_nats, np.array(self._log_odds)
+        announced = np.frombuffer(bytes(self._announced), dtype=np.uint8)
+        is_called = (announced == _NOT_CALLED) & (values >= level + margin_nats)
+        is_dropped = (announced == _CALLED) & (values < level - margin_nats)
+        return np.flatnonzero(is_called | is_dropped).tolist()
+
+    def _compare(self, background: Background, prior: BackgroundPrior) -> None:
+        """Report once that far more of the background looks like mines than on any sea floor learnt from."""
+        expected, spread = expected_background(prior)
+        for p_mine in _UNLIKE_P_MINE:
+            at = int(np.searchsorted(LEVELS_NATS, odds_of(p_mine)))
+            if not self._is_unlike and background.middle[at] > expected[at] + _UNLIKE_SIGMAS * spread[at]:
+                self._is_unlike = True
+                self._notices.append(_unlike(p_mine, math.exp(background.middle[at]), math.exp(expected[at])))
+
+
+def _unlike(p_mine: float, per_km2: float, usual_per_km2: float) -> Notice:
+    return Notice(
+        code="contacts.background_unlike",
+        text=f"about {per_km2:.2g} contacts per km² that are probably no mines reach p_mine {p_mine:g}; on the sea floors learnt from "
+        f"{usual_per_km2:.2g} do. The sea floor or the recorder is unlike all of them, and p_mine may not hold. Look at the pictures of "
+        "some contacts; check sonar.transfer, sonar.full_scale and the gain; go by 'called' rather than by p_mine.",
+    )

@@ -1,0 +1,262 @@
+"""Judge the operating point on missions that its prior was not fitted on: false alarms reached beside those asked, and Pd.
+
+auv-mcm bench point                               flies, judges and prints
+auv-mcm bench point --log LINE.xtf                the same with targets embedded in a recorded line
+
+A named scene is judged by the prior that the other scenes give; recorded lines by the one that ships, which was fitted on simulated
+missions alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.contacts.background import (
+    BIN_NATS,
+    LEVELS_NATS,
+    Background,
+    BackgroundModel,
+    BackgroundPrior,
+    counted_log_odds,
+    estimate_background,
+    shipped_background,
+)
+from auv_mcm.detect.belief import odds_of, probability
+from auv_mcm.errors import UsageError
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.settings.config import Config
+from sim_replay.arguments import count
+from sim_replay.augment.augment_log import augment
+from sim_replay.benches.froc import scattered
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
+from sim_replay.logs.recorded import RecordedMission
+from sim_replay.missions import FIRST_SEED, SCENES
+from sim_replay.scoring.calibration import calibration_error
+from sim_replay.scoring.inputs import parse_truth
+from sim_replay.scoring.intervals import density, proportion
+from sim_replay.simulator.scene_file import named_scenes
+from sim_replay.text_tables import columns, density_cell, markdown, share_cell
+
+ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)
+FIXED_P_MINE: Final = 0.2
+_HEADER: Final = (
+    "domain",
+    "targets",
+    "km²",
+    "asked",
+    "FA asked",
+    "FA reached",
+    "of them on objects",
+    "per km²",
+    "in the interval",
+    "FA, mines taken out",
+    "Pd",
+    "best Pd at as many FA",
+)
+_FIXED_HEADER: Final = (
+    "domain",
+    f"FA/km² at p_mine {FIXED_P_MINE:g}",
+    "Pd",
+    "calibration error",
+    "within the mission",
+    "log loss",
+    "within the mission",
+)
+
+Line = tuple[str, int]
+"""A named scene or the path of a recorded line, and a seed."""
+
+
+class Judged(NamedTuple):
+    """One mission, with the estimate from all of its contacts and that from those on no target."""
+
+    mission: SortedContacts
+    prior: BackgroundPrior
+    background: Background
+    without_mines: Background
+
+
+class Reached(NamedTuple):
+    """Missions pooled at an operating point.
+
+    n_on_objects: false alarms on objects of the truth, such as rocks. n_without_mines: false alarms where mines' contacts are taken out.
+    n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of n_judged that call some contacts and not all. best:
+    targets that the best threshold of p_mine calls with as many false alarms.
+    """
+
+    n_asked: float
+    n_false_alarms: int
+    n_on_objects: int
+    n_without_mines: int
+    n_inside: int
+    n_judged: int
+    n_called: int
+    best: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})")
+    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to augment, XTF; repeatable")
+    parser.add_argument("--log-seeds", type=count, default=3, help="draws of targets per recorded line (default 3)")
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, judge and print; returns the exit code. Raises UsageError for scenes that are not there."""
+    names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
+    if unknown := [name for name in names if name not in named_scenes()]:
+        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
+    lines: list[Line] = [(name, seed) for name in names for seed in seeds]
+    lines += [(str(log), seed) for log in arguments.log for seed in log_seeds]
+    missions = list(_counted(run_tasks(fly, lines, Farm(arguments.workers)), len(lines)))
+    print(report(missions, shipped_background(), in_markdown=arguments.markdown))
+    return 0
+
+
+def fly(line: Line) -> SortedContacts:
+    """Fly one mission, simulated or recorded with embedded targets, and sort its contacts."""
+    name, seed = line
+    if name in named_scenes():
+        return flown((name, seed, "cascade"))
+    with tempfile.TemporaryDirectory() as folder:
+        written = augment(Path(name), scattered(seed), Path(folder), Config())
+        pipeline, seen = Pipeline(Config()), SeenMission()
+        for event in RecordedMission([written.log], Config()).events():
+            seen.take(pipeline.feed(event))
+        seen.take(pipeline.finish())
+        truth = parse_truth(json.loads(written.truth.read_bytes()), name)
+        return sorted_contacts(Path(name).stem, pipeline.contacts, truth, seen.area.km2)
+
+
+def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
+    """Estimate a mission's background by a prior that it was left out of."""
+    prior = next((left.prior for left in model.left_out if left.scene == mission.scene), model.cascade)
+    whole, bare = (
+        estimate_background(counted_log_odds(log_odds), mission.area_km2, prior) for log_odds in (mission.everything, mission.background)
+    )
+    return Judged(mission, prior, whole, bare)
+
+
+def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
+    """Call contacts of each mission at its own level, and pool."""
+    n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called = 0.0, 0, 0, 0, 0, 0, 0
+    for one in missions:
+        level = one.background.level_nats(asked_per_km2)
+        n = _reaching(one.mission.background, level)
+        n_asked += asked_per_km2 * one.mission.truth_km2
+        n_false_alarms += n
+        n_on_objects += _reaching(one.mission.background[one.mission.on_objects], level)
+        n_called += _reaching(one.mission.mines, level)
+        n_without_mines += _reaching(one.mission.background, one.without_mines.level_nats(asked_per_km2))
+        if np.isfinite(level):
+            n_judged += 1
+            n_inside += _is_inside(n, one, level)
+    false_alarms = np.sort(np.concatenate([one.mission.background for one in missions]))[::-1]
+    above = false_alarms[n_false_alarms] if n_false_alarms < len(false_alarms) else -np.inf
+    best = sum(int(np.count_nonzero(one.mission.mines > above)) for one in missions)
+    return Reached(n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called, best)
+
+
+def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Compute p_mine as it is, and as mines and background of the mission itself would have it, (n,) each, and what is a mine."""
+    log_odds = np.concatenate([one.mission.background, one.mission.mines])
+    reaching = np.exp(one.background.middle)
+    background = np.maximum(reaching - np.append(reaching[1:], 0.0), 1e-300)
+    off = (LEVELS_NATS + 0.5 * BIN_NATS - one.prior.mine_mean_nats) / one.prior.mine_sd_nats
+    mines = one.background.mines_per_km2 * np.exp(-0.5 * off**2) / (np.sqrt(2.0 * np.pi) * one.prior.mine_sd_nats) * BIN_NATS
+    share = mines / (mines + background)
+    number = np.clip(np.searchsorted(LEVELS_NATS, log_odds, side="right") - 1, 0, len(LEVELS_NATS) - 1)
+    is_mine = np.arange(len(log_odds)) >= len(one.mission.background)
+    return np.array([probability(value) for value in log_odds]), share[number], is_mine
+
+
+def report(missions: Sequence[SortedContacts], model: BackgroundModel, *, in_markdown: bool = False) -> str:
+    """Lay out every domain, and all simulated and all recorded ones together."""
+    laid_out = markdown if in_markdown else columns
+    some = [judged(mission, model) for mission in missions]
+    groups = {name: [one for one in some if one.mission.scene == name] for name in dict.fromkeys(one.mission.scene for one in some)}
+    for title, is_recorded in (("all simulated", False), ("all recorded", True)):
+        pooled = [one for one in some if (one.mission.scene not in named_scenes()) is is_recorded]
+        if len({one.mission.scene for one in pooled}) > 1:
+            groups[title] = pooled
+    rows = [_row(name, of, asked) for asked in ASKED_PER_KM2 for name, of in groups.items()]
+    fixed = [_fixed_row(name, of) for name, of in groups.items()]
+    return laid_out(_HEADER, rows) + "\n\n" + laid_out(_FIXED_HEADER, fixed)
+
+
+def _row(name: str, missions: Sequence[Judged], asked_per_km2: float) -> list[str]:
+    found = reached(missions, asked_per_km2)
+    n_targets = sum(one.mission.n_targets for one in missions)
+    area_km2 = sum(one.mission.truth_km2 for one in missions)
+    return [
+        name,
+        str(n_targets),
+        f"{area_km2:.3f}",
+        f"{asked_per_km2:g}",
+        f"{found.n_asked:.1f}",
+        str(found.n_false_alarms),
+        str(found.n_on_objects),
+        density_cell(density(found.n_false_alarms, area_km2)),
+        f"{found.n_inside} of {found.n_judged}",
+        str(found.n_without_mines),
+        share_cell(proportion(found.n_called, n_targets)),
+        f"{found.best / n_targets:.2f}" if n_targets else "-",
+    ]
+
+
+def _fixed_row(name: str, missions: Sequence[Judged]) -> list[str]:
+    level = odds_of(FIXED_P_MINE)
+    n_false_alarms, n_called = (
+        sum(_reaching(part, level) for part in parts)
+        for parts in ([one.mission.background for one in missions], [one.mission.mines for one in missions])
+    )
+    plain, within, is_mine = (np.concatenate(parts) for parts in zip(*map(within_mission, missions), strict=True))
+    errors = [f"{calibration_error(p, is_mine):.3f}" if len(p) else "-" for p in (plain, within)]
+    losses = [f"{_log_loss(p, is_mine):.3f}" if len(p) else "-" for p in (plain, within)]
+    return [
+        name,
+        density_cell(density(n_false_alarms, sum(one.mission.truth_km2 for one in missions))),
+        share_cell(proportion(n_called, sum(one.mission.n_targets for one in missions))),
+        *errors,
+        *losses,
+    ]
+
+
+def _reaching(log_odds: NDArray[np.float64], level: float) -> int:
+    return int(np.count_nonzero(log_odds >= level))
+
+
+def _is_inside(n: int, one: Judged, level: float) -> bool:
+    """Check that a Poisson count with a mean in the interval makes so many, or so few, in more than one case of forty."""
+    from scipy.special import pdtr
+
+    expected = one.background.false_alarms(level)
+    low, high = expected.low * one.mission.truth_km2, expected.high * one.mission.truth_km2
+    too_many = n > 0 and 1.0 - pdtr(n - 1, high) < 0.025
+    return not too_many and pdtr(n, low) >= 0.025
+
+
+def _log_loss(p: NDArray[np.float64], is_mine: NDArray[np.bool_]) -> float:
+    bounded = np.clip(p, 1e-6, 1.0 - 1e-6)
+    return float(-np.where(is_mine, np.log(bounded), np.log1p(-bounded)).mean())
+
+
+def _counted(results: Iterator[SortedContacts], total: int) -> Iterator[SortedContacts]:
+    for done, result in enumerate(results, 1):
+        print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
+        yield result

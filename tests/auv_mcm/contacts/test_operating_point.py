@@ -1,0 +1,190 @@
+"""Which contacts are called and announced while a mission goes on, and by what."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.contacts.background import shipped_background
+from auv_mcm.contacts.contact import call_words
+from auv_mcm.contacts.operating_point import CallWatch, MarkedContacts, OperatingPoint
+from auv_mcm.detect.belief import odds_of, probability
+from auv_mcm.records import Contact, contact_id, contact_number
+from auv_mcm.settings.config import ContactsConfig
+from tests.auv_mcm.classify import drawn_looks
+from tests.auv_mcm.contacts.test_seen_area import patch
+
+PRIOR = shipped_background().cascade
+
+
+class Mission:
+    """Contacts as a ledger would hold them, and what a watch announces of them."""
+
+    def __init__(self, config: ContactsConfig | None = None, **watch: Any) -> None:
+        self.contacts: dict[int, Contact] = {}
+        self.watch = CallWatch(config or ContactsConfig(), watch.get("prior", PRIOR))
+        self.announced: dict[int, list[Contact]] = {}
+        self._next_m2 = 0
+
+    def search(self, area_km2: float) -> None:
+        self.watch.cover(patch(None, covered_m2=1e6 * area_km2))
+
+    def see(self, *log_odds: float) -> list[Contact]:
+        """Find new contacts with these log-odds."""
+        first = len(self.contacts) + 1
+        return self._tell([drawn(first + place, nats) for place, nats in enumerate(log_odds)])
+
+    def see_again(self, number: int, log_odds: float) -> list[Contact]:
+        """View a contact again, which changes its log-odds."""
+        return self._tell([drawn(number, log_odds)])
+
+    def end(self) -> list[Contact]:
+        return self._keep(self.watch.announce((), self._read, is_last=True))
+
+    def _tell(self, changed: list[Contact]) -> list[Contact]:
+        self.contacts |= {contact_number(contact.id): contact for contact in changed}
+        return self._keep(self.watch.announce(changed, self._read))
+
+    def _keep(self, announced: list[Contact]) -> list[Contact]:
+        for contact in announced:
+            self.announced.setdefault(contact_number(contact.id), []).append(contact)
+        return announced
+
+    def _read(self, numbers: Sequence[int]) -> list[Contact]:
+        return [self.contacts[number] for number in numbers]
+
+
+def drawn(number: int, log_odds: float) -> Contact:
+    return drawn_looks.contact(id=contact_id(number), p_mine=probability(log_odds), views=())
+
+
+def test_a_contact_is_called_where_no_more_false_alarms_than_asked_are_expected() -> None:
+    mission = Mission()
+    mission.search(0.05)
+    told = mission.see(*np.linspace(-4.5, 4.5, 40).tolist())
+    assert [contact.called for contact in told] == [contact.false_alarms_per_km2 <= 30.0 for contact in told]
+    assert {contact.called for contact in told} == {True, False}
+    densities = [contact.false_alarms_per_km2 for contact in told]
+    assert densities == sorted(densities, reverse=True)
+    assert all(low <= contact.false_alarms_per_km2 <= high for contact in told for low, high in [contact.false_alarms_95_per_km2])
+
+
+def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
+    long, short = Mission(), Mission()
+    for mission in (long, short):
+        mission.search(0.02)
+        mission.see(-4.0, -3.0, 1.0)
+    first = list(short.announced[3])
+    long.search(0.5)
+    long.see(*[-2.0] * 30)
+    assert msgspec.structs.astuple(long.announced[3][0])[-3:] == msgspec.structs.astuple(first[0])[-3:]
+
+
+def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
+    mission = Mission()
+    mission.search(0.001)
+    (told,) = mission.see(odds_of(0.5))
+    assert told.called is False
+    mission.search(3.0)  # and hardly anything there
+    again = mission.see(-4.5)
+    assert [contact.id for contact in again] == ["C00001", "C00002"]
+    assert again[0].called is True
+    assert [contact.id for contact in mission.see(-4.4)] == ["C00003"]
+    quiet = [mission.see(-4.0 + 0.01 * number) for number in range(20)]
+    assert all(len(announced) == 1 for announced in quiet)
+
+
+def test_in_the_end_the_last_announcement_of_every_contact_says_what_the_whole_mission_does() -> None:
+    random = np.random.Generator(np.random.PCG64(4))
+    mission = Mission()
+    for _ in range(60):
+        mission.search(float(random.exponential(0.004)))
+        mission.see(*(-4.5 + random.exponential(1.3, random.integers(0, 5))).tolist())
+    mission.end()
+    last = {number: announced[-1].called for number, announced in mission.announced.items()}
+    point = mission.watch.point
+    assert last == {number: point.calls(contact) for number, contact in mission.contacts.items()}
+    assert {contact.called for contact in MarkedContacts(mission.contacts.values(), point)} == {True, False}
+    n_announced = sum(map(len, mission.announced.values()))
+    assert n_announced < 1.2 * len(mission.contacts)
+
+
+def test_a_contact_that_changes_counts_once() -> None:
+    mission, other = Mission(), Mission()
+    for one in (mission, other):
+        one.search(0.05)
+    mission.see(-4.0, -1.0, 2.0)
+    mission.see_again(2, 1.5)
+    mission.see_again(2, -7.0)  # no longer among those counted
+    other.see(-4.0, -7.0, 2.0)
+    for one in (mission, other):
+        one.end()
+    assert mission.watch.point.n_contacts == other.watch.point.n_contacts == 2
+    assert mission.watch.point.level_nats == other.watch.point.level_nats
+
+
+def test_more_that_is_accepted_calls_more() -> None:
+    random = np.random.Generator(np.random.PCG64(2))
+    log_odds = (-4.5 + random.exponential(1.5, 80)).tolist()
+    called = []
+    for accepted in (1.0, 10.0, 30.0, 100.0, 1000.0, 1e5):
+        mission = Mission(ContactsConfig(false_alarms_per_km2=accepted))
+        mission.search(0.05)
+        called.append(sum(bool(contact.called) for contact in mission.see(*log_odds)))
+    assert called == sorted(called)
+    assert called[0] < called[-1] == 80
+
+
+def test_what_is_too_unlikely_to_be_counted_is_never_called() -> None:
+    mission = Mission(ContactsConfig(false_alarms_per_km2=1e6, min_p_mine=0.0))
+    mission.search(0.05)
+    assert [contact.called for contact in mission.see(-9.0, odds_of(0.01) - 0.01, odds_of(0.01), 1.0)] == [False, False, True, True]
+
+
+def test_without_a_prior_the_usual_p_mine_calls_and_no_density_is_claimed() -> None:
+    mission = Mission(prior=None)
+    unlikely, likely = mission.see(odds_of(MINE_LIKE_P) - 0.01, odds_of(MINE_LIKE_P) + 0.01)
+    assert (unlikely.called, likely.called) == (False, True)
+    assert math.isnan(likely.false_alarms_per_km2)
+    assert call_words(likely) == "yes"
+    assert mission.watch.take_notices() == []
+
+
+def test_a_background_unlike_all_that_was_learnt_is_reported_once() -> None:
+    mission = Mission()
+    mission.search(0.02)
+    for _ in range(5):
+        mission.see(*np.linspace(-3.0, 0.0, 2000).tolist())
+    (notice,) = mission.watch.take_notices()
+    assert notice.code == "contacts.background_unlike"
+    assert "check sonar.transfer" in notice.text
+    mission.see(*np.linspace(-3.0, 0.0, 2000).tolist())
+    assert mission.watch.take_notices() == []
+
+
+@pytest.mark.parametrize("times", [0.0, 1.0, 10.0])
+def test_a_background_like_those_learnt_is_not_reported(times: float) -> None:
+    random = np.random.Generator(np.random.PCG64(5))
+    mission = Mission()
+    mission.search(0.1)
+    mission.see(*(-4.5 + random.exponential(1.0, round(150 * times))).tolist())
+    mission.end()
+    assert mission.watch.take_notices() == []
+
+
+def test_an_operating_point_says_what_it_calls() -> None:
+    nothing = OperatingPoint(30.0, 0, 0.0, None)
+    marked = nothing.marked(drawn(1, 5.0))
+    assert marked.called is True
+    mission = Mission()
+    mission.search(0.05)
+    (told,) = mission.see(3.0)
+    assert call_words(told).startswith("yes; ")
+    assert "false alarms per km² as mine-like are expected" in call_words(told)
+    assert call_words(drawn(1, 0.0)) == ""

@@ -1,0 +1,61 @@
+"""The area covered, overlap counted once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from auv_mcm.contacts.seen_area import SeenArea
+from auv_mcm.records import CoveragePatch, SurveyedCells
+
+CELLS = st.dictionaries(st.tuples(st.integers(-70, 70), st.integers(-70, 70)), st.sampled_from([0.25, 0.5, 1.0]), max_size=20)
+
+
+def patch(cells: dict[tuple[int, int], float] | None, covered_m2: float = 0.0, cell_m: float = 4.0) -> CoveragePatch:
+    n = len(cells or ())
+    places = np.array(list(cells or ()), dtype=np.int32).reshape(-1, 2)
+    nothing = np.zeros(n, dtype=np.float32)
+    surveyed = SurveyedCells(
+        origin_latitude_deg=43.0,
+        origin_longitude_deg=5.0,
+        cell_m=cell_m,
+        east_index=places[:, 0],
+        north_index=places[:, 1],
+        fraction=np.array(list((cells or {}).values()), dtype=np.float32),
+        ground_range_m=nothing,
+        altitude_m=nothing,
+        look_rad=nothing,
+        seabed=np.zeros(n, dtype=np.uint8),
+        confidence=nothing,
+        ripple_rad=nothing,
+        wavelength_m=nothing,
+    )
+    return CoveragePatch(
+        side="port",
+        tile_index=0,
+        start_s=0.0,
+        stop_s=1.0,
+        rings_deg=(),
+        covered_m2=covered_m2,
+        lost_m2={},
+        cells=None if cells is None else surveyed,
+    )
+
+
+@given(st.lists(CELLS, max_size=5))
+def test_of_each_cell_no_more_than_all_of_it_counts(patches: list[dict[tuple[int, int], float]]) -> None:
+    area, total = SeenArea(), dict[tuple[int, int], float]()
+    for cells in patches:
+        area.add(patch(cells))
+        for place, fraction in cells.items():
+            total[place] = min(total.get(place, 0.0) + fraction, 1.0)
+    assert area.km2 == pytest.approx(16e-6 * sum(total.values()))
+
+
+def test_what_has_no_place_counts_in_full() -> None:
+    area = SeenArea()
+    area.add(patch(None, covered_m2=500.0))
+    area.add(patch(None, covered_m2=500.0))
+    assert area.km2 == pytest.approx(1e-3)

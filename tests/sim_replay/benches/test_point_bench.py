@@ -1,0 +1,48 @@
+"""What the bench of the operating point counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from auv_mcm.contacts.background import shipped_background
+from sim_replay.benches.point import judged, reached, report, within_mission
+from tests.sim_replay.fitting.test_background_fit import drawn_mission
+
+
+def test_a_mission_is_judged_by_a_prior_that_it_was_left_out_of() -> None:
+    model = shipped_background()
+    left = model.left_out[0]
+    assert judged(drawn_mission(1, left.scene), model).prior == left.prior
+    assert judged(drawn_mission(1, "a recorded line"), model).prior == model.cascade
+
+
+def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> None:
+    some = [judged(drawn_mission(seed, "elsewhere"), shipped_background()) for seed in range(4)]
+    found = reached(some, 100.0)
+    levels = [one.background.level_nats(100.0) for one in some]
+    assert found.n_asked == pytest.approx(100.0 * 0.8)
+    assert found.n_false_alarms == sum(np.count_nonzero(one.mission.background >= level) for one, level in zip(some, levels, strict=True))
+    on_objects = [one.mission.background[one.mission.on_objects] for one in some]
+    assert found.n_on_objects == sum(np.count_nonzero(part >= level) for part, level in zip(on_objects, levels, strict=True))
+    assert found.n_called == sum(np.count_nonzero(one.mission.mines >= level) for one, level in zip(some, levels, strict=True))
+    assert found.n_asked / 3.0 < found.n_without_mines < 3.0 * found.n_asked
+    assert found.n_inside == found.n_judged == 4
+    pooled = np.concatenate([one.mission.background for one in some])
+    above = np.sort(pooled)[::-1][found.n_false_alarms]
+    assert found.best == sum(np.count_nonzero(one.mission.mines > above) for one in some)
+
+
+def test_the_share_of_mines_is_a_probability_that_rises_at_first() -> None:
+    plain, within, is_mine = within_mission(judged(drawn_mission(3), shipped_background()))
+    assert len(plain) == len(within) == len(is_mine)
+    assert is_mine.sum() == 20
+    assert ((within > 0.0) & (within < 1.0)).all()
+    assert np.corrcoef(plain, within)[0, 1] > 0.7
+
+
+def test_the_report_has_a_row_per_domain_and_density_asked() -> None:
+    missions = [drawn_mission(1, "flat"), drawn_mission(2, "rough"), drawn_mission(3, "reef"), drawn_mission(4, "river")]
+    lines = report(missions, shipped_background(), in_markdown=True).splitlines()
+    for name, n_tables in (("flat", 4), ("reef", 4), ("all simulated", 4), ("all recorded", 4)):
+        assert sum(line.startswith(f"| {name} |") for line in lines) == n_tables
