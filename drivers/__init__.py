@@ -1,1 +1,1 @@
-"""The hardware ends: links, sonars, navigation units and vehicles, each behind one seam."""
+"""Connect the hardware: links, sonars, navigation units and vehicles, each behind one interface."""

@@ -1,4 +1,4 @@
-"""Bytes that wait to be decoded, in the order in which they came, so that decoding takes a bounded part of each turn of the event loop."""
+"""Queue bytes for decoding in order of arrival, so that decoding takes a bounded part of each turn of the event loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHUNK_BYTES: Final = 256  # that a chunk counts for besides its own: what is do
 
 
 class Chunk(NamedTuple):
-    """Bytes of a port and when they were read."""
+    """Hold bytes of a port and when they were read."""
 
     port: str
     data: bytes
@@ -24,7 +24,9 @@ class Chunk(NamedTuple):
 
 
 class Backlog:
-    """A queue of chunks, bounded for each port. Chunks are never reordered, so what is decoded does not depend on how long it takes.
+    """Queue chunks, bounded for each port.
+
+    Chunks are never reordered, so the result does not depend on processing time.
 
     n_refused: bytes by port that found no room.
     """
@@ -42,7 +44,7 @@ class Backlog:
         return bool(self._chunks)
 
     def add(self, chunk: Chunk) -> bool:
-        """Queue a chunk; False if too much of its port waits already. One alone always finds room."""
+        """Queue a chunk; return False if too much of its port waits already. A single chunk always finds room."""
         waiting = self._waiting[chunk.port]
         if waiting and waiting + _weight(chunk) > self._max_waiting_bytes:
             self.n_refused[chunk.port] += len(chunk.data)
@@ -52,11 +54,11 @@ class Backlog:
         return True
 
     def begin_turn(self) -> None:
-        """Another turn of the event loop, with an allowance of its own."""
+        """Start a turn of the event loop, with a new allowance of processor time."""
         self._left_s = TURN_S
 
     def work(self, decode: Callable[[Chunk], None]) -> bool:
-        """Decode chunks until none waits or the allowance of this turn is used up; whether any still waits."""
+        """Decode chunks until none waits or the allowance of this turn is used up; return whether any still waits."""
         while self._chunks and self._left_s > 0.0:
             began_s = self._cpu_s()
             chunk = self._chunks.popleft()
@@ -66,7 +68,7 @@ class Backlog:
         return bool(self._chunks)
 
     def give_up(self) -> None:
-        """Refuse whatever still waits."""
+        """Drop all chunks that still wait, and count them as refused."""
         for chunk in self._chunks:
             self.n_refused[chunk.port] += len(chunk.data)
         self._chunks.clear()

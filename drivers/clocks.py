@@ -1,9 +1,9 @@
-"""From the times that devices tell to the clocks of this computer.
+"""Convert device times to the clocks of this computer.
 
-A message is never received before it was sent, so what its way took is one-sided: the least difference between arrival and device time is
-the offset of the two clocks, plus the least delay. Times are kept on the monotonic clock, which nobody sets; UTC is put on last, by an
-anchor that follows, in the order of trust: a pulse each second named by a sentence (`PulseLabels`), the times in the sentences alone
-(`sentence_offset_ns`), or this computer's own UTC (`host_offset_ns`).
+A message is never received before it was sent, so its delay is one-sided: the minimum difference between arrival and
+device time is the offset of the two clocks, plus the minimum delay. Times are kept on the monotonic clock, which nobody
+sets; UTC is put on last, by an anchor that follows, in the order of trust: a pulse each second named by a sentence
+(`PulseLabels`), the times in the sentences alone (`sentence_offset_ns`), or this computer's own UTC (`host_offset_ns`).
 Nothing here reads a clock.
 """
 
@@ -22,7 +22,7 @@ _NS: Final = 1_000_000_000
 _MILLION: Final = 1_000_000
 _BITS_PER_BYTE: Final = 10  # 8N1
 _RESOLUTION_NS: Final = 10_000_000  # of the window's end, which bounds how many messages it holds
-_LATEST_S: Final = 1e12  # no clock tells more
+_LATEST_S: Final = 1e12  # no clock reports more
 _STEP_NS: Final = 500_000_000  # a device whose time is off by more was set or started anew
 _LATE_FOR_NS: Final = 3_000_000_000  # unless the link stalled, which does not last as long
 _UTC_STEP_NS: Final = 100_000_000
@@ -31,11 +31,12 @@ _PULSE_PPM: Final = 200
 
 
 class HostTime(NamedTuple):
-    """An instant that a device told, on this computer's monotonic clock.
+    """Hold an instant that a device reported, on this computer's monotonic clock.
 
-    residual_ns: by how much longer this message was on its way than the quickest one of the window, 0 or more. segment: counts how often
-    the device's time was anchored anew; mono_ns never goes back inside a segment. settled_ns: since the segment began; an offset
-    from few messages may be late by as much as all of them were. notice: what a person should know.
+    residual_ns: by how much longer this message was on its way than the quickest one of the window, 0 or more. segment:
+    counts how often the device's time was anchored anew; mono_ns never goes back inside a segment. settled_ns: since
+    the segment began; an offset from few messages may be late by as much as all of them were. notice: what a person
+    should know.
     """
 
     mono_ns: int
@@ -46,22 +47,25 @@ class HostTime(NamedTuple):
 
 
 def wire_delay_s(n_bytes: int, baud: float | None) -> float:
-    """Seconds that bytes take on a serial line, ten bits each; 0 without one (baud None)."""
+    """Return the seconds that bytes take on a serial line, ten bits each; 0 without one (baud None)."""
     return 0.0 if baud is None else n_bytes * _BITS_PER_BYTE / baud
 
 
 class DeviceClock:
-    """One device's counter or clock against the monotonic clock, by the lower envelope of arrival minus device time.
+    """Map one device's counter or clock to the monotonic clock, by the lower envelope of arrival minus device time.
 
-    A message that arrived at t says that the offset is at most (arrival - device time) + drift_ppm * (now - t): the least of these
-    over the window is the tightest bound, never below the true offset plus the least delay while the drift keeps within its bound.
-    Counts clock.anchored_anew, .out_of_order and .without_device_time.
+    A message that arrived at t bounds the offset by (arrival - device time) + drift_ppm * (now - t): the minimum of
+    these over the window is the tightest bound, never below the true offset plus the minimum delay while the drift
+    keeps within its bound. Counts clock.anchored_anew, .out_of_order and .without_device_time.
     """
 
     def __init__(self, source: str, *, wrap_s: float | None = None, window_s: float = 60.0, drift_ppm: int = 100) -> None:
-        """source: the device, for messages. wrap_s: after which the counter starts over (`MILLISECOND_COUNTER_S`; 86400 for a time of
-        day), None: never. drift_ppm: bound of the rate of its crystal against this computer's; for ping numbers times a known
-        interval, of that interval."""
+        """source: the device, for messages.
+
+        wrap_s: after which the counter starts over (`MILLISECOND_COUNTER_S`; 86400 for a time of day), None: never.
+        drift_ppm: bound of the rate of its crystal against this computer's; for ping numbers times a known interval, of
+        that interval.
+        """
         self.counters: Counter[str] = Counter()
         self._source = source
         self._wrap_ns = None if wrap_s is None else round(wrap_s * _NS)
@@ -74,11 +78,12 @@ class DeviceClock:
         self._late_since_ns: int | None = None
 
     def host_time(self, device_time_s: float | None, received: Stamp, *, delay_s: float = 0.0, number: int | None = None) -> HostTime:
-        """When it was by the monotonic clock as the device's time was device_time_s.
+        """Return the monotonic time at which the device's time was device_time_s.
 
-        device_time_s: seconds; where it is None, not finite or absurd, the arrival stands for it. received: of the chunk that brought it,
-        in order. delay_s: what surely passed between device_time_s and `received`: `wire_delay_s`, and for a sonar the echo
-        time 2 * range / sound speed. number: the device's own count of messages; where both go back, the device started anew.
+        device_time_s: seconds; where it is None, not finite or absurd, the arrival stands for it. received: of the
+        chunk that brought it, in order. delay_s: what surely passed between device_time_s and `received`:
+        `wire_delay_s`, and for a sonar the echo time 2 * range / sound speed. number: the device's own count of
+        messages; where both go back, the device started anew.
         """
         now_ns = received.mono_ns
         arrival_ns = now_ns - round(delay_s * _NS)
@@ -89,22 +94,22 @@ class DeviceClock:
         device_ns = round(device_time_s * _NS)
         if self._began_ns is None:
             return self._anchor(device_ns, arrival_ns, now_ns, number, None)
-        envelope_ns = self._window.least_ns(now_ns)
+        envelope_ns = self._window.min_ns(now_ns)
         if self._wrap_ns is not None:
             # Of all the times that the counter may mean, the nearest to what it should be.
             device_ns += (arrival_ns - envelope_ns - device_ns + self._wrap_ns // 2) // self._wrap_ns * self._wrap_ns
         offset_ns = arrival_ns - device_ns
         if (why := self._distrust(device_ns, offset_ns - envelope_ns, now_ns, number)) is not None:
-            return self._anchor(device_ns, arrival_ns, now_ns, number, self._tell(why, offset_ns - envelope_ns))
+            return self._anchor(device_ns, arrival_ns, now_ns, number, self._jump_notice(why, offset_ns - envelope_ns))
         self._window.add(offset_ns, now_ns)
-        mono_ns = device_ns + self._window.least_ns(now_ns)
+        mono_ns = device_ns + self._window.min_ns(now_ns)
         residual_ns = arrival_ns - mono_ns
         if device_ns < self._last_device_ns:
             self.counters["clock.out_of_order"] += 1
         return self._keep(device_ns, max(mono_ns, self._last_mono_ns), residual_ns, now_ns, number, None)
 
     def _distrust(self, device_ns: int, late_ns: int, now_ns: int, number: int | None) -> str | None:
-        """Why the offset so far no longer holds, None if it does."""
+        """Return why the offset so far no longer holds, None if it does."""
         if -_STEP_NS <= late_ns <= _STEP_NS:
             self._late_since_ns = None
             return None
@@ -117,7 +122,7 @@ class DeviceClock:
             self._late_since_ns = now_ns
         return "fell back" if now_ns - self._late_since_ns >= _LATE_FOR_NS else None
 
-    def _tell(self, why: str, late_ns: int) -> Notice:
+    def _jump_notice(self, why: str, late_ns: int) -> Notice:
         self.counters["clock.anchored_anew"] += 1
         text = (
             f"the clock of {self._source} {why}: it is {abs(late_ns) / _NS:.3f} s from where it should be. Its times are taken from the "
@@ -140,7 +145,10 @@ class DeviceClock:
 
 
 class _Envelope:
-    """The least of offset + drift * age over a window, in constant time: what is above a later bound can never be the least again."""
+    """Track the minimum of offset + drift * age over a window in constant time.
+
+    A bound above a later one can never be the minimum again.
+    """
 
     def __init__(self, window_ns: int, drift_ppm: int) -> None:
         self._window_ns = window_ns
@@ -158,8 +166,11 @@ class _Envelope:
         if not bounds or now_ns - bounds[-1][0] >= _RESOLUTION_NS:
             bounds.append((now_ns, bound_ns))
 
-    def least_ns(self, now_ns: int) -> int:
-        """The offset's least bound. After a pause longer than the window the last one still counts: it grew loose, but not wrong."""
+    def min_ns(self, now_ns: int) -> int:
+        """Return the minimum bound of the offset.
+
+        After a pause longer than the window the last one counts: looser, not wrong.
+        """
         bounds = self._bounds
         while len(bounds) > 1 and now_ns - bounds[0][0] > self._window_ns:
             bounds.popleft()
@@ -170,7 +181,7 @@ class _Envelope:
 
 
 class UtcAnchor:
-    """UTC minus monotonic time. Small differences are followed slowly; a step anchors UTC anew, which `segment` counts."""
+    """Hold UTC minus monotonic time. Follow small differences slowly; a step anchors UTC anew, which `segment` counts."""
 
     def __init__(self, source: str) -> None:
         """source: whose UTC is followed, for messages."""
@@ -181,9 +192,9 @@ class UtcAnchor:
         self._stepped_offset_ns: int | None = None
 
     def follow(self, offset_ns: int, mono_ns: int) -> Notice | None:
-        """A new reading of UTC minus monotonic time, in order of time. Returns a notice when UTC was anchored anew.
+        """Take a new reading of UTC minus monotonic time, in order of time. Return a notice when UTC was anchored anew.
 
-        One reading far off is none: a process may be held up between looking at two clocks. Two that agree are a step.
+        One reading far off is rejected: a process may be held up between reading two clocks. Two that agree are a step.
         """
         if self._offset_ns is None:
             self._offset_ns, self._last_mono_ns = offset_ns, mono_ns
@@ -191,8 +202,8 @@ class UtcAnchor:
         elapsed_ns, self._last_mono_ns = max(mono_ns - self._last_mono_ns, 0), mono_ns
         difference_ns = offset_ns - self._offset_ns
         if abs(difference_ns) <= _UTC_STEP_NS:
-            most_ns = elapsed_ns * _UTC_SLEW_PPM // _MILLION
-            self._offset_ns += max(-most_ns, min(difference_ns, most_ns))
+            max_step_ns = elapsed_ns * _UTC_SLEW_PPM // _MILLION
+            self._offset_ns += max(-max_step_ns, min(difference_ns, max_step_ns))
             self._stepped_offset_ns = None
             return None
         if self._stepped_offset_ns is None or abs(offset_ns - self._stepped_offset_ns) > _UTC_STEP_NS:
@@ -207,23 +218,23 @@ class UtcAnchor:
         return Notice(code="utc_stepped", text=text, place=self._source)
 
     def take_over(self, source: str, offset_ns: int, mono_ns: int) -> None:
-        """Follow another source's UTC from now on; offset_ns is what it says."""
+        """Follow another source's UTC from here on; offset_ns is its UTC minus monotonic time."""
         self._source, self._offset_ns, self._last_mono_ns, self._stepped_offset_ns = source, offset_ns, mono_ns, None
         self.segment += 1
 
     def utc_ns(self, mono_ns: int) -> int:
-        """UTC, ns since 1970, at a monotonic time; of the clock followed, so `follow` comes first."""
+        """Return UTC, ns since 1970, at a monotonic time, by the clock followed. Call `follow` first."""
         assert self._offset_ns is not None
         return mono_ns + self._offset_ns
 
 
 def host_offset_ns(stamp: Stamp) -> int:
-    """UTC minus monotonic time by this computer's own clocks."""
+    """Return UTC minus monotonic time by this computer's own clocks."""
     return stamp.utc_ns - stamp.mono_ns
 
 
 def sentence_offset_ns(unit: DeviceClock, utc_s: float, received: Stamp, *, delay_s: float = 0.0) -> int:
-    """UTC minus monotonic time by the UTC in a unit's sentences (ZDA), which it must send at once when that time comes.
+    """Return UTC minus monotonic time by the UTC in a unit's sentences (ZDA), which it must send at that time.
 
     unit: the clock of that unit alone. utc_s: finite. delay_s: as of `DeviceClock.host_time`.
     """
@@ -231,10 +242,10 @@ def sentence_offset_ns(unit: DeviceClock, utc_s: float, received: Stamp, *, dela
 
 
 class PulseLabels:
-    """UTC by a pulse at each full second (PPS) and the sentence that names it (ZDA) before the next one.
+    """Derive UTC from a pulse at each full second (PPS) and the sentence that names it (ZDA) before the next one.
 
-    A pulse counts when it is full seconds after the one before, within 200 ppm. Counts pulse.off_beat, .label_without_pulse and
-    .label_not_full_second.
+    A pulse counts when it is full seconds after the one before, within 200 ppm. Counts pulse.off_beat,
+    .label_without_pulse and .label_not_full_second.
     """
 
     def __init__(self) -> None:
@@ -243,7 +254,7 @@ class PulseLabels:
         self._steady = False
 
     def pulse(self, mono_ns: int) -> None:
-        """A pulse's edge, by the monotonic clock."""
+        """Take a pulse's edge, by the monotonic clock."""
         if self._last_ns is not None:
             interval_ns = mono_ns - self._last_ns
             n_seconds = round(interval_ns / _NS)
@@ -253,7 +264,7 @@ class PulseLabels:
         self._last_ns = mono_ns
 
     def offset_ns(self, utc_s: float, received: Stamp) -> int | None:
-        """UTC minus monotonic time; None if the sentence names no pulse. utc_s: the full second that it names."""
+        """Return UTC minus monotonic time; None if the sentence names no pulse. utc_s: the full second that it names."""
         if not math.isfinite(utc_s) or utc_s != round(utc_s):
             self.counters["pulse.label_not_full_second"] += 1
             return None
@@ -264,7 +275,10 @@ class PulseLabels:
 
 
 class SourceTime(NamedTuple):
-    """When something happened. utc_ns never goes back inside a segment; residual_ns, settled_ns, notice: as of `HostTime`."""
+    """Hold the time of an event.
+
+    utc_ns never goes back inside a segment; residual_ns, settled_ns, notice: see `HostTime`.
+    """
 
     utc_ns: int
     residual_ns: int
@@ -274,7 +288,7 @@ class SourceTime(NamedTuple):
 
 
 class SourceClock:
-    """UTC of what one device tells. The anchor is shared by all devices: it is followed once per chunk, before the chunk is decoded."""
+    """Convert one device's times to UTC. All devices share the anchor: it is followed once per chunk, before decoding."""
 
     def __init__(self, device: DeviceClock, utc: UtcAnchor) -> None:
         self._device = device
@@ -283,7 +297,7 @@ class SourceClock:
         self._last_utc_ns = 0
 
     def time(self, device_time_s: float | None, received: Stamp, *, delay_s: float = 0.0, number: int | None = None) -> SourceTime:
-        """As `DeviceClock.host_time`, in UTC."""
+        """Return the time in UTC, as `DeviceClock.host_time`."""
         host = self._device.host_time(device_time_s, received, delay_s=delay_s, number=number)
         segment = host.segment + self._utc.segment
         utc_ns = self._utc.utc_ns(host.mono_ns)

@@ -1,4 +1,4 @@
-"""Every message that goes in or out of the ports, with its layout, as the decoders themselves have it."""
+"""Describe every message that goes in or out of the ports, with its layout, from the decoders' own tables."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ service:
   source: ports
 
 ports:
-  # The sonar, which is told to ping like this at the start and whenever it comes back.
+  # The sonar. It receives these settings at the start and whenever it comes back.
   - name: sonar
     link: tcp://192.168.2.92:51200
     device: ping_protocol
@@ -59,7 +59,7 @@ ports:
     device: nmea2000
     navigation: {priority: 3}
 
-  # The vehicle's own controller, which is told of contacts. With a section 'navigation' what it tells of its position serves as well.
+  # The vehicle's own controller, which receives contacts. With a section 'navigation' the position it reports is used as well.
   - name: vehicle
     link: tcp://192.168.2.10:29500
     device: bluefin
@@ -70,12 +70,12 @@ _TYPES: Final = {"b": "i8", "B": "u8", "h": "i16", "H": "u16", "i": "i32", "I": 
 
 
 def example_text() -> str:
-    """Ports for a configuration file, with what every key of a port means."""
+    """Return ports for a configuration file, with the meaning of every key of a port."""
     return _EXAMPLE + "\n# All keys of a port:\n" + "".join(f"#   {line}\n" for line in port_keys())
 
 
 class MessageLayout(NamedTuple):
-    """One kind of message. key: how it is told on the wire. fields: a line each."""
+    """Describe one kind of message. key: how it is identified on the wire. fields: a line each."""
 
     key: str
     record: Any
@@ -83,14 +83,14 @@ class MessageLayout(NamedTuple):
 
 
 class _Language(NamedTuple):
-    """What a device speaks. about: the module whose description says how messages are framed."""
+    """Describe a device's protocol. about: the module whose docstring describes the framing."""
 
     about: ModuleType
     layouts: Callable[[], Iterable[MessageLayout]]
 
 
 def interface_text(config: Config) -> str:
-    """The ports of a configuration with all that goes in and out; of one without ports, every device that may be at one.
+    """Describe the ports of a configuration with all their messages; without ports, every supported device.
 
     Raises UsageError for ports that cannot be.
     """
@@ -106,7 +106,7 @@ def interface_text(config: Config) -> str:
 
 
 def struct_fields(names: Sequence[str], layout: Struct) -> list[str]:
-    """A line per field of a structure: offset in bytes, type, name."""
+    """Return a line per field of a structure: offset in bytes, type, name."""
     lines: list[str] = []
     at = 0
     order, codes = layout.format[0], re.findall(r"(\d*)([a-zA-Z])", layout.format[1:])
@@ -195,7 +195,7 @@ def _nmea0183(is_of_burst: bool) -> Iterable[MessageLayout]:
 
 
 def _sentence_fields(kind: sentences.Sentence[Any]) -> list[str]:
-    """A line per field: its place behind the address, name."""
+    """Return a line per field: its place behind the address, name."""
     at = 1 + kind.key.count(",")
     names = iter(kind.make._fields)  # type: ignore[attr-defined]  # every record is a named tuple
     fields = []

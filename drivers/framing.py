@@ -1,7 +1,8 @@
-"""From a stream of bytes, however damaged and however cut up, to the messages in it.
+"""Find the messages in a stream of bytes, however damaged and however cut up.
 
-A grammar knows one wire format; a framer looks for its messages. A candidate that is refused costs one byte: the search goes on right
-behind its first byte, because only a message that was proven may be skipped. So after any damage the next intact message is found.
+A grammar describes one wire format; a framer searches for its messages. A candidate that is refused costs one byte: the
+search goes on right behind its first byte, because only a message that was proven may be skipped. So after any damage
+the next intact message is found.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _SLICE_BYTES: Final = 1 << 16  # of what is fed at once, so that a large chunk d
 
 
 class Framed(NamedTuple, Generic[M]):
-    """A message and the bytes [offset, offset + n_bytes) of the stream that it was read from."""
+    """Hold a message and the bytes [offset, offset + n_bytes) of the stream that it was read from."""
 
     message: M
     offset: int
@@ -29,14 +30,16 @@ class Framed(NamedTuple, Generic[M]):
 
 
 class Grammar(Protocol[M_co]):
-    """One wire format. It never raises, whatever the bytes. One instance serves one framer.
+    """Recognise messages of one wire format. It never raises, whatever the bytes. One instance serves one framer.
 
-    What `find` and `read` say depends on the bytes alone. Neither may cost more than a bounded amount of work per byte fed, however many
-    candidates there are and however long the messages that they promise: junk can be nothing but candidates.
+    The results of `find` and `read` depend on the bytes alone. Neither may cost more than a bounded amount of work per
+    byte fed, however many candidates there are and however long the messages that they promise: junk can be nothing but
+    candidates.
 
-    name: prefix of the counters. head_bytes: as many must be there before `find` can see a candidate; 1 or more. max_message_bytes: more
-    are never waited for. proven: a message is told from damage by its own bytes (a checksum). If it is not, one whose end is missing may
-    have swallowed the beginning of the next; unless another follows at once, the search then goes back over its last bytes.
+    name: prefix of the counters. head_bytes: as many must be there before `find` can see a candidate; 1 or more.
+    max_message_bytes: more are never waited for. proven: a message proves itself intact by its own bytes (a checksum).
+    If it does not, one whose end is missing may have swallowed the beginning of the next; unless another follows at
+    once, the search then goes back over its last bytes.
     """
 
     @property
@@ -51,15 +54,18 @@ class Grammar(Protocol[M_co]):
     def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
         """Find the first candidate in buffer[start:] that `read` may take or wait for; -1 if there is none.
 
-        Candidates passed over, which `read` would refuse, are added to `refused`, a number by reason; none may be passed over whose
-        message may be incomplete. What is found may still be refused by `read`; a candidate at `start` needs no look, as it is the next
-        message as a rule.
+        Candidates passed over, which `read` would refuse, are added to `refused`, a number by reason; none may be
+        passed over whose message may be incomplete. What is found may still be refused by `read`; a candidate at
+        `start` needs no look, as it is the next message as a rule.
         """
         ...
 
     def read(self, buffer: bytearray, at: int) -> tuple[M_co, int] | int | str:
-        """The candidate at `at`: the message and its length in bytes; or how many bytes, counted from `at`, must be there to tell; or
-        why it is refused, in one word for a counter."""
+        """Read the candidate at `at`.
+
+        Return the message and its length in bytes; or how many bytes, counted from `at`, are needed to decide; or why
+        it is refused, in one word for a counter.
+        """
         ...
 
     def forget(self, n_bytes: int) -> None:
@@ -68,10 +74,10 @@ class Grammar(Protocol[M_co]):
 
 
 class Framer(Generic[M]):
-    """Messages of one stream. What comes out depends on the bytes alone, not on how they were cut into chunks.
+    """Find the messages of one stream. The result depends on the bytes alone, not on how they were cut into chunks.
 
-    Holds max_message_bytes and one slice of a chunk at most. `counters`: NAME.messages, NAME.bytes_skipped (outside messages), and
-    NAME.refused.REASON.
+    Holds max_message_bytes and one slice of a chunk at most. `counters`: NAME.messages, NAME.bytes_skipped (outside
+    messages), and NAME.refused.REASON.
     """
 
     def __init__(self, grammar: Grammar[M]) -> None:
@@ -86,18 +92,18 @@ class Framer(Generic[M]):
 
     @property
     def held_from(self) -> int:
-        """Stream offset of the first byte that may still become part of a message."""
+        """Return the stream offset of the first byte that may still become part of a message."""
         return self.n_fed - len(self._buffer)
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[Framed[M]]:
-        """The messages that these bytes complete, in order."""
+        """Return the messages that these bytes complete, in order."""
         if len(data) <= _SLICE_BYTES:
             return self._feed(data)
         view = memoryview(data)
         return [framed for start in range(0, len(data), _SLICE_BYTES) for framed in self._feed(view[start : start + _SLICE_BYTES])]
 
     def finish(self) -> list[Framed[M]]:
-        """The stream has ended: what waits for more bytes is refused, and searched for messages in it. Starts anew."""
+        """End the stream: refuse what waits for more bytes, search it for messages, and start anew."""
         found = self._search(final=True)
         self._forget(len(self._buffer))
         self._start, self._needed, self._after_message = 0, 1, False
@@ -148,7 +154,7 @@ class Framer(Generic[M]):
         return found
 
     def _first(self, refused: Refused, *, final: bool) -> int:
-        """Index of the first candidate from `_start` on, or -1 with `_start` and `_needed` set for when more bytes come."""
+        """Return the index of the first candidate, or -1 with `_start` and `_needed` set for more bytes."""
         grammar, buffer, start = self._grammar, self._buffer, self._start
         if len(buffer) - start < grammar.head_bytes and not final:
             self._needed = start + grammar.head_bytes
@@ -164,7 +170,7 @@ class Framer(Generic[M]):
         return at
 
     def _wait_for_head(self) -> None:
-        """No candidate is in the buffer; the next may begin in its last bytes."""
+        """Skip a buffer without a candidate; the next may begin in its last bytes."""
         self._start = max(len(self._buffer) - self._grammar.head_bytes + 1, 0)
         self._needed = self._start + self._grammar.head_bytes
 
@@ -184,7 +190,7 @@ class Framer(Generic[M]):
 
 
 class StampedMessage(NamedTuple, Generic[M]):
-    """A message, when the chunk with its last byte was read, and the bytes on the wire from its first to the end of that chunk."""
+    """Hold a message, when its last chunk was read, and the bytes from its first to the end of that chunk."""
 
     message: M
     received: Stamp
@@ -192,7 +198,7 @@ class StampedMessage(NamedTuple, Generic[M]):
 
 
 class StampedFramer(Generic[M]):
-    """A framer whose messages say when they arrived, even those that were proven only later."""
+    """Find messages and stamp them with their arrival, even those that were proven only later."""
 
     def __init__(self, grammar: Grammar[M]) -> None:
         self._framer = Framer(grammar)
@@ -203,14 +209,14 @@ class StampedFramer(Generic[M]):
         return self._framer.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[StampedMessage[M]]:
-        """The messages that a chunk completes, in order. stamp: when the chunk was read."""
+        """Return the messages that a chunk completes, in order. stamp: when the chunk was read."""
         if not data:
             return []
         self._chunks.append((self._framer.n_fed + len(data), stamp))
         return self._stamped(self._framer.feed(data))
 
     def finish(self) -> list[StampedMessage[M]]:
-        """What the end of the stream leaves to be had."""
+        """Return the messages that the end of the stream completes."""
         return self._stamped(self._framer.finish())
 
     def _stamped(self, found: list[Framed[M]]) -> list[StampedMessage[M]]:

@@ -1,4 +1,4 @@
-"""Two sonar heads on wires of their own, which look to one side each, as one sonar."""
+"""Join two one-sided sonar heads on separate wires into one sonar."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _MAX_WAITING: Final = 8
 
 
 class HeadPairer:
-    """Joins one-sided pings of two heads that were sent within the time in which an echo comes back from the far end of the trace.
+    """Join one-sided pings of two heads that were sent within the echo time of the far end of the trace.
 
-    A ping stays alone if the other head's next is later, or after _MAX_WAITING more from its own head. counters: heads.joined,
-    heads.lone_port, heads.lone_starboard.
+    A ping stays alone if the other head's next is later, or after _MAX_WAITING more from its own head. counters:
+    heads.joined, heads.lone_port, heads.lone_starboard.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class HeadPairer:
         self._waiting: deque[Ping] = deque()  # all of one side
 
     def add(self, ping: Ping) -> list[Ping]:
-        """What became ready by one more ping, in order of time for each head."""
+        """Return the pings that one more ping completes, in order of time for each head."""
         waiting = self._waiting
         if waiting and (waiting[0].port is None) == (ping.port is None):
             waiting.append(ping)
@@ -43,7 +43,7 @@ class HeadPairer:
         return ready
 
     def finish(self) -> list[Ping]:
-        """What still waits for its other half."""
+        """Return the pings that still wait for their other half."""
         ready = [self._alone(ping) for ping in self._waiting]
         self._waiting.clear()
         return ready
@@ -54,7 +54,7 @@ class HeadPairer:
 
 
 def _joined(one: Ping, other: Ping) -> Ping:
-    """One ping at the time of the first, with the number of port's."""
+    """Join two halves into one ping at the time of the first, with the number of port's."""
     port, starboard = (one, other) if one.starboard is None else (other, one)
     time_s = min(one.time_s, other.time_s)
     return structs.replace(port, time_s=time_s, starboard=starboard.starboard)

@@ -1,7 +1,7 @@
-"""Candidates of formats whose refusal a regular expression can see.
+"""Find candidates of formats in which a regular expression can refuse most of them.
 
-A wire can bring nothing but beginnings of messages, a million in a megabyte. Looking at each in Python costs a microsecond; here they are
-passed over and counted by the expression engine, in a few tens of nanoseconds each.
+A wire can bring nothing but beginnings of messages, a million in a megabyte. Looking at each in Python costs a
+microsecond; here they are passed over and counted by the expression engine, in a few tens of nanoseconds each.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from drivers.framing import Refused
 
 
 class MessageCandidates:
-    """Finds candidates that may be messages, and counts the others by the reason why they are none."""
+    """Find candidates that may be messages, and count the others by the reason of their refusal."""
 
     def __init__(self, syncs: tuple[bytes, ...], alive: bytes, dead: bytes, reasons: tuple[str, ...]) -> None:
         """syncs: with one of which every candidate begins.
 
-        alive: pattern of a candidate that is a message or may become one when more bytes come. dead: pattern that matches at every
-        candidate, with one group for each of `reasons`, of which the one that took part counts. Each byte in the first group is a
-        candidate refused for the first reason, so that a run of beginnings is one match.
+        alive: pattern of a candidate that is a message or may become one when more bytes come. dead: pattern that
+        matches at every candidate, with one group for each of `reasons`, of which the one that took part counts. Each
+        byte in the first group is a candidate refused for the first reason, so that a run of beginnings is one match.
         """
         self._syncs: Final = syncs
         self._search_alive: Final = re.compile(alive, re.DOTALL).search
@@ -28,7 +28,7 @@ class MessageCandidates:
         self._reasons: Final = reasons
 
     def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
-        """See `Grammar.find`."""
+        """Find the first candidate that may be a message; see `Grammar.find`."""
         match = self._search_alive(buffer, start)
         if match is None:
             self._count(buffer, start, len(buffer), refused)

@@ -1,6 +1,7 @@
-"""Look at every configured port, for the self-check: is it there, may it be opened, and does what is heard decode?
+"""Check every configured port for the self-check: is it there, may it be opened, and does what is heard decode?
 
-Nothing is sent: a sonar is not made to ping and a vehicle is not spoken to. A port that another program uses is left to it.
+Nothing is sent: a sonar is not made to ping and a vehicle is not spoken to. A port that another program uses is left to
+it.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     ports = read_ports(config)
     yield from (Finding(f"port {notice.place}", "warning", notice.text) for notice in open_to_all(ports))
 
-    async def look() -> list[Finding]:
+    async def check() -> list[Finding]:
         return await asyncio.gather(*(_Listener(port, config.sonar, SystemClock()).finding(listen_s) for port in ports))
 
-    yield from asyncio.run(look())
+    yield from asyncio.run(check())
 
 
 class _Listener:
-    """Listens to one port and judges it."""
+    """Listen to one port and judge it."""
 
     def __init__(self, port: PortSettings, sonar: SonarConfig, clock: Clock) -> None:
         self._port = port
@@ -85,7 +86,7 @@ class _Listener:
 
     @property
     def _is_for_commands(self) -> bool:
-        """Whether a sonar takes commands here and sends its pings elsewhere."""
+        """Return whether a sonar takes commands here and sends its pings elsewhere."""
         return self._port.is_sonar and self._port.unit is None and self._port.name.endswith(".commands")
 
     def _hear(self, data: bytes, stamp: Stamp) -> None:
@@ -142,7 +143,7 @@ class _Listener:
         return f"{text} or of another device known. Check{rate} which device is there"
 
     def _reads_as(self, device: str) -> bool:
-        """Whether what was heard decodes as that of another device."""
+        """Return whether what was heard decodes as messages of another device."""
         is_sonar, is_vehicle = device in SONAR_NAMES, device in VEHICLES
         other = self._port._replace(
             device=device,
@@ -169,7 +170,7 @@ def _messages(stream: PortStream) -> int:
 
 
 def _others(port: PortSettings) -> Iterable[str]:
-    """The other devices that could be at such a link."""
+    """Return the other devices that could be at such a link."""
     if port.is_bus:
         return [name for name, kind in VEHICLES.items() if kind.is_bus and name != port.device]
     vehicles = [name for name, kind in VEHICLES.items() if not kind.is_bus]
@@ -177,17 +178,17 @@ def _others(port: PortSettings) -> Iterable[str]:
 
 
 async def _is_connected(address: TcpAddress) -> bool:
-    """Whether a program on this computer has a connection to a TCP address."""
+    """Return whether a program on this computer has a connection to a TCP address."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)
     except OSError:
-        return False  # opening it says what is wrong
+        return False  # opening it reports what is wrong
     wanted = {(ipaddress.ip_address(str(place[0]).partition("%")[0]), address.port) for *_, place in found}
     return any(remote in wanted for table in _TCP_TABLES for remote in _remotes(table))
 
 
 def _remotes(table: Path) -> Sequence[tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]]:
-    """The far ends of the connections in a table such as /proc/net/tcp."""
+    """Return the far ends of the connections in a table such as /proc/net/tcp."""
     try:
         lines = table.read_text("ascii").splitlines()[1:]
     except OSError:

@@ -1,4 +1,4 @@
-"""From the bytes of all ports to one stream of events: decoding, times, pairing of heads, merging of navigation. It reads no clock."""
+"""Turn the bytes of all ports into one stream of events: decode, time, pair heads, merge navigation. It reads no clock."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from auv_mcm.settings.config import Config
 from drivers.heads import HeadPairer
 from drivers.navigation.merge import NavMerge
 from drivers.navigation.nav_decoder import NavFix
-from drivers.port_stream import PortStream, Told
+from drivers.port_stream import Decoded, PortStream
 from drivers.ports import PULSE, merge_settings, read_ports
 from drivers.utc import UtcReference
-from drivers.vehicle.dialect import Said
+from drivers.vehicle.dialect import VehicleMessage
 
 log = logging.getLogger(__name__)
 Ts = TypeVarTuple("Ts")
@@ -26,11 +26,11 @@ NO_PORT: Final = ""
 
 
 class PortIntake:
-    """Decoders and merging of all ports. What comes out depends on the configuration and on what is fed alone.
+    """Decode and merge all ports. The result depends on the configuration and on what is fed alone.
 
-    Navigation comes out in order of time, a fraction of a second after it was measured; each sonar's pings in order of theirs. Both are
-    in the UTC that this computer, or the unit that gives UTC, had when the bytes came; slewed where it was set by little, with a notice
-    where it stepped.
+    Navigation comes out in order of time, a fraction of a second after it was measured; each sonar's pings in order of
+    theirs. Both are in the UTC of this computer, or of the unit that gives UTC, at the arrival of the bytes; slewed for
+    small corrections, with a notice for a step.
     """
 
     def __init__(self, config: Config) -> None:
@@ -45,7 +45,10 @@ class PortIntake:
 
     @property
     def counters(self) -> Counter[str]:
-        """By dotted name: those of each port behind `port.NAME.`, and nav.*, heads.*, utc.*, intake.failed, intake.unknown_port."""
+        """Return counters by dotted name.
+
+        Those of each port behind `port.NAME.`, and nav.*, heads.*, utc.*, intake.failed, intake.unknown_port.
+        """
         counters = self._own + self._merge.counters + self._utc.counters
         if self._heads is not None:
             counters += self._heads.counters
@@ -54,7 +57,7 @@ class PortIntake:
         return counters
 
     def feed(self, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
-        """Bytes of one port, in the order in which they were read. Empty ones only say how late it is."""
+        """Take bytes of one port, in the order in which they were read. Empty ones only pass the time."""
         events: list[SourceEvent] = [*self._utc.passed(stamp)]
         stamp = Stamp(stamp.mono_ns, self._utc.anchor.utc_ns(stamp.mono_ns))
         if port in self._pulses:
@@ -67,20 +70,20 @@ class PortIntake:
                 events += self._merged(stream.feed(data, stamp))
         return events + self._survived(self._merge.advance, stamp)
 
-    def heard(self, port: str) -> list[Said]:
-        """What the vehicle at this port said in the bytes that were fed to it last."""
+    def heard(self, port: str) -> list[VehicleMessage]:
+        """Return the vehicle's messages in the bytes that were fed to this port last."""
         return self._streams[port].heard
 
     def vehicle_counters(self, port: str) -> Counter[str]:
-        """Those of the vehicle's decoder."""
+        """Return the counters of the vehicle's decoder."""
         return self._streams[port].vehicle_counters
 
     def decode(self, port: str, data: bytes, stamp: Stamp) -> None:
-        """Bytes of a vehicle after `finish`, for `heard` alone."""
+        """Take bytes of a vehicle after `finish`, for `heard` alone."""
         self._streams[port].feed(data, stamp)
 
     def finish(self) -> list[SourceEvent]:
-        """No bytes follow that count."""
+        """End the stream: no bytes that count follow."""
         events: list[SourceEvent] = []
         for stream in self._streams.values():
             events += self._merged(stream.finish())
@@ -88,11 +91,11 @@ class PortIntake:
             events += self._heads.finish()
         return events + self._survived(self._merge.finish)
 
-    def _merged(self, told: list[Told]) -> list[SourceEvent]:
+    def _merged(self, decoded: list[Decoded]) -> list[SourceEvent]:
         events: list[SourceEvent] = []
-        for item in told:
+        for item in decoded:
             if isinstance(item, NavFix):
-                events += self._utc.told(item)
+                events += self._utc.take_fix(item)
                 events += self._survived(self._merge.feed, item)
             elif isinstance(item, Ping) and self._heads is not None:
                 events += self._heads.add(item)
@@ -101,7 +104,7 @@ class PortIntake:
         return events
 
     def _survived(self, work: Callable[[*Ts], Sequence[SourceEvent]], *given: *Ts) -> list[SourceEvent]:
-        """What merging says; if it fails, which is a defect, what it was given is lost, and that is counted and told."""
+        """Return the events of merging; if it fails, which is a defect, count and report the loss of its input."""
         try:
             return [*work(*given)]
         except Exception as error:

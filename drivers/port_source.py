@@ -1,6 +1,6 @@
 """Listen to every port, request pings, and record both ways, until stopped: the live source.
 
-What the bytes say is `PortIntake`'s affair; here is only what needs an event loop.
+`PortIntake` decodes the bytes; here is only what needs an event loop.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from drivers.links.open_link import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can
 from drivers.ports import PortSettings, open_to_all, read_ports
-from drivers.vehicle.dialect import Said
+from drivers.vehicle.dialect import VehicleMessage
 from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.port_pilot import PortPilot
 from drivers.vehicle.vehicles import talker_of
@@ -45,14 +45,14 @@ _LAST_TURNS: Final = 50  # 0.5 s of decoding at the end
 
 
 def open_link(port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: Clock) -> Link[bytes] | Link[CanFrame]:
-    """The link of a port; of a bus, each frame comes packed into bytes."""
+    """Make the link of a port; frames of a bus arrive packed into bytes."""
     if port.is_bus:
         return can_link(port.address, lambda frame, stamp: on_bytes(pack_can(frame), stamp), on_state, clock)
     return byte_link(port.address, on_bytes, on_state, clock)
 
 
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> PortSource:
-    """The ports of the configuration. Raises UsageError for ports that cannot be, or if there are none."""
+    """Make the source of the configured ports. Raises UsageError for ports that cannot be, or if there are none."""
     if uri.path or uri.options:
         raise UsageError(f"service.source '{uri.text}': what the ports are stands in the section 'ports'; write source: ports")
     if not config.ports:
@@ -61,14 +61,15 @@ def open_source(uri: SourceUri, config: Config, clock: Clock) -> PortSource:
 
 
 class PortSource:
-    """The ports as a source of the service, which cannot make devices wait. Whatever a wire or device does, it goes on.
+    """Serve the ports as the live source, which cannot make devices wait. It goes on whatever a wire or device does.
 
-    What comes is recorded at once and decoded in the order in which it came, a bounded part in each turn of the event loop (`Backlog`).
-    Its events go straight into the service's queue; nothing waits here.
+    What comes is recorded at once and decoded in the order in which it came, a bounded part in each turn of the event
+    loop (`Backlog`). Its events go straight into the service's queue; nothing waits here.
 
-    counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent, port.NAME.commands_refused (by the wire),
-    port.NAME.state_changes, port.NAME.failed (a link that ended, which is a defect), port.NAME.bytes_undecoded (that found no room in a
-    flood). Of the vehicle's port, port.NAME.messages_sent and .messages_refused, and those of `PortPilot` and of the vehicle's decoder.
+    counters: those of `PortIntake`, of each link behind `port.NAME.`, port.NAME.commands_sent,
+    port.NAME.commands_refused (by the wire), port.NAME.state_changes, port.NAME.failed (a link that ended, which is a
+    defect), port.NAME.bytes_undecoded (that found no room in a flood). Of the vehicle's port, port.NAME.messages_sent
+    and .messages_refused, and those of `PortPilot` and of the vehicle's decoder.
     """
 
     lossless = False
@@ -92,16 +93,16 @@ class PortSource:
         self._push: Callable[[SourceEvent], None] = self._early.append
 
     def record_with(self, record: Record) -> None:
-        """Hand every byte to `record`, both ways, from now on."""
+        """Hand every byte to `record`, both ways, from here on."""
         self._record = record
 
     def stop(self) -> None:
-        """Close all ports; `run` gives what was still held back, and returns."""
+        """Close all ports; `run` then delivers what was still held back, and returns."""
         self._stopped.set()
 
     @property
     def vehicle(self) -> PortPilot | None:
-        """The vehicle's end, if one of the ports leads to it."""
+        """Return the vehicle's port, if there is one."""
         return None if self._vehicle_port is None else self._vehicle_port.vehicle
 
     async def serve_vehicle(self) -> None:
@@ -148,7 +149,7 @@ class PortSource:
             self._ended = True
 
     def take(self, port: str, data: bytes, stamp: Stamp) -> None:
-        """Bytes of a port, or none: a tick."""
+        """Take bytes of a port, or none: a tick."""
         if self._record is not None:
             self._record(port, "in", stamp, data)
         if not self._backlog.add(Chunk(port, data, stamp)) and self._backlog.n_refused[port] == len(data):
@@ -182,7 +183,7 @@ class PortSource:
             served.hear(self._intake.heard(chunk.port), chunk.stamp)
 
     def _decode_rest(self) -> None:
-        """What waits at the end, as far as there is time for it; the rest is counted."""
+        """Decode what waits at the end, as far as there is time for it; count the rest."""
         for _ in range(_LAST_TURNS):
             self._backlog.begin_turn()
             if not self._backlog.work(self._decode):
@@ -190,7 +191,7 @@ class PortSource:
         self._backlog.give_up()
 
     def sent(self, port: str, data: bytes) -> None:
-        """Bytes went out to a port."""
+        """Record bytes that went out to a port."""
         if self._record is not None:
             self._record(port, "out", self._now(), data)
 
@@ -198,7 +199,7 @@ class PortSource:
         self._put([notice])
 
     async def _tick(self) -> None:
-        """Say how late it is, for units that went silent are missed by the clock alone."""
+        """Feed a tick of the clock, since only the clock shows that a unit went silent."""
         while True:
             await asyncio.sleep(_TICK_S)
             self.take(NO_PORT, b"", self._now())
@@ -225,7 +226,7 @@ async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
 
 
 class _ServedPort:
-    """One port while the source runs: keep its link up, set its sonar, talk to its vehicle, and report its states to a person."""
+    """Serve one port: keep its link up, set its sonar, talk to its vehicle, and report its states to a person."""
 
     def __init__(self, port: PortSettings, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
         self.name = port.name
@@ -255,20 +256,20 @@ class _ServedPort:
         return Counter({f"port.{self.name}.{key}": count for key, count in counted.items()})
 
     def jobs(self) -> list[Coroutine[Any, Any, None]]:
-        """What has to run for this port."""
+        """Return the jobs of this port."""
         if self.vehicle is not None:
             return [self._keep_link(), self.vehicle.keep_talking()]
         if not self._port.commands:
             return [self._keep_link()]
         return [self._keep_link(), self._wake() if self._port.ask_every_s is None else self._ask()]
 
-    def hear(self, said: list[Said], stamp: Stamp) -> None:
-        """Hand on what the vehicle said, unless the wire on which it came has been lost since: a grant ends with its connection."""
+    def hear(self, messages: list[VehicleMessage], stamp: Stamp) -> None:
+        """Hand on the vehicle's messages, unless their wire has been lost since: a grant ends with its connection."""
         if self.vehicle is not None and stamp.mono_ns >= self._changed_ns:
-            self.vehicle.hear(said, stamp)
+            self.vehicle.hear(messages, stamp)
 
     async def _keep_link(self) -> None:
-        """A link ends only by a defect; then there is another."""
+        """Run the link; it ends only by a defect, and is then replaced."""
         while True:
             try:
                 await self._link.run()
@@ -283,7 +284,7 @@ class _ServedPort:
             await asyncio.sleep(_RESTART_S)
 
     async def _ask(self) -> None:
-        """Ping after ping of a sonar that has to be asked."""
+        """Request ping after ping of a sonar that needs a request for each."""
         assert self._port.ask_every_s is not None
         due_s = self._clock.monotonic_s()
         while True:

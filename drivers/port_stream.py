@@ -1,4 +1,4 @@
-"""From the bytes of one port to pings and fixes. It reads no clock: live and replayed bytes take the same way with the same result."""
+"""Decode the bytes of one port to pings and fixes. It reads no clock: live and replayed bytes give the same result."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from drivers.ports import PortSettings
 from drivers.reading_watch import ReadingWatch
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply
 from drivers.sonar.sonars import sonar_named
-from drivers.vehicle.dialect import Said
+from drivers.vehicle.dialect import VehicleMessage
 from drivers.vehicle.vehicles import VehicleSettings, decoder_of
 
 log = logging.getLogger(__name__)
 
-Told: TypeAlias = Ping | NavFix | Notice
+Decoded: TypeAlias = Ping | NavFix | Notice
 _EXTENDED: Final = 1 << 31
 _ID_BYTES: Final = 4
 _MAX_WORDS: Final = 200  # characters of a device's own words in a notice
@@ -33,12 +33,12 @@ _SPOKEN: Final = {"pixse": "nmea0183"}  # bursts of an inertial unit are sentenc
 
 
 def pack_can(frame: CanFrame) -> bytes:
-    """A CAN frame as the bytes that a session records: identifier, big-endian, with bit 31 set if it is extended; then the data."""
+    """Pack a CAN frame for a session: identifier, big-endian, with bit 31 set if it is extended; then the data."""
     return (frame.can_id | _EXTENDED * frame.extended).to_bytes(_ID_BYTES, "big") + frame.data
 
 
 def unpack_can(data: bytes) -> CanFrame | None:
-    """The frame that `pack_can` packed, None for what is none."""
+    """Unpack a frame that `pack_can` packed; return None for other bytes."""
     if len(data) < _ID_BYTES:
         return None
     can_id = int.from_bytes(data[:_ID_BYTES], "big")
@@ -50,12 +50,12 @@ class _Reader(Protocol):
     def counters(self) -> Counter[str]: ...
 
     def n_messages(self) -> int:
-        """Those among the counters; asked for with every chunk while nothing can be read."""
+        """Return the counters of messages; called with every chunk while nothing can be read."""
         ...
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Told]: ...
+    def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]: ...
 
-    def finish(self) -> list[Told]: ...
+    def finish(self) -> list[Decoded]: ...
 
 
 def _messages_in(counters: Counter[str]) -> int:
@@ -63,8 +63,9 @@ def _messages_in(counters: Counter[str]) -> int:
 
 
 class PortStream:
-    """One port's bytes to pings and fixes. Never raises: a decoder that does has a defect, which is counted, told, and survived by
-    starting it anew.
+    """Decode one port's bytes to pings and fixes.
+
+    Never raises: a decoder that raises has a defect, which is counted and reported, and the decoder is started anew.
 
     counters: those of the device's decoder and clock, sonar.accepted, sonar.refused, sonar.second_side, decoder.failed.
     """
@@ -83,26 +84,26 @@ class PortStream:
         return self._before + self._reader.counters
 
     @property
-    def heard(self) -> list[Said]:
-        """What the vehicle said in what was fed last; nothing from other devices."""
+    def heard(self) -> list[VehicleMessage]:
+        """Return the vehicle's messages in what was fed last; empty for other devices."""
         return self._reader.heard if isinstance(self._reader, _VehicleReader) else []
 
     @property
     def vehicle_counters(self) -> Counter[str]:
-        """All of the vehicle's decoder."""
+        """Return all counters of the vehicle's decoder."""
         return self._vehicle_before + (self._reader.decoder.counters if isinstance(self._reader, _VehicleReader) else Counter())
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
-        """What a chunk completes, in order. stamp: when its last byte was read."""
+    def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
+        """Return the events that a chunk completes, in order. stamp: when its last byte was read."""
         try:
-            told = self._reader.feed(data, stamp)
+            decoded = self._reader.feed(data, stamp)
         except Exception as error:
-            told = self._survive(error)
+            decoded = self._survive(error)
         notice = None if self._watch is None else self._watch.heard(len(data), stamp.mono_ns, self._n_messages)
-        return told if notice is None else [*told, notice]
+        return decoded if notice is None else [*decoded, notice]
 
-    def finish(self) -> list[Told]:
-        """What waits for more, at the end of a session."""
+    def finish(self) -> list[Decoded]:
+        """Return the events that the end of a session completes."""
         try:
             return self._reader.finish()
         except Exception as error:
@@ -121,7 +122,7 @@ class PortStream:
             return _BusReader(port.name)
         return _UnitReader(port)
 
-    def _survive(self, error: Exception) -> list[Told]:
+    def _survive(self, error: Exception) -> list[Decoded]:
         self._before, self._vehicle_before = self.counters, self.vehicle_counters
         self._before["decoder.failed"] += 1
         self._reader = self._new_reader()
@@ -146,15 +147,15 @@ class _UnitReader:
     def n_messages(self) -> int:
         return _messages_in(self._decoder.counters)
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+    def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
         return [*self._decoder.feed(data, stamp)]
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[Decoded]:
         return [*self._decoder.finish()]
 
 
 class _BusReader:
-    """Each chunk is one packed frame."""
+    """Decode a bus; each chunk is one packed frame."""
 
     def __init__(self, name: str) -> None:
         self._bus = N2kBus(name)
@@ -167,43 +168,46 @@ class _BusReader:
     def n_messages(self) -> int:
         return _messages_in(self._bus.counters)
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+    def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
         frame = unpack_can(data)
         if frame is None or not frame.extended:
             self._own["n2k.not_extended"] += 1
             return []
         return [*self._bus.feed(frame.can_id, frame.data, stamp)]
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[Decoded]:
         return []
 
 
 class _VehicleReader:
-    """Where the vehicle says it is, if that is wanted, and on a bus what units say there. A talker takes what else it says from `heard`."""
+    """Decode the vehicle's position, if it is wanted, and the units on its bus.
+
+    A talker takes other messages from `heard`.
+    """
 
     def __init__(self, port: PortSettings, settings: VehicleSettings) -> None:
         self._port = port
         self.decoder = decoder_of(port.device, settings, port.name)
-        self.heard: list[Said] = []
+        self.heard: list[VehicleMessage] = []
 
     @property
     def counters(self) -> Counter[str]:
-        """Messages and what a bus brings; what else there is to count is counted once, with what the pilot counts."""
-        told = Counter({key: count for key, count in self.decoder.counters.items() if key.endswith(".messages")})
-        return told + self.decoder.bus_counters
+        """Return the counters of messages and of a bus; the others are counted once, with those of the pilot."""
+        messages = Counter({key: count for key, count in self.decoder.counters.items() if key.endswith(".messages")})
+        return messages + self.decoder.bus_counters
 
     def n_messages(self) -> int:
         return _messages_in(self.decoder.counters) + _messages_in(self.decoder.bus_counters)
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
+    def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
         self.heard = []
         item = unpack_can(data) if self._port.is_bus else data
         if item is None:
             return []
         self.heard = self.decoder.feed(item, stamp)
-        return [] if self._port.unit is None else [fix for said in self.heard for fix in said.fixes]
+        return [] if self._port.unit is None else [fix for message in self.heard for fix in message.fixes]
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[Decoded]:
         self.heard = []
         return []
 
@@ -224,22 +228,22 @@ class _SonarReader:
     def n_messages(self) -> int:
         return _messages_in(self._decoder.counters)
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Told]:
-        return self._told(self._decoder.feed(data, stamp))
+    def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
+        return self._decoded(self._decoder.feed(data, stamp))
 
-    def finish(self) -> list[Told]:
-        return self._told(self._decoder.finish())
+    def finish(self) -> list[Decoded]:
+        return self._decoded(self._decoder.finish())
 
-    def _told(self, items: list[SonarFrame | SonarReply]) -> list[Told]:
-        told: list[Told] = []
+    def _decoded(self, items: list[SonarFrame | SonarReply]) -> list[Decoded]:
+        decoded: list[Decoded] = []
         for item in items:
             if isinstance(item, SonarFrame):
-                told += self._of_frame(item)
+                decoded += self._of_frame(item)
             else:
-                told += self._of_reply(item)
-        return told
+                decoded += self._of_reply(item)
+        return decoded
 
-    def _of_reply(self, reply: SonarReply) -> list[Told]:
+    def _of_reply(self, reply: SonarReply) -> list[Decoded]:
         self._own["sonar.accepted" if reply.accepted else "sonar.refused"] += 1
         if reply.accepted or self._own["sonar.refused"] > 1:
             return []
@@ -247,19 +251,19 @@ class _SonarReader:
         text = f"the sonar at port '{self._port.name}' refused command {reply.request}{words}"
         return [Notice(code="sonar_refused", text=f"{text}. It pings as it was set before. More are counted.", place=self._port.name)]
 
-    def _of_frame(self, frame: SonarFrame) -> list[Told]:
+    def _of_frame(self, frame: SonarFrame) -> list[Decoded]:
         name = self._port.name
         traces = [trace for trace in (frame.port, frame.starboard) if trace is not None]
         far_m: float = max(trace.first_range_m + trace.spacing_m * (trace.samples.shape[0] - 0.5) for trace in traces)
         echo_s = 2.0 * far_m / frame.sound_speed_mps
         delay_s = wire_delay_s(frame.n_bytes, self._port.baud) + echo_s
         time = self._clock.time(frame.device_time_s, frame.received, delay_s=delay_s, number=frame.number)
-        told: list[Told] = [] if time.notice is None else [time.notice]
+        decoded: list[Decoded] = [] if time.notice is None else [time.notice]
         if frame.navigation is not None and self._port.unit is not None:
-            told.append(_fix(name, frame, frame.navigation, echo_s))
+            decoded.append(_fix(name, frame, frame.navigation, echo_s))
         sound_speed_mps = self._sonar.sound_speed_mps or frame.sound_speed_mps
         port, starboard = (_rescaled(trace, sound_speed_mps / frame.sound_speed_mps) for trace in self._sides(frame))
-        told.append(
+        decoded.append(
             Ping(
                 number=frame.number,
                 time_s=time.utc_ns * 1e-9,
@@ -271,10 +275,10 @@ class _SonarReader:
                 transfer=frame.transfer,
             )
         )
-        return told
+        return decoded
 
     def _sides(self, frame: SonarFrame) -> tuple[EchoTrace | None, EchoTrace | None]:
-        """Port and starboard as the head is mounted."""
+        """Return port and starboard as the head is mounted."""
         match self._port.sides:
             case "as_told":
                 return frame.port, frame.starboard
@@ -292,20 +296,23 @@ def _rescaled(trace: EchoTrace | None, factor: float) -> EchoTrace | None:
     return structs.replace(trace, first_range_m=factor * trace.first_range_m, spacing_m=factor * trace.spacing_m)
 
 
-def _fix(source: str, frame: SonarFrame, told: NavSample, echo_s: float) -> NavFix:
-    """The navigation of a sonar's message, which is that of the transmission: its echoes took echo_s to come back."""
+def _fix(source: str, frame: SonarFrame, navigation: NavSample, echo_s: float) -> NavFix:
+    """Make a fix of the navigation in a sonar's message.
+
+    It holds at the transmission; the echoes took echo_s to return.
+    """
     return NavFix(
         source=source,
         received=frame.received,
         n_bytes=frame.n_bytes,
         time_utc_s=frame.device_time_s if frame.device_time_is_utc else None,
         age_s=echo_s,
-        latitude_deg=told.latitude_deg,
-        longitude_deg=told.longitude_deg,
-        heading_rad=told.heading_rad,
-        pitch_rad=told.pitch_rad,
-        roll_rad=told.roll_rad,
-        depth_m=told.depth_m,
-        altitude_m=told.altitude_m if told.altitude_m > 0.0 else NAN,
-        speed_mps=told.speed_mps,
+        latitude_deg=navigation.latitude_deg,
+        longitude_deg=navigation.longitude_deg,
+        heading_rad=navigation.heading_rad,
+        pitch_rad=navigation.pitch_rad,
+        roll_rad=navigation.roll_rad,
+        depth_m=navigation.depth_m,
+        altitude_m=navigation.altitude_m if navigation.altitude_m > 0.0 else NAN,
+        speed_mps=navigation.speed_mps,
     )

@@ -1,4 +1,4 @@
-"""What the `ports:` of a configuration come to, checked before anything is opened: addresses, commands, mounting of units."""
+"""Check the `ports:` of a configuration before anything is opened: addresses, commands, mounting of units."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from drivers.vehicle.guard import Guard
 from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, vehicle_settings_of
 
 PULSE: Final = "pulse"
-"""The device of a port that only says when a second begins."""
+"""Device of a port that only marks when a second begins."""
 
 _BUS_DEVICES: Final = {CAN_PROTOCOL, *(name for name, vehicle in VEHICLES.items() if vehicle.is_bus)}
 
 
 class PortSettings(NamedTuple):
-    """One wire and the device at its end.
+    """Describe one wire and the device at its end.
 
-    baud: of a serial line, None where bytes take no time. sides: what a sonar looks to. commands: what to send so that it pings as
-    configured; ask_every_s: and how often, None for once. unit: how the navigation from here is mounted, None if none is used.
-    vehicle: the settings of a vehicle's dialect, None for what is no vehicle.
+    baud: of a serial line, None where bytes take no time. sides: what a sonar looks to. commands: what to send so that
+    it pings as configured; ask_every_s: and how often, None for once. unit: how the navigation from here is mounted,
+    None if none is used. vehicle: the settings of a vehicle's dialect, None for what is no vehicle.
     """
 
     name: str
@@ -47,21 +47,22 @@ class PortSettings(NamedTuple):
 
     @property
     def is_bus(self) -> bool:
-        """Whether CAN frames come from it instead of bytes."""
+        """Return whether it carries CAN frames instead of bytes."""
         return isinstance(self.address, CanAddress | SlcanAddress)
 
 
 def read_ports(config: Config) -> tuple[PortSettings, ...]:
-    """The ports of a configuration; a wire for commands is a port NAME.commands of its own, and one for pulses a port NAME.pulse.
+    """List the ports of a configuration; wires for commands are ports NAME.commands, for pulses NAME.pulse.
 
-    Raises UsageError, with the key's path, for a link or setting that its device cannot have, and for a fence that is no area.
+    Raises UsageError, with the key's path, for a link or setting that its device cannot have, and for a fence that is
+    no area.
     """
     Guard(config.vehicle)
     return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]", config.sonar))
 
 
 def open_to_all(ports: Iterable[PortSettings]) -> list[Notice]:
-    """Report the UDP ports that hear every sender, since no `peer` is named: none of the protocols says who speaks."""
+    """Report the UDP ports without a `peer`, which hear every sender: no protocol identifies the sender."""
     notices = []
     for port in ports:
         if isinstance(port.address, UdpAddress) and not port.address.peer_host:
@@ -76,7 +77,7 @@ def open_to_all(ports: Iterable[PortSettings]) -> list[Notice]:
 
 
 def merge_settings(config: Config, ports: tuple[PortSettings, ...]) -> NavMergeSettings:
-    """How the navigation of all ports becomes one track."""
+    """Return how the navigation of all ports becomes one track."""
     return NavMergeSettings(
         units={port.name: port.unit for port in ports if port.unit is not None},
         max_speed_mps=config.navigation.max_speed_mps,
@@ -123,12 +124,12 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
 def _pulse(unit: PortSettings, link: str, key: str) -> PortSettings:
     address = parse_link_uri(link, key)
     if not isinstance(address, PulseAddress):
-        raise UsageError(f"{key} '{link}': that is no source of pulses; give it a pps:// link, e.g. pps:///dev/pps0")
+        raise UsageError(f"{key} '{link}': that is not a source of pulses; give it a pps:// link, e.g. pps:///dev/pps0")
     return unit._replace(name=f"{unit.name}.{PULSE}", device=PULSE, address=address, baud=None, unit=None)
 
 
 def _address(link: str, key: str, device: str) -> LinkAddress:
-    """Of a link that carries what the device speaks."""
+    """Parse the address of a link that carries what the device speaks."""
     address = parse_link_uri(link, key)
     is_bus = isinstance(address, CanAddress | SlcanAddress)
     if is_bus != (device in _BUS_DEVICES) or isinstance(address, PulseAddress):
@@ -142,11 +143,11 @@ def _baud(address: LinkAddress) -> int | None:
 
 
 def _commands(port: PortConfig, sonar: SonarPortConfig, key: str, subsystem: int | None) -> tuple[tuple[bytes, ...], bool]:
-    """What to send, and whether for each ping anew."""
+    """Return the commands to send, and whether to send them for each ping."""
     device = sonar_named(port.device)
     if sonar.range_m is None:
         if device.asked_per_ping:
-            raise UsageError(f"{key}.sonar.range_m is empty, but a '{port.device}' pings only when it is told a range: give one")
+            raise UsageError(f"{key}.sonar.range_m is empty, but a '{port.device}' pings only after it has been given a range: set one")
         return (), False
     settings = SonarSettings(
         range_m=sonar.range_m,

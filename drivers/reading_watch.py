@@ -1,4 +1,7 @@
-"""Whether what comes from a port can be read at all. It reads no clock: recorded bytes are told of as live ones were."""
+"""Watch whether a port's bytes can be read at all.
+
+It reads no clock: recorded bytes raise the same notices as live ones.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,16 @@ from typing import Final
 
 from auv_mcm.records import Notice
 
-_LOOK_NS: Final = 2_000_000_000
-_LOOK_BYTES: Final = 256  # fewer may be one message and its remains
+_CHECK_NS: Final = 2_000_000_000
+_CHECK_BYTES: Final = 256  # fewer may be one message and its remains
 _MAX_NOTICES: Final = 20
 
 
 class ReadingWatch:
-    """Tells when bytes come for a while and make not one message, as at a wrong rate or with another device, and when messages come again.
+    """Raise a notice when bytes give no message, as at a wrong rate, and when messages return.
 
-    Between two looks are 2 s and 256 bytes at least. Garbage between messages, however much, and damage that lets one message through
-    are none of its business.
+    Between two checks are at least 2 s and 256 bytes. Garbage between messages, however much, and damage that lets one
+    message through raise nothing.
     """
 
     def __init__(self, port: str, device: str, place: str, baud: int | None) -> None:
@@ -26,24 +29,27 @@ class ReadingWatch:
         self._n_bytes = 0
         self._n_messages = 0
         self._is_readable = True
-        self._n_told = 0
+        self._n_notices = 0
 
     def heard(self, n_bytes: int, mono_ns: int, count_messages: Callable[[], int]) -> Notice | None:
-        """After a chunk was decoded; mono_ns: when it was read. count_messages: how many were found so far; not asked for each chunk."""
+        """Check after a chunk was decoded.
+
+        mono_ns: when it was read. count_messages: messages so far; not called each time.
+        """
         if self._began_ns is None:
             self._began_ns = mono_ns
         self._n_bytes += n_bytes
         elapsed_ns = mono_ns - self._began_ns
-        if self._is_readable and (elapsed_ns < _LOOK_NS or self._n_bytes < _LOOK_BYTES):
+        if self._is_readable and (elapsed_ns < _CHECK_NS or self._n_bytes < _CHECK_BYTES):
             return None
         before, self._n_messages = self._n_messages, count_messages()
         heard_bytes, was_readable = self._n_bytes, self._is_readable
         self._is_readable = self._n_messages > before
         self._began_ns, self._n_bytes = None, 0
-        if self._is_readable == was_readable or self._n_told >= _MAX_NOTICES:
+        if self._is_readable == was_readable or self._n_notices >= _MAX_NOTICES:
             return None
-        self._n_told += 1
-        last = " More changes of this port are not told." if self._n_told == _MAX_NOTICES else ""
+        self._n_notices += 1
+        last = " Further changes of this port are not reported." if self._n_notices == _MAX_NOTICES else ""
         if self._is_readable:
             return Notice(code="port_readable", text=f"port '{self._port}' is read again: messages come.{last}", place=self._port)
         rate = "" if self._baud is None else f"that both ends are set to the same rate, here {self._baud} baud, "

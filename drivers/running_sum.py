@@ -1,4 +1,4 @@
-"""Sum of any stretch of a stream's bytes at a cost that does not depend on its length."""
+"""Sum any stretch of a stream's bytes at a cost that does not depend on its length."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 
 class RunningSum:
-    """Sums, modulo 65536, of the bytes of a buffer of which bytes are dropped in front and added behind."""
+    """Keep sums, modulo 65536, of the bytes of a buffer that drops bytes in front and takes bytes behind."""
 
     def __init__(self) -> None:
         self._values = array("H", (0,))
 
     def values(self, buffer: bytearray) -> array[int]:
-        """The running sum before each byte of the buffer and behind the last; what it starts from is arbitrary."""
+        """Return the running sum before each byte of the buffer and behind the last; its start value is arbitrary."""
         done = len(self._values) - 1
         if done < len(buffer):
             added = np.frombuffer(buffer, np.uint8, offset=done).astype(np.uint16)
@@ -23,7 +23,7 @@ class RunningSum:
         return self._values
 
     def forget(self, n_bytes: int) -> None:
-        """The buffer has lost its first bytes."""
+        """Drop the first bytes, as the buffer did."""
         if n_bytes < len(self._values):
             del self._values[:n_bytes]
         else:

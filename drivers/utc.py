@@ -1,4 +1,4 @@
-"""Whose UTC is put on everything: this computer's, or that of one unit's ZDA, with or without a pulse per second. It reads no clock."""
+"""Choose the source of UTC: this computer, or one unit's ZDA, with or without a pulse per second. It reads no clock."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _AGREE_NS: Final = 200_000_000  # units send a sentence as late as that
 
 
 class UtcReference:
-    """Keeps an anchor of UTC, which all ports share, on what the unit that gives UTC says; on this computer's own until it says something.
+    """Keep the anchor of UTC that all ports share on the unit that gives UTC; on this computer's own until it reports.
 
-    A reading counts if it agrees with the last one that did, or with the one just before. If the unit falls silent, UTC goes on from its
-    last reading by the monotonic clock, which a crystal keeps within 0.1 ms per second: this computer's own may never have been set. Both
-    are told.
+    A reading counts if it agrees with the last one that did, or with the one just before. If the unit falls silent, UTC
+    goes on from its last reading by the monotonic clock, which a crystal keeps within 0.1 ms per second: this
+    computer's own may never have been set. Both raise a notice.
 
     counters: utc.readings, utc.refused (in disagreement), utc.pulse.* of `PulseLabels`, utc.clock.* of `DeviceClock`.
     """
@@ -49,7 +49,7 @@ class UtcReference:
         return Counter({f"utc.{name}": count for name, count in (self._own + self._labels.counters + self._clock.counters).items()})
 
     def passed(self, stamp: Stamp) -> list[Notice]:
-        """Time has passed; called for every chunk before it is decoded. stamp: by this computer's own clocks."""
+        """Take the passing of time; called for every chunk before it is decoded. stamp: by this computer's own clocks."""
         notices: list[Notice | None] = []
         if not self._is_taken:
             notices.append(self.anchor.follow(host_offset_ns(stamp), stamp.mono_ns))
@@ -62,14 +62,14 @@ class UtcReference:
         return [notice for notice in notices if notice is not None]
 
     def pulse(self, data: bytes) -> None:
-        """An edge, as its port gave it."""
+        """Take an edge, as its port delivered it."""
         mono_ns = unpack_edge(data)
         if mono_ns is not None:
             self._labels.pulse(mono_ns)
 
-    def told(self, fix: NavFix) -> list[Notice]:
-        """What a unit said; of what the one that gives UTC says, the time."""
-        if self._unit is None or fix.source != self._unit.name or not fix.tells_utc or fix.time_utc_s is None:
+    def take_fix(self, fix: NavFix) -> list[Notice]:
+        """Take a unit's fix; use its time if the unit gives UTC."""
+        if self._unit is None or fix.source != self._unit.name or not fix.is_time_message or fix.time_utc_s is None:
             return []
         if not self._agrees(round(fix.time_utc_s * 1e9) - fix.received.mono_ns):
             self._own["refused"] += 1

@@ -1,1 +1,1 @@
-"""The wires: serial ports, CAN buses, UDP and TCP, all of one shape, that outlive unplugged cables and devices without power."""
+"""Connect serial ports, CAN buses, UDP and TCP behind one interface that outlives unplugged cables."""

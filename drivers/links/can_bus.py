@@ -1,4 +1,4 @@
-"""CAN buses that python-can opens: SocketCAN, and its virtual bus for unit tests."""
+"""Open CAN buses with python-can: SocketCAN, and its virtual bus for unit tests."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _ERROR_BUS_OFF: Final = 0x40  # in the identifier of an error frame, linux/can/e
 
 
 class CanBusPort:
-    """A Port of CAN frames on a bus of python-can.
+    """Carry CAN frames on a bus of python-can.
 
-    Its adapters raise all kinds of exceptions, and its notifiers swallow them; here any of them means that the bus is gone, and says so.
-    counters: can.frames, can.sent, can.send_failed, can.error_frames, can.remote (frames without data, left out).
+    Its adapters raise all kinds of exceptions, and its notifiers swallow them; here any of them reports the bus as
+    lost. counters: can.frames, can.sent, can.send_failed, can.error_frames, can.remote (frames without data, dropped).
     """
 
     def __init__(self, bus: Any, place: str, counters: Counter[str]) -> None:
@@ -66,7 +66,7 @@ class CanBusPort:
 
         try:
             self._bus.send(can.Message(arbitration_id=item.can_id, data=item.data, is_extended_id=item.extended, check=True), timeout=0)
-        except Exception:  # a full queue, most of all; a bus that is gone shows when it is read
+        except Exception:  # usually a full queue; a lost bus shows when it is read
             self._counters["can.send_failed"] += 1
             return False
         self._counters["can.sent"] += 1

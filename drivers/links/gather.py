@@ -1,6 +1,7 @@
-"""How long bytes may gather in the kernel's buffer before they are read: a wake-up costs the same for one byte as for a thousand.
+"""Choose how long bytes may gather in the kernel's buffer: a wake-up costs the same for one byte as for a thousand.
 
-At 921600 baud an adapter that hands on 64 bytes at a time would wake its reader 1440 times a second, at a cost of 50 us and more each.
+At 921600 baud an adapter that hands on 64 bytes at a time would wake its reader 1440 times a second, at a cost of 50 us
+and more each.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 GATHER_S: Final = 0.002
-"""At most; arrival stamps are late by no more than this."""
+"""Maximum time of gathering; arrival stamps are late by no more than this."""
 
 PLENTY_BYTES: Final = 1024
 """A read of as many was worth it: the wire is fast, or the reader late, and neither may wait. The kernel holds 4096 of a serial line."""
@@ -18,5 +19,5 @@ _BITS_PER_BYTE: Final = 10
 
 
 def gather_s(baud: int) -> float:
-    """For a serial line of this rate."""
+    """Return the time of gathering, in seconds, for a serial line of this rate."""
     return min(GATHER_S, _GATHER_BYTES * _BITS_PER_BYTE / baud)

@@ -1,4 +1,4 @@
-"""What all links share: they open, listen, say how they are, and open again for ever."""
+"""Open links, listen, report their state, and open them again for ever."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ T = TypeVar("T")
 FIRST_RETRY_S: Final = 0.1
 LONGEST_RETRY_S: Final = 2.0
 _POLL_S: Final = 0.005  # ports that nothing can wait for
-_RETURN_POLL_S: Final = 0.02  # a look at whether a path is there costs microseconds
-_LOOKS_PER_SILENCE: Final = 4
+_RETURN_POLL_S: Final = 0.02  # checking whether a path exists costs microseconds
+_CHECKS_PER_SILENCE: Final = 4
 
 
 class Wire(Protocol[T]):
-    """An open wire that carries T: bytes or CAN frames. Nothing here blocks; what fails raises HardwareError and nothing else.
+    """Carry T, bytes or CAN frames, on an open wire.
 
-    note: what a person should know of how it opened, "" for nothing. pause_s: after a read that brought something, how long to let more
-    come before the next one; 0: not at all.
+    Nothing here blocks; failures raise HardwareError and nothing else.
+
+    note: what a person should know of how it opened, "" for nothing. pause_s: after a read that brought something, how
+    long to let more come before the next one; 0: not at all.
     """
 
     @property
@@ -40,43 +42,44 @@ class Wire(Protocol[T]):
 
     @property
     def has_unsent(self) -> bool:
-        """Does something wait until `fileno` can be written to?"""
+        """Return whether something waits until `fileno` can be written to."""
         ...
 
     def fileno(self) -> int:
-        """What to wait for, -1 if there is nothing of the kind."""
+        """Return the descriptor to wait for, -1 if there is none."""
         ...
 
     def read(self) -> list[T]:
-        """What has come; empty if nothing has."""
+        """Return what has arrived; empty if nothing has."""
         ...
 
     def write(self, item: T) -> bool:
-        """Take it whole, or False."""
+        """Take the whole item, or return False."""
         ...
 
     def flush(self) -> None:
-        """Send of what waits as much as goes."""
+        """Send as much of the waiting data as the wire takes."""
         ...
 
     def on_silence(self) -> str:
-        """Nothing has come for a while: do what helps, and say what a person should look at."""
+        """React to silence: do what helps, and return advice on what to check."""
         ...
 
     def close(self) -> None: ...
 
 
 class Link(Generic[T]):
-    """One wire, told from its own event loop what comes and how it is. Whatever happens to the wire, only cancelling ends `run`.
+    """Serve one wire, and report its data and its state from the event loop. Only cancelling ends `run`.
 
-    on_data(item, stamp): each thing received, stamped with when it was read. on_state(state, reason): "up" (open), "silent" (open, yet
-    nothing for silent_after_s, as when a cable without hang-up is pulled) or "down"; reason says what, where and what to do. A link that is
-    down is told once, and once more only where its device is there and cannot be opened: then something else is wrong. Neither
-    stops the link by raising: that is logged once and counted. counters: link.opened, .open_failed, .lost, .silences, .reads,
-    .writes_refused, .callback_failed, and those of the kind of port.
+    on_data(item, stamp): each item received, stamped with when it was read. on_state(state, reason): "up" (open),
+    "silent" (open, yet nothing for silent_after_s, as when a cable without hang-up is pulled) or "down"; reason says
+    what, where and what to do. A link that is down is reported once, and once more only where its device is there and
+    cannot be opened: then something else is wrong. Neither stops the link by raising: that is logged once and counted.
+    counters: link.opened, .open_failed, .lost, .silences, .reads, .writes_refused, .callback_failed, and those of the
+    kind of port.
 
-    open_port: opens the wire, raises HardwareError. place: what the wire is called in messages. device: the path of a device that may be
-    plugged out and in; as soon as it is back it is opened again.
+    open_port: opens the wire, raises HardwareError. place: what the wire is called in messages. device: the path of a
+    device that may be plugged out and in; as soon as it is back it is opened again.
     """
 
     def __init__(
@@ -97,7 +100,7 @@ class Link(Generic[T]):
         self._on_state = on_state
         self._clock = clock
         self._silent_after_s = silent_after_s
-        self._told: tuple[LinkState, str] = ("down", "")
+        self._reported: tuple[LinkState, str] = ("down", "")
         self._port: Wire[T] | None = None
         self._gone = asyncio.Event()
         self._writer_waits = False
@@ -107,7 +110,7 @@ class Link(Generic[T]):
 
     @property
     def state(self) -> LinkState:
-        return self._told[0]
+        return self._reported[0]
 
     async def run(self) -> None:
         """Serve the wire until cancelled."""
@@ -121,7 +124,7 @@ class Link(Generic[T]):
                 await self._pause(retry_s)
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
         finally:
-            self._tell("down", f"{self.place} was closed")
+            self._report("down", f"{self.place} was closed")
 
     async def _pause(self, retry_s: float) -> None:
         """Wait before the next try; where the device is gone, for its return and no longer."""
@@ -132,7 +135,10 @@ class Link(Generic[T]):
             await asyncio.sleep(_RETURN_POLL_S)
 
     def write(self, item: T) -> bool:
-        """Send at once or as soon as the wire takes it. False: refused, because the wire is down or its bounded queue is full."""
+        """Send at once or as soon as the wire takes it.
+
+        False: refused, because the wire is down or its bounded queue is full.
+        """
         taken = False
         port = self._port
         if port is not None:
@@ -150,7 +156,7 @@ class Link(Generic[T]):
             port = await self._open_port(self.counters)
         except HardwareError as error:
             self.counters["link.open_failed"] += 1
-            self._tell_not_opened(str(error))
+            self._report_not_opened(str(error))
             return
         self.counters["link.opened"] += 1
         self._port = port
@@ -159,7 +165,7 @@ class Link(Generic[T]):
             if port.fileno() >= 0:
                 asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
             self._silent_due_s = self._clock.monotonic_s() + self._silent_after_s
-            self._tell("up", port.note or f"{self.place} is open")
+            self._report("up", port.note or f"{self.place} is open")
             await self._watch(port)
         finally:
             self._detach()
@@ -167,18 +173,18 @@ class Link(Generic[T]):
 
     async def _watch(self, port: Wire[T]) -> None:
         polled = port.fileno() < 0
-        pause_s = _POLL_S if polled else self._silent_after_s / _LOOKS_PER_SILENCE
+        pause_s = _POLL_S if polled else self._silent_after_s / _CHECKS_PER_SILENCE
         gone = asyncio.ensure_future(self._gone.wait())
         try:
             while not self._gone.is_set():
                 await asyncio.wait([gone], timeout=pause_s)
                 if polled and self._port is not None:
                     self._read(self._port)
-                self._look_for_silence()
+                self._check_for_silence()
         finally:
             gone.cancel()
 
-    def _look_for_silence(self) -> None:
+    def _check_for_silence(self) -> None:
         now_s = self._clock.monotonic_s()
         if self._port is None or now_s < self._silent_due_s:
             return
@@ -190,10 +196,10 @@ class Link(Generic[T]):
         except HardwareError as error:
             self._lose(str(error))
         else:
-            self._tell("silent", f"{self.place}: nothing received for {self._silent_after_s:g} s. {advice}")
+            self._report("silent", f"{self.place}: nothing received for {self._silent_after_s:g} s. {advice}")
 
     def _readable(self) -> None:
-        """Read, then by the clock as long as something comes; listen again when nothing did, or so much that more waits already."""
+        """Read, then by the clock as long as data arrives; listen again after none, or a full read."""
         port = self._port
         if port is None:
             return
@@ -211,7 +217,7 @@ class Link(Generic[T]):
             asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
 
     def _read(self, port: Wire[T]) -> bool:
-        """Hand on what has come; did anything?"""
+        """Hand on what has arrived; return whether anything has."""
         self.counters["link.reads"] += 1
         try:
             items = port.read()
@@ -225,7 +231,7 @@ class Link(Generic[T]):
         self._silent_due_s = now_s + self._silent_after_s
         self._heard = True
         if self.state == "silent":
-            self._tell("up", f"{self.place} is heard again")
+            self._report("up", f"{self.place} is heard again")
         for item in items:
             self._call(self._on_data, item, stamp)
         return True
@@ -255,7 +261,7 @@ class Link(Generic[T]):
         self._detach()
         self._gone.set()
         self.counters["link.lost"] += 1
-        self._tell("down", reason)
+        self._report("down", reason)
 
     def _detach(self) -> None:
         """Stop listening at once: a wire that hung up is readable for ever."""
@@ -268,18 +274,18 @@ class Link(Generic[T]):
             loop.remove_reader(port.fileno())
             loop.remove_writer(port.fileno())
 
-    def _tell_not_opened(self, reason: str) -> None:
-        """That a wire which is down cannot be opened is no news, unless what was plugged in again is not what it should be."""
-        is_news = self._told[1] == "" or (self._device is not None and os.path.exists(self._device))
+    def _report_not_opened(self, reason: str) -> None:
+        """Report a failed attempt to open, but only the first, or where the device is back and still cannot be opened."""
+        is_news = self._reported[1] == "" or (self._device is not None and os.path.exists(self._device))
         if is_news:
-            self._tell("down", reason)
-        elif (self.state, reason) != self._told:
-            self._told = "down", reason
+            self._report("down", reason)
+        elif (self.state, reason) != self._reported:
+            self._reported = "down", reason
             log.info("%s", reason)
 
-    def _tell(self, state: LinkState, reason: str) -> None:
-        if (state, reason) != self._told:
-            self._told = state, reason
+    def _report(self, state: LinkState, reason: str) -> None:
+        if (state, reason) != self._reported:
+            self._reported = state, reason
             self._call(self._on_state, state, reason)
 
     def _call(self, callback: Callable[..., None], *arguments: Any) -> None:

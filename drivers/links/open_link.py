@@ -1,4 +1,4 @@
-"""From an address to a link that is ready to run."""
+"""Make links that are ready to run from addresses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddre
 
 
 def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on_state: OnState, clock: Clock) -> Link[bytes]:
-    """A link that carries bytes: chunks of a stream, of UDP whole datagrams, of a pulse its edges.
+    """Make a link that carries bytes: chunks of a stream, whole UDP datagrams, or the edges of a pulse.
 
     Raises UsageError for the address of a CAN bus.
     """
@@ -41,7 +41,7 @@ def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on
 
 
 def can_link(address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], on_state: OnState, clock: Clock) -> Link[CanFrame]:
-    """A link that carries CAN frames. Raises UsageError for the address of a wire that does not."""
+    """Make a link that carries CAN frames. Raises UsageError for the address of a wire that does not."""
     open_port: Callable[[Counter[str]], Awaitable[Wire[CanFrame]]]
     match address:
         case SlcanAddress():

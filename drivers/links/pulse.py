@@ -1,7 +1,7 @@
-"""A pulse at each full second (PPS), as the kernel stamps it.
+"""Read a pulse at each full second (PPS), as the kernel stamps it.
 
-Each edge is 8 bytes, big-endian: the monotonic clock at the edge, ns. A pulse at a serial port's DCD line comes by the same way once
-`ldattach PPS /dev/ttyS0` has made a device of it; the port goes on to carry bytes.
+Each edge is 8 bytes, big-endian: the monotonic clock at the edge, ns. A pulse at a serial port's DCD line comes by the
+same way once `ldattach PPS /dev/ttyS0` has made a device of it; the port goes on to carry bytes.
 """
 
 from __future__ import annotations
@@ -25,24 +25,26 @@ _EDGE_BYTES: Final = 8
 
 
 class KernelEdge(NamedTuple):
-    """The newest pulse. sequence: counts pulses; utc_ns: the kernel's own UTC at its edge, since 1970."""
+    """Hold the newest pulse. sequence: counts pulses; utc_ns: the kernel's own UTC at its edge, since 1970."""
 
     sequence: int
     utc_ns: int
 
 
 def pack_edge(mono_ns: int) -> bytes:
-    """An edge as a session records it."""
+    """Pack an edge as a session records it."""
     return mono_ns.to_bytes(_EDGE_BYTES, "big")
 
 
 def unpack_edge(data: bytes) -> int | None:
-    """The edge that `pack_edge` packed, None for what is none."""
+    """Unpack an edge that `pack_edge` packed; return None for other bytes."""
     return int.from_bytes(data, "big") if len(data) == _EDGE_BYTES else None
 
 
 class PulsePort:
-    """A Port of edges, read only. The kernel tells them in UTC: one whose clock was set since, as its age shows, is left out.
+    """Carry edges, read only.
+
+    The kernel stamps them in UTC: an edge is rejected if the clock was set since, as its age shows.
 
     counters: pps.edges, pps.refused.age.
     """
@@ -62,7 +64,7 @@ class PulsePort:
         self._sequence: int | None = None
 
     def fileno(self) -> int:
-        """-1: not all kernels wait for a pulse when they are asked whether there is one."""
+        """Return -1: not all kernels can wait for a pulse."""
         return -1
 
     def read(self) -> list[bytes]:
@@ -103,13 +105,15 @@ async def open_pulse(path: str, place: str, clock: Clock, counters: Counter[str]
         _fetched(descriptor)
     except OSError as error:
         port.close()
-        raise HardwareError(f"{path}: no source of pulses ({error.strerror}). Name one: ls /sys/class/pps shows what is there.") from error
+        raise HardwareError(
+            f"{path}: not a source of pulses ({error.strerror}). Name one: ls /sys/class/pps shows what is there."
+        ) from error
     return port
 
 
 def _fetched(descriptor: int) -> KernelEdge:
-    told = _FDATA.unpack(fcntl.ioctl(descriptor, _FETCH, bytes(_FDATA.size)))
-    return KernelEdge(sequence=told[0], utc_ns=told[2] * _NS + told[3])
+    fetched = _FDATA.unpack(fcntl.ioctl(descriptor, _FETCH, bytes(_FDATA.size)))
+    return KernelEdge(sequence=fetched[0], utc_ns=fetched[2] * _NS + fetched[3])
 
 
 def _refusal(path: str, error: OSError) -> str:

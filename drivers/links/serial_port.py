@@ -1,4 +1,4 @@
-"""Serial ports: pyserial opens and configures them, the event loop reads them."""
+"""Open serial ports: pyserial opens and configures them, the event loop reads them."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def _open(path: str, baud: int) -> Any:
         is_set = attributes[4:6] == [getattr(termios, f"B{baud}")] * 2
     except (OSError, ValueError, termios.error) as error:  # pyserial lets all three through
         raise HardwareError(_refusal(path, error)) from error
-    if not is_set:  # drivers that cannot do a rate keep another and say nothing
+    if not is_set:  # drivers that cannot do a rate keep another and do not report it
         port.close()
-        raise HardwareError(f"{path}: the port does not take {baud} baud. Choose a rate that both ends know.")
+        raise HardwareError(f"{path}: the port does not take {baud} baud. Choose a rate that both ends support.")
     return port
 
 

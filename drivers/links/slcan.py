@@ -1,7 +1,8 @@
-"""CAN adapters that speak the Lawicel (slcan) text protocol on a serial port.
+"""Drive CAN adapters that speak the Lawicel (slcan) text protocol on a serial port.
 
-A frame is 't' and 3, or 'T' and 8 hexadecimal digits of identifier, a digit of length, the data in hexadecimal, and CR. There is no
-checksum: of frames with one flipped bit about 4 in 10 still look sound, so what comes has to be checked for sense by whoever uses it.
+A frame is 't' and 3, or 'T' and 8 hexadecimal digits of identifier, a digit of length, the data in hexadecimal, and CR.
+There is no checksum: of frames with one flipped bit about 4 in 10 still look sound, so what comes has to be checked for
+sense by whoever uses it.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ _LINES: Final = re.compile(rb"(%b)%b|(?P<others>(?:(?!%b%b)%b[\r\a])+)" % (_TEXT
 
 
 class SlcanParser:
-    """The text of an adapter, however damaged and however cut up, to frames. Holds less than one line; never raises.
+    """Parse an adapter's text, however damaged and however cut up, to frames. Holds less than one line; never raises.
 
-    counters: slcan.frames, .remote (frames without data, left out), .answers and .refusals (of the adapter, to commands), and what was
-    refused: slcan.refused.line (no frame), .length (data longer or shorter than it says), .identifier, .before_frame (something stands
-    in front of a sound frame, as when the end of the one before got lost).
+    counters: slcan.frames, .remote (frames without data, dropped), .answers and .refusals (of the adapter, to
+    commands), and what was refused: slcan.refused.line (no frame), .length (data longer or shorter than it says),
+    .identifier, .before_frame (something stands in front of a sound frame, as when the end of the one before got lost).
     """
 
     def __init__(self, counters: Counter[str]) -> None:
@@ -49,7 +50,7 @@ class SlcanParser:
         self._is_long = False  # more stood before it
 
     def feed(self, data: bytes) -> list[CanFrame]:
-        """The frames these bytes complete, in order."""
+        """Return the frames that these bytes complete, in order."""
         text = self._rest + data
         stop = max(text.rfind(b"\r"), text.rfind(b"\a")) + 1
         frames: list[CanFrame] = []
@@ -102,7 +103,7 @@ class SlcanParser:
 
 
 def encode(frame: CanFrame) -> bytes:
-    """A frame as the adapter takes and gives it. Raises ValueError for one that no classic CAN bus carries."""
+    """Encode a frame as the adapter takes and gives it. Raises ValueError for one that no classic CAN bus carries."""
     if not 0 <= frame.can_id <= (_MAX_EXTENDED_ID if frame.extended else _MAX_STANDARD_ID) or len(frame.data) > 8:
         raise ValueError(f"not a frame of a classic CAN bus: identifier {frame.can_id:#x}, {len(frame.data)} bytes")
     head = f"T{frame.can_id:08X}" if frame.extended else f"t{frame.can_id:03X}"
@@ -110,10 +111,10 @@ def encode(frame: CanFrame) -> bytes:
 
 
 class SlcanPort:
-    """A Port of CAN frames on a serial port with an adapter, which is told to close, to leave out time stamps, its bit rate, and to open.
+    """Carry CAN frames through an adapter on a serial port. The adapter is sent: close, no time stamps, bit rate, open.
 
-    Answers are not waited for, as many adapters give none. An adapter that lost power and came back is found silent and told again.
-    counters: those of SlcanParser and StreamPort, slcan.refused.unsendable.
+    Answers are not waited for, as many adapters give none. An adapter that lost power and came back is found silent and
+    set up again. counters: those of SlcanParser and StreamPort, slcan.refused.unsendable.
     """
 
     def __init__(self, stream: StreamPort, bitrate: int, counters: Counter[str]) -> None:
@@ -155,7 +156,7 @@ class SlcanPort:
         if answered:
             return f"The adapter answers: check that the bus has {self._bitrate} bit/s and power, its wires and its termination."
         if refused:
-            return "What comes is no frame and no answer: check that the adapter speaks slcan, and at a serial line its rate."
+            return "What arrives is neither a frame nor an answer: check that the adapter speaks slcan, and the rate of its serial line."
         return "The adapter does not answer either: check its power, and that it speaks slcan."
 
     def _n_answers(self) -> int:

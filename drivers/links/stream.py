@@ -1,4 +1,4 @@
-"""A file descriptor that bytes come from and go to: a serial port or a TCP connection."""
+"""Read and write bytes on a file descriptor: a serial port or a TCP connection."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ MAX_QUEUED_BYTES: Final = 1 << 16
 
 
 class StreamPort:
-    """A Port of bytes on a non-blocking descriptor.
+    """Carry bytes on a non-blocking descriptor.
 
-    close: called once. lost: makes the message for a failed read or write, given the error, None when the other end hung up.
-    on_silence: see Port. gather_s: how long bytes may gather before they are read. counters: link.bytes_in, link.bytes_out.
+    close: called once. lost: makes the message for a failed read or write, given the error, None when the other end
+    hung up. on_silence: see Port. gather_s: how long bytes may gather before they are read. counters: link.bytes_in,
+    link.bytes_out.
     """
 
     def __init__(

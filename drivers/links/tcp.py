@@ -1,4 +1,4 @@
-"""TCP connections to a device."""
+"""Open TCP connections to a device."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _OPTIONS: Final = (
 async def open_tcp(host: str, port: int, counters: Counter[str]) -> StreamPort:
     """Connect, trying each address of the host. Raises HardwareError that says what to do.
 
-    A device that loses power leaves the connection standing: the kernel's keep-alive notices within 11 s; a link that is silent for as
-    long as it may connects anew, which also helps against a device that hangs.
+    A device that loses power leaves the connection standing: the kernel's keep-alive notices within 11 s; a link that
+    is silent for as long as it may connects anew, which also helps against a device that hangs.
     """
     place = f"tcp://{host}:{port}"
     addresses = await addresses_of(host, port, socket.SOCK_STREAM, place)
@@ -61,7 +61,7 @@ def _port(connection: socket.socket, place: str, counters: Counter[str]) -> Stre
 
 
 async def addresses_of(host: str, port: int, kind: socket.SocketKind, place: str, family: int = 0) -> list[tuple[int, tuple[Any, ...]]]:
-    """Address family and socket address for each address of a host. Raises HardwareError for one that has none."""
+    """Return address family and socket address for each address of a host. Raises HardwareError for one that has none."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(host, port, type=kind, family=family)
     except (OSError, UnicodeError) as error:

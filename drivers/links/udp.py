@@ -1,4 +1,4 @@
-"""UDP: datagrams received on a local port."""
+"""Receive UDP datagrams on a local port."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_PER_READ: Final = 64
 
 
 class UdpPort:
-    """A Port of bytes, one datagram each. Writes go to the peer; without one they are refused.
+    """Carry bytes, one datagram each. Writes go to the peer; without one they are refused.
 
     counters: link.bytes_in, link.bytes_out, udp.datagrams, udp.refused.foreign (not from the peer), udp.send_failed.
     """
@@ -94,7 +94,7 @@ async def open_udp(address: UdpAddress, counters: Counter[str]) -> UdpPort:
         bound.close()
         raise HardwareError(_refusal(place, error)) from error
     port = UdpPort(bound, place, (peer_host, address.peer_port), counters)
-    granted = bound.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux tells twice what it grants
+    granted = bound.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice what it grants
     if granted < RECEIVE_BUFFER_BYTES:
         port.note = (
             f"{place} is open with a receive buffer of {granted} bytes; to ride out a busy moment set "

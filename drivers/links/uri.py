@@ -1,6 +1,6 @@
-"""Where a device is connected, as a configuration says it: one URI per wire, checked to the last character.
+"""Parse where a device is connected: one URI per wire in the configuration, checked to the last character.
 
-`place` of an address is what messages call it.
+`place` of an address is its name in messages.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ EXAMPLES: Final = (
 
 
 class SerialAddress(NamedTuple):
-    """A serial port, 8 data bits, no parity, 1 stop bit."""
+    """Address a serial port, 8 data bits, no parity, 1 stop bit."""
 
     path: str
     baud: int
@@ -45,7 +45,7 @@ class SerialAddress(NamedTuple):
 
 
 class TcpAddress(NamedTuple):
-    """A server to connect to."""
+    """Address a server to connect to."""
 
     host: str
     port: int
@@ -57,9 +57,10 @@ class TcpAddress(NamedTuple):
 
 
 class UdpAddress(NamedTuple):
-    """A local address and port (0: any) to receive on.
+    """Address a local interface and port (0: any) to receive on.
 
-    peer_host: datagrams from others are refused, "" for none; peer_port: the same for its port, and where writes go, 0 if not told.
+    peer_host: datagrams from others are refused, "" for none; peer_port: the same for its port, and where writes go, 0
+    if not given.
     """
 
     host: str
@@ -74,7 +75,10 @@ class UdpAddress(NamedTuple):
 
 
 class SlcanAddress(NamedTuple):
-    """A CAN adapter that speaks slcan at a serial port. bitrate: of the CAN bus; baud: of the port, without meaning on USB."""
+    """Address a CAN adapter that speaks slcan at a serial port.
+
+    bitrate: of the CAN bus; baud: of the port, without meaning on USB.
+    """
 
     path: str
     bitrate: int
@@ -87,7 +91,7 @@ class SlcanAddress(NamedTuple):
 
 
 class CanAddress(NamedTuple):
-    """A CAN bus that python-can opens: interface "socketcan" or "virtual"."""
+    """Address a CAN bus that python-can opens: interface "socketcan" or "virtual"."""
 
     interface: str
     channel: str
@@ -99,7 +103,7 @@ class CanAddress(NamedTuple):
 
 
 class PulseAddress(NamedTuple):
-    """A pulse per second that the kernel stamps."""
+    """Address a pulse per second that the kernel stamps."""
 
     path: str
     silent_s: float = SILENT_S
@@ -114,15 +118,16 @@ T = TypeVar("T")
 
 
 def parse_link_uri(text: str, key: str) -> LinkAddress:
-    """What a URI says; every scheme takes silent_s, the seconds without anything received after which a link counts as silent.
+    """Parse a URI; every scheme takes silent_s, the seconds without data after which a link counts as silent.
 
-    key: where the text stands in the configuration, for messages. Raises UsageError for anything that is not understood to the end.
+    key: where the text stands in the configuration, for messages. Raises UsageError for anything that is not understood
+    to the end.
     """
     return _Uri(text, key).address()
 
 
 class _Uri:
-    """One URI on its way to an address; what was not asked for when all is said is refused."""
+    """Parse one URI to an address; options that nothing requested are refused."""
 
     def __init__(self, text: str, key: str) -> None:
         self._text, self._key = text, key
@@ -151,13 +156,13 @@ class _Uri:
             "pps": lambda: PulseAddress(self._device(), self._silent_s()),
         }
         if self._scheme not in makers:
-            what = f"unknown kind of link '{self._scheme}'" if self._scheme else "it does not say what kind of link"
+            what = f"unknown kind of link '{self._scheme}'" if self._scheme else "the kind of link is missing"
             raise self._error(what, f"known: {', '.join(EXAMPLES)}")
         self._known: list[str] = []
         address = makers[self._scheme]()
         unknown = [name for name in self._options if name not in self._known]
         if unknown:
-            raise self._error(f"'{unknown[0]}' is no option of {self._scheme}", f"it has {', '.join(self._known)}")
+            raise self._error(f"'{unknown[0]}' is not an option of {self._scheme}", f"known options: {', '.join(self._known)}")
         return address
 
     def _serial(self) -> SerialAddress:
@@ -181,7 +186,7 @@ class _Uri:
         peer = self._option("peer")
         peer_host, peer_port = ("", 0) if peer is None else self._host_port(peer, "192.168.2.92:51200")
         if not (port or peer_port):
-            raise self._error("without a port nobody can send here", "write e.g. udp://0.0.0.0:5000, or name a peer with its port")
+            raise self._error("without a port it cannot receive", "write e.g. udp://0.0.0.0:5000, or name a peer with its port")
         return UdpAddress(host, port, peer_host, peer_port, self._silent_s())
 
     def _device(self) -> str:
@@ -198,7 +203,7 @@ class _Uri:
         return self._netloc
 
     def _host_port(self, text: str, example: str) -> tuple[str, int]:
-        """Host, and port or 0."""
+        """Return the host, and its port or 0."""
         advice = f"write e.g. {example}"
         try:
             parts = urlsplit(f"//{text}")

@@ -1,1 +1,1 @@
-"""Navigation units: what they send, what each message told (`seam.NavFix`), and one track out of several units (`merge`)."""
+"""Decode navigation units to fixes (`nav_decoder.NavFix`) and merge several units into one track (`merge`)."""

@@ -1,4 +1,4 @@
-"""From what a unit told, with its signs at its place, to what that means for the vehicle's navigation reference."""
+"""Convert a unit's fixes, with its signs and mounting, to values at the vehicle's navigation reference."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class AttitudeReading(NamedTuple):
 
 
 class SpeedReading(NamedTuple):
-    """course_rad: over ground, NaN if not told; drift_rad: against the bow, NaN if not told."""
+    """Hold a velocity. course_rad: over ground, NaN if not reported; drift_rad: against the bow, NaN if not reported."""
 
     speed_mps: float
     course_rad: float
@@ -44,7 +44,7 @@ class SpeedReading(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What a fix says about the vehicle; None where it says nothing, or nothing that is possible."""
+    """Hold a fix's readings of the vehicle; None where it reports nothing, or nothing that is possible."""
 
     position: Position | None
     heading: HeadingReading | None
@@ -55,7 +55,7 @@ class Readings(NamedTuple):
 
 
 def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quantity]]:
-    """Signs and mounting angles put right, lever arms not yet; and the quantities that are impossible as told."""
+    """Correct signs and mounting angles, not lever arms; return also the quantities with impossible values."""
     impossible: list[Quantity] = []
 
     def plausible(quantity: Quantity, known: bool, possible: bool) -> bool:
@@ -66,7 +66,7 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
     position = heading = attitude = depth = altitude = speed = None
     latitude_deg, longitude_deg = fix.latitude_deg, fix.longitude_deg
     known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
-    # Nobody dives at 0, 0: it is what records hold that nobody filled.
+    # Nobody dives at 0, 0: unfilled records hold it.
     if plausible("position", known, abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0, 0)):
         position = Position(latitude_deg, longitude_deg, _sigma(fix.position_sigma_m, unit.position_sigma_m))
     if plausible("heading", fix.heading_rad == fix.heading_rad, abs(fix.heading_rad) <= _TURN + 0.02):
@@ -93,7 +93,10 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
 def arm_north_east_down(
     arm_m: tuple[float, float, float], heading_rad: float, pitch_rad: float, roll_rad: float
 ) -> tuple[float, float, float]:
-    """A lever arm (forward, starboard, down) in north, east, down, by yaw, pitch, roll in this order (Fossen 2011, eq. 2.18)."""
+    """Rotate a lever arm (forward, starboard, down) to north, east, down.
+
+    Yaw, pitch, roll in this order (Fossen 2011, eq. 2.18).
+    """
     forward, starboard, down = arm_m
     sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
     sin_p, cos_p = math.sin(pitch_rad), math.cos(pitch_rad)
@@ -105,7 +108,10 @@ def arm_north_east_down(
 
 
 def moved(latitude_deg: float, longitude_deg: float, east_m: float, north_m: float) -> tuple[float, float]:
-    """A position some metres on, by the ellipsoid's radii of curvature there: good to a millimetre over a kilometre away from the poles."""
+    """Move a position by some metres, by the ellipsoid's radii of curvature there.
+
+    Good to a millimetre over a kilometre away from the poles.
+    """
     meridian_m, parallel_m = _radii_m(latitude_deg)
     latitude = min(max(latitude_deg + math.degrees(north_m / meridian_m), -90.0), 90.0)
     longitude = longitude_deg + math.degrees(east_m / parallel_m)
@@ -113,14 +119,14 @@ def moved(latitude_deg: float, longitude_deg: float, east_m: float, north_m: flo
 
 
 def offset_m(from_deg: tuple[float, float], to_deg: tuple[float, float]) -> tuple[float, float]:
-    """East and north from one latitude, longitude to another nearby; the reverse of `moved`."""
+    """Return east and north, in metres, from one latitude, longitude to another nearby; the reverse of `moved`."""
     meridian_m, parallel_m = _radii_m(from_deg[0])
     across_deg = (to_deg[1] - from_deg[1] + 180.0) % 360.0 - 180.0
     return math.radians(across_deg) * parallel_m, math.radians(to_deg[0] - from_deg[0]) * meridian_m
 
 
 def _radii_m(latitude_deg: float) -> tuple[float, float]:
-    """Of curvature along the meridian, and of the parallel."""
+    """Return the radii of curvature along the meridian and of the parallel, in metres."""
     latitude = math.radians(latitude_deg)
     sine = math.sin(latitude)
     squeezed = 1.0 - ECCENTRICITY_SQUARED * sine * sine
@@ -128,5 +134,5 @@ def _radii_m(latitude_deg: float) -> tuple[float, float]:
     return prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) / squeezed, prime_vertical_m * max(math.cos(latitude), _SHARPEST_COSINE)
 
 
-def _sigma(told: float, otherwise: float) -> float:
-    return told if 0.0 <= told < _MAX_SIGMA else otherwise
+def _sigma(reported: float, otherwise: float) -> float:
+    return reported if 0.0 <= reported < _MAX_SIGMA else otherwise

@@ -1,4 +1,4 @@
-"""The date that belongs to a time of day."""
+"""Find the date that belongs to a time of day."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DAY_S: Final = 86_400.0
 
 
 class DeviceDate:
-    """Full times from times of day: the day nearest to the unit's own clock once it told a date, to this computer's until then.
+    """Make full times from times of day: the day nearest to the unit's clock, or to this computer's before a date.
 
     Nearest means within half a day, so midnight passes unnoticed, on both sides.
     """
@@ -20,7 +20,7 @@ class DeviceDate:
         self._anchor: tuple[float, int] | None = None  # UTC seconds of the unit, and the monotonic clock then
 
     def dated(self, date_days: float, time_of_day_s: float, stamp: Stamp) -> float | None:
-        """UTC seconds since 1970 of a date and a time of day, days since 1970 and seconds; either may be NaN."""
+        """Return UTC seconds since 1970 of a date and a time of day, days since 1970 and seconds; either may be NaN."""
         if math.isnan(date_days) or math.isnan(time_of_day_s):
             return self.nearest(time_of_day_s, stamp)
         utc_s = date_days * DAY_S + time_of_day_s
@@ -28,7 +28,7 @@ class DeviceDate:
         return utc_s
 
     def nearest(self, time_of_day_s: float, stamp: Stamp) -> float | None:
-        """UTC seconds since 1970 of a time of day; None if it is NaN."""
+        """Return UTC seconds since 1970 of a time of day; None if it is NaN."""
         if math.isnan(time_of_day_s):
             return None
         if self._anchor is None:

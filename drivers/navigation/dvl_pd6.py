@@ -1,7 +1,8 @@
-"""DVL text groups, PD6: lines `:SA`, `:TS`, `:BI`, `:BS`, `:BE`, `:BD` of one ping, without a checksum.
+"""Decode DVL text groups, PD6: lines `:SA`, `:TS`, `:BI`, `:BS`, `:BE`, `:BD` of one ping, without a checksum.
 
-Teledyne RD Instruments, "Pathfinder DVL Guide", output data formats; Nortek and Water Linked send the same. `:` never occurs inside a
-line, so whatever came before an intact line cannot swallow it; what damage leaves readable must at least be plausible.
+Teledyne RD Instruments, "Pathfinder DVL Guide", output data formats; Nortek and Water Linked send the same. `:` never
+occurs inside a line, so whatever came before an intact line cannot swallow it; what damage leaves readable must still
+be plausible.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Pd6Attitude(NamedTuple):
 
 
 class Water(NamedTuple):
-    """:TS. bit: result of the built-in test, 0 if good."""
+    """Hold :TS. bit: result of the built-in test, 0 if good."""
 
     time_utc_s: float
     salinity_ppt: float
@@ -55,7 +56,7 @@ class Water(NamedTuple):
 
 
 class InstrumentVelocity(NamedTuple):
-    """:BI, over ground along the instrument's axes; NaN where good is False."""
+    """Hold :BI, over ground along the instrument's axes; NaN where good is False."""
 
     x_mps: float
     y_mps: float
@@ -65,7 +66,7 @@ class InstrumentVelocity(NamedTuple):
 
 
 class ShipVelocity(NamedTuple):
-    """:BS, over ground: to starboard, forward, normal; NaN where good is False."""
+    """Hold :BS, over ground: to starboard, forward, normal; NaN where good is False."""
 
     starboard_mps: float
     forward_mps: float
@@ -74,7 +75,7 @@ class ShipVelocity(NamedTuple):
 
 
 class EarthVelocity(NamedTuple):
-    """:BE, over ground; NaN where good is False."""
+    """Hold :BE, over ground; NaN where good is False."""
 
     east_mps: float
     north_mps: float
@@ -83,7 +84,7 @@ class EarthVelocity(NamedTuple):
 
 
 class Bottom(NamedTuple):
-    """:BD, distance made good since power-up, range to the bottom, time since the last good velocity."""
+    """Hold :BD, distance made good since power-up, range to the bottom, time since the last good velocity."""
 
     east_m: float
     north_m: float
@@ -96,7 +97,7 @@ Line: TypeAlias = Pd6Attitude | Water | InstrumentVelocity | ShipVelocity | Eart
 
 
 class LineGrammar(Grammar[tuple[str, str]]):
-    """A message is a line's kind and its comma-separated fields."""
+    """Frame lines; a message is a line's kind and its comma-separated fields."""
 
     name = "pd6"
     head_bytes = 1
@@ -123,9 +124,10 @@ class LineGrammar(Grammar[tuple[str, str]]):
 
 
 class Pd6Unit:
-    """One link's groups to fixes. Never raises, whatever the bytes.
+    """Decode one link's groups to fixes. Never raises, whatever the bytes.
 
-    `counters`: those of the framer (`pd6.*`), `.implausible` (lines), `.ignored` (kinds not known here), `.no_bottom_lock` (groups).
+    `counters`: those of the framer (`pd6.*`), `.implausible` (lines), `.ignored` (kinds not known here),
+    `.no_bottom_lock` (groups).
     """
 
     def __init__(self, source: str) -> None:
@@ -140,11 +142,11 @@ class Pd6Unit:
         return self._framer.counters + self._own
 
     def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """What a chunk completes, in order. stamp: when its last byte was read."""
+        """Return what a chunk completes, in order. stamp: when its last byte was read."""
         return [fix for arrived in self._framer.feed(data, stamp) for fix in self._add(arrived)]
 
     def finish(self) -> list[NavFix]:
-        """What waits for more, at the end of a log or link."""
+        """Return what still waited at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._add(arrived)] + self._end()
 
     def _add(self, arrived: StampedMessage[tuple[str, str]]) -> list[NavFix]:
@@ -168,26 +170,26 @@ class Pd6Unit:
         group, self._group = self._group, {}
         if first is None:
             return []
-        told: dict[str, Any] = {}
+        fix_fields: dict[str, Any] = {}
         lock = all(line.good for line in group.values() if isinstance(line, InstrumentVelocity | ShipVelocity | EarthVelocity))
         if not lock:
             self._own["pd6.no_bottom_lock"] += 1
         for kind in (Pd6Attitude, Water, InstrumentVelocity, ShipVelocity, EarthVelocity, Bottom):
             if kind in group:
-                told.update(_told(group[kind]))
+                fix_fields.update(_fix_fields(group[kind]))
         if not lock:
-            told.update(altitude_m=NAN, valid=False)
-        return [NavFix(source=self._source, received=first.received, n_bytes=first.n_bytes, **told)]
+            fix_fields.update(altitude_m=NAN, valid=False)
+        return [NavFix(source=self._source, received=first.received, n_bytes=first.n_bytes, **fix_fields)]
 
 
-def _told(line: Line) -> dict[str, Any]:
+def _fix_fields(line: Line) -> dict[str, Any]:
     match line:
         case Pd6Attitude():
             return {"pitch_rad": line.pitch_rad, "roll_rad": line.roll_rad, "heading_rad": line.heading_rad}
         case Water():
             return {"time_utc_s": line.time_utc_s, "depth_m": line.depth_m}
         case InstrumentVelocity():
-            return {"speed_mps": math.hypot(line.x_mps, line.y_mps)}  # whose axes point anywhere: a speed, not a direction
+            return {"speed_mps": math.hypot(line.x_mps, line.y_mps)}  # the axes point anywhere: a speed, not a direction
         case ShipVelocity():
             return {
                 "speed_mps": math.hypot(line.starboard_mps, line.forward_mps),
@@ -203,7 +205,7 @@ def _told(line: Line) -> dict[str, Any]:
 
 
 def parse_line(kind: str, fields: str) -> Line | None:
-    """The record of a line; None for a kind not known here. Raises ValueError for what cannot be true."""
+    """Decode a line to its record; None for an unknown kind. Raises ValueError for what cannot be true."""
     texts = fields.split(",")
     match kind:
         case "SA":
@@ -227,7 +229,7 @@ def parse_line(kind: str, fields: str) -> Line | None:
 
 
 def line_of(line: Line) -> bytes:
-    """The line that says a record, with CR LF."""
+    """Encode a record as a line, with CR LF."""
     match line:
         case Pd6Attitude():
             text = ":SA," + ",".join(f"{math.degrees(angle):+06.2f}" for angle in line)
@@ -262,7 +264,7 @@ def _number(text: str) -> float:
 
 
 def _velocities(texts: Sequence[str], count: int) -> list[Any]:
-    """Velocities from mm/s, and whether they are good."""
+    """Return velocities in m/s from mm/s, and whether they are good."""
     if len(texts) != count + 1 or texts[-1] not in ("A", "V"):
         raise ValueError(f"not {count} velocities and A or V: {texts}")
     values = [_number(text) for text in texts[:-1]]

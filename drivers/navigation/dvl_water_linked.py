@@ -1,4 +1,4 @@
-"""Water Linked DVL text: `wrz` velocities and `wrp` attitude, with a CRC-8. Water Linked, "DVL serial protocol".
+"""Decode Water Linked DVL text: `wrz` velocities and `wrp` attitude, with a CRC-8. Water Linked, "DVL serial protocol".
 
 `w` never occurs inside a message and `*` only at its end, so whatever came before an intact message cannot swallow it.
 """
@@ -33,10 +33,10 @@ _CLOCK_SET_S: Final = 946_684_800.0  # year 2000: a time of validity before it c
 
 
 class Velocity(NamedTuple):
-    """wrz. Forward, to starboard, down over ground, in the instrument's axes; NaN where good is False.
+    """Hold wrz. Forward, to starboard, down over ground, in the instrument's axes; NaN where good is False.
 
-    covariance: 9 numbers row by row, m2/s2. validity_us: of the measurement, transmission_us: of this message, on the unit's clock, which
-    is UTC where it was set.
+    covariance: 9 numbers row by row, m2/s2. validity_us: of the measurement, transmission_us: of this message, on the
+    unit's clock, which is UTC where it was set.
     """
 
     forward_mps: float
@@ -53,7 +53,7 @@ class Velocity(NamedTuple):
 
 
 class WaterLinkedAttitude(NamedTuple):
-    """wrp. Position is the unit's own dead reckoning from where it was last reset, in its own axes."""
+    """Hold wrp. Position is the unit's own dead reckoning from where it was last reset, in its own axes."""
 
     time_s: float
     x_m: float
@@ -70,7 +70,7 @@ Record: TypeAlias = Velocity | WaterLinkedAttitude
 
 
 class TextGrammar(Grammar[str]):
-    """A message is its text up to the `*`."""
+    """Frame messages; a message is its text up to the `*`."""
 
     name = "water_linked"
     head_bytes = 1
@@ -94,10 +94,10 @@ class TextGrammar(Grammar[str]):
 
 
 class WaterLinkedUnit:
-    """One link's messages to fixes. Never raises, whatever the bytes.
+    """Decode one link's messages to fixes. Never raises, whatever the bytes.
 
-    `counters`: those of the framer (`water_linked.*`), `.malformed` (checksum right, fields impossible), `.ignored` (`wru` and
-    other kinds), `.no_bottom_lock`.
+    `counters`: those of the framer (`water_linked.*`), `.malformed` (checksum right, fields impossible), `.ignored`
+    (`wru` and other kinds), `.no_bottom_lock`.
     """
 
     def __init__(self, source: str) -> None:
@@ -110,11 +110,11 @@ class WaterLinkedUnit:
         return self._framer.counters + self._own
 
     def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """What a chunk completes, in order. stamp: when its last byte was read."""
+        """Return what a chunk completes, in order. stamp: when its last byte was read."""
         return [fix for arrived in self._framer.feed(data, stamp) for fix in self._fixes(arrived)]
 
     def finish(self) -> list[NavFix]:
-        """What waits for more, at the end of a log or link."""
+        """Return what still waited at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)]
 
     def _fixes(self, arrived: StampedMessage[str]) -> list[NavFix]:
@@ -128,10 +128,10 @@ class WaterLinkedUnit:
             return []
         if isinstance(record, Velocity) and not record.good:
             self._own["water_linked.no_bottom_lock"] += 1
-        return [NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **_told(record))]
+        return [NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **_fix_fields(record))]
 
 
-def _told(record: Record) -> dict[str, Any]:
+def _fix_fields(record: Record) -> dict[str, Any]:
     if isinstance(record, WaterLinkedAttitude):
         return {
             "time_utc_s": record.time_s if record.time_s >= _CLOCK_SET_S else None,
@@ -140,23 +140,23 @@ def _told(record: Record) -> dict[str, Any]:
             "roll_rad": record.roll_rad,
         }
     validity_s = record.validity_us * 1e-6
-    told: dict[str, Any] = {
+    fix_fields: dict[str, Any] = {
         "time_utc_s": validity_s if validity_s >= _CLOCK_SET_S else None,
         "age_s": max((record.transmission_us - record.validity_us) * 1e-6, 0.0),
         "valid": record.good,
     }
     if record.good:
-        told.update(
+        fix_fields.update(
             speed_mps=math.hypot(record.forward_mps, record.starboard_mps),
             drift_rad=math.atan2(record.starboard_mps, record.forward_mps),
             speed_sigma_mps=record.figure_of_merit_mps,
             altitude_m=record.altitude_m if record.altitude_m > 0.0 else NAN,
         )
-    return told
+    return fix_fields
 
 
 def parse(body: str) -> Record | None:
-    """The record of a message's text; None for a kind not known here. Raises ValueError for what cannot be true."""
+    """Decode a message's text to its record; None for an unknown kind. Raises ValueError for what cannot be true."""
     kind, *fields = body.split(",")
     if kind == "wrz":
         if len(fields) != 11 or fields[3] not in ("y", "n"):
@@ -192,7 +192,7 @@ def parse(body: str) -> Record | None:
 
 
 def message_of(record: Record) -> bytes:
-    """The message that says a record, with CR LF."""
+    """Encode a record as a message, with CR LF."""
     if isinstance(record, Velocity):
         velocities = [velocity if record.good else 0.0 for velocity in record[:3]]
         texts = [f"{velocity:.3f}" for velocity in velocities]
@@ -220,7 +220,7 @@ _CRC8: Final = _crc8_table()
 
 
 def crc8(data: bytes) -> int:
-    """Polynomial 0x07, start 0, most significant bit first."""
+    """Return the CRC-8 with polynomial 0x07, start 0, most significant bit first."""
     crc = 0
     for byte in data:
         crc = _CRC8[crc ^ byte]

@@ -1,4 +1,4 @@
-"""Satellite receivers under water: some go on sending positions that look valid. The vehicle's depth and way made tell."""
+"""Detect satellite receivers under water that go on sending plausible positions, by depth and by distance run."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Doubt: TypeAlias = Literal["submerged", "frozen", "not_the_way_made", "recoverin
 
 _WINDOW_S: Final = 20.0
 _MAX_FIXES: Final = 256
-_FROZEN_M: Final = 4.0  # way made while positions stay equal to the last digit; receivers round to 2 m at most
-_WAY_SLACK: Final = 0.3  # of the way made, for its own errors: a log that runs through a current
+_FROZEN_M: Final = 4.0  # run while positions stay equal to the last digit; receivers round to 2 m or finer
+_WAY_SLACK: Final = 0.3  # of the distance run, for its own errors: a log that runs through a current
 _N_GOOD: Final = 3  # after a doubt so many fixes in a row must be good
 
 
@@ -25,7 +25,7 @@ class _Seen(NamedTuple):
 
 
 class GnssWatch:
-    """Judges one receiver's positions, believed or not. Holds at most 256 of the last 20 seconds."""
+    """Accept or reject one receiver's positions. Holds at most 256 of the last 20 seconds."""
 
     def __init__(self, surface_depth_m: float) -> None:
         self._surface_depth_m = surface_depth_m
@@ -34,7 +34,10 @@ class GnssWatch:
         self._n_good = _N_GOOD
 
     def doubt(self, time_s: float, position: Position, depth_m: float | None, travelled: Travelled) -> Doubt | None:
-        """Why a position is not believed; None if it is. depth_m: None if not known. travelled: way made by reckoning until now."""
+        """Return why a position is rejected; None if it is accepted.
+
+        depth_m: None if not known. travelled: run by reckoning.
+        """
         seen = _Seen(time_s, position, travelled)
         doubt = self._judge(seen, depth_m)
         self._seen.append(seen)

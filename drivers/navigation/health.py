@@ -1,4 +1,4 @@
-"""Which of several units serves a quantity."""
+"""Choose which of several units serves a quantity."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from typing import Final
 
 START_S: Final = 5.0
-"""For so long after the first unit is heard a better one that follows serves at once: units do not all start at the same moment."""
+"""Time after the first unit is heard in which a better one serves at once: units do not all start at the same moment."""
 
 
 class UnitHealth:
-    """When a unit last gave a quantity, and since when it has done so without a hole. Times are monotonic seconds."""
+    """Track when a unit last gave a quantity, and since when without a gap. Times are monotonic seconds."""
 
     def __init__(self, source: str, priority: int, valid_s: float) -> None:
         self.source = source
@@ -31,8 +31,11 @@ class UnitHealth:
 
 
 class Fallback:
-    """The serving unit of one quantity: the best healthy one, but a better one takes over from a healthy one only after being healthy for
-    `recover_s`, so that a loose contact does not make two units alternate. At the start, one that has not failed yet takes over at once."""
+    """Choose the serving unit of one quantity: the best healthy one.
+
+    A better one takes over from a healthy one only after being healthy for `recover_s`, so that a loose contact does
+    not make two units alternate. At the start, one that has not failed yet takes over at once.
+    """
 
     def __init__(self, recover_s: float) -> None:
         self.serving: UnitHealth | None = None
@@ -42,7 +45,7 @@ class Fallback:
 
     @property
     def units(self) -> tuple[UnitHealth, ...]:
-        """Every unit that has ever given the quantity, the best first."""
+        """Return every unit that has ever given the quantity, the best first."""
         return tuple(self._units)
 
     def add(self, unit: UnitHealth) -> None:
@@ -50,7 +53,7 @@ class Fallback:
         self._units.sort(key=lambda known: (known.priority, known.source))
 
     def choose(self, now_s: float) -> UnitHealth | None:
-        """The unit that serves from now on; None while none is healthy."""
+        """Return the unit that serves from here on; None while none is healthy."""
         serving = self.serving
         if serving is not None and not serving.is_healthy(now_s):
             serving = None
@@ -67,5 +70,5 @@ class Fallback:
         return serving
 
     def is_starting(self, unit: UnitHealth) -> bool:
-        """Whether the unit was first heard with the others, or soon after them, and has not failed since."""
+        """Return whether the unit was first heard with the others, or soon after them, and has not failed since."""
         return not unit.has_failed and unit.since_s - self._began_s <= START_S

@@ -1,8 +1,8 @@
-"""One track out of several navigation units.
+"""Merge several navigation units into one track.
 
-Feed it fixes in the order of their arrival; out come navigation samples in the order of their times, and notices. It has no clock: what
-it says depends on the fixes and stamps alone. A quantity is taken from one unit at a time and never repeated; positions go on by dead
-reckoning when all units have lost them.
+Feed it fixes in the order of their arrival; out come navigation samples in the order of their times, and notices. It
+has no clock: its output depends on the fixes and stamps alone. A quantity is taken from one unit at a time and never
+repeated; positions go on by dead reckoning when all units have lost them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma a
 _JUMP_SLACK_M: Final = 3.0  # receivers scatter and round
 _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
-_N_DISAGREE: Final = 5  # in a row, before a person hears of it; as many that agree end it
+_N_DISAGREE: Final = 5  # in a row, before a notice is raised; as many that agree end it
 _N_SIGMA: Final = 3.0
 _N_IMPOSSIBLE: Final = 20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
 _FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
@@ -58,7 +58,7 @@ _FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
 _UNITS: Final = {"deg": "degrees", "rad": "rad", "m": "m", "mps": "m/s"}
 _MAX_UNKNOWN: Final = 32
 _TICK_S: Final = 1e-3
-# Differences that are nothing to talk about: the units measure at different places and instants.
+# Differences that need no notice: the units measure at different places and instants.
 _SLACK: Final[dict[Quantity, float]] = {
     "position": 2.0,
     "heading": math.radians(2.0),
@@ -70,21 +70,25 @@ _SLACK: Final[dict[Quantity, float]] = {
 
 
 class QuantityHealth(NamedTuple):
-    """serving: the unit that delivers it now; None if none does. age_s: since its last value, by source, inf if it was refused always."""
+    """Hold the state of a quantity.
+
+    serving: the unit that delivers it now; None if none does. age_s: since its last value, by source, inf if it was
+    refused always.
+    """
 
     serving: str | None
     age_s: dict[str, float]
 
 
 class _Given(NamedTuple):
-    """The last value of a quantity from one unit. time_s: of the measurement, monotonic."""
+    """Hold the last value of a quantity from one unit. time_s: of the measurement, monotonic."""
 
     time_s: float
     value: Any
 
 
 class _Channel:
-    """One quantity of one unit."""
+    """Hold the state of one quantity of one unit."""
 
     def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float, agreement: FixAgreement[_Given]) -> None:
         self.health = UnitHealth(source, unit.priority, unit.valid_s)
@@ -98,10 +102,11 @@ class _Channel:
 
 
 class NavMerge:
-    """Several units' fixes to one stream of samples.
+    """Merge several units' fixes into one stream of samples.
 
-    `counters`, by quantity and source: nav.impossible.*, .same_instant.*, .jump.*, .refix.*, .gnss_<doubt>.*, .disagree.*; by source:
-    nav.not_valid.*, .clock_anchored_anew.*; nav.unknown_source, .too_late, .lever_arm_unknown, .reckoned.
+    `counters`, by quantity and source: nav.impossible.*, .same_instant.*, .jump.*, .refix.*, .gnss_<doubt>.*,
+    .disagree.*; by source: nav.not_valid.*, .clock_anchored_anew.*; nav.unknown_source, .too_late, .lever_arm_unknown,
+    .reckoned.
     """
 
     def __init__(self, settings: NavMergeSettings) -> None:
@@ -120,7 +125,7 @@ class NavMerge:
         self._position_s = -math.inf  # of the newest position, measured or reckoned
         self._reckoning = False
         self._position_lost = False
-        self._n_steps_told = 0
+        self._n_steps_reported = 0
         self._now_s = -math.inf
         self._hold_s = _QUEUE_SLACK_S + max((unit.latency_s for unit in settings.units.values()), default=0.0)
         self._queue: list[tuple[float, int, NavSample]] = []
@@ -129,7 +134,7 @@ class NavMerge:
         self._last_utc_s = -math.inf
 
     def feed(self, fix: NavFix) -> list[Event]:
-        """Take a fix; the samples that are due, and notices."""
+        """Take a fix; return the samples that are due, and notices."""
         events = self.advance(fix.received)
         unit = self._settings.unit(fix.source)
         if unit is None:
@@ -180,7 +185,7 @@ class NavMerge:
         return events + self._due()
 
     def advance(self, stamp: Stamp) -> list[Event]:
-        """Time has passed, whether or not a unit sent anything: what is due, and what went missing."""
+        """Take the passing of time without a fix; return what is due, and notices of what went missing."""
         now_s = stamp.mono_ns * 1e-9
         events: list[Event] = []
         if now_s > self._now_s + _TICK_S:
@@ -188,17 +193,17 @@ class NavMerge:
             for quantity in QUANTITIES:
                 events += self._choose(quantity)
             if "position" in self._lost and now_s - self._position_s > _LOST_AFTER_S:
-                events += self._tell_position_lost()
+                events += self._report_position_lost()
             events += self._due()
         return events
 
     def finish(self) -> list[Event]:
-        """No more fixes will come: every sample still held back."""
+        """End the stream; return every sample still held back."""
         self._now_s = math.inf
         return self._due()
 
     def health(self) -> dict[Quantity, QuantityHealth]:
-        """Who serves each quantity and how old each unit's newest value is, as of the newest stamp."""
+        """Return who serves each quantity and the age of each unit's newest value, as of the newest stamp."""
         health = {}
         for quantity, fallback in self._fallbacks.items():
             serving = None if fallback.serving is None else fallback.serving.source
@@ -206,7 +211,7 @@ class NavMerge:
         return health
 
     def _refuse(self, impossible: list[Quantity], readings: Readings, fix: NavFix) -> list[Event]:
-        """Count what cannot be; a unit that goes on sending such values is reported once per quantity."""
+        """Count impossible values; report a unit that goes on sending them once per quantity."""
         events: list[Event] = []
         for quantity, reading in zip(QUANTITIES, readings, strict=True):
             if reading is not None:
@@ -223,7 +228,7 @@ class NavMerge:
             values = ", ".join(
                 f"{name.rpartition('_')[0]} {getattr(fix, name):g} {_UNITS[name.rpartition('_')[2]]}" for name in _FIELDS[quantity]
             )
-            text = f"'{fix.source}' sends a {quantity} that cannot be ({values}); it is not used. "
+            text = f"'{fix.source}' sends an impossible {quantity} ({values}); it is not used. "
             text += "Check the unit's settings, sensor and wiring."
             events.append(Notice(code="nav_impossible", text=text))
         return events
@@ -237,18 +242,18 @@ class NavMerge:
         return [Notice(code="nav_unit_unknown", text=text)]
 
     def _age_s(self, fix: NavFix, unit: NavUnitSettings, events: list[Event]) -> float:
-        """How old the measurement was when it arrived."""
+        """Return the age of a measurement at its arrival, in seconds."""
         delay_s = unit.latency_s + wire_delay_s(fix.n_bytes, unit.baud)
         if not unit.use_unit_time or fix.time_utc_s is None:
             return delay_s + fix.age_s
         clock = self._clocks.get(fix.source)
         if clock is None:
             clock = self._clocks[fix.source] = DeviceClock(f"navigation unit '{fix.source}'")
-        told = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s + fix.age_s)
-        if told.notice is not None:
+        host_time = clock.host_time(fix.time_utc_s, fix.received, delay_s=delay_s + fix.age_s)
+        if host_time.notice is not None:
             self.counters[f"nav.clock_anchored_anew.{fix.source}"] += 1
-            events.append(told.notice)
-        return (fix.received.mono_ns - told.mono_ns) * 1e-9
+            events.append(host_time.notice)
+        return (fix.received.mono_ns - host_time.mono_ns) * 1e-9
 
     def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> _Channel:
         channel = self._channels.get((quantity, source))
@@ -260,7 +265,7 @@ class NavMerge:
         return channel
 
     def _repeats(self, channel: _Channel, fix: NavFix, quantity: Quantity) -> bool:
-        """The unit said the same instant again: another sentence of one epoch, or a unit that hangs."""
+        """Return whether the unit repeats an instant: another sentence of one epoch, or a unit that hangs."""
         if fix.time_utc_s is not None and fix.time_utc_s == channel.unit_time_s:
             self.counters[f"nav.same_instant.{quantity}.{fix.source}"] += 1
             return True
@@ -268,7 +273,7 @@ class NavMerge:
         return False
 
     def _fresh(self, quantity: Quantity) -> Any:
-        """The serving unit's last value, if it is still valid."""
+        """Return the serving unit's last value, if it is still valid."""
         serving = self._fallbacks[quantity].serving
         if serving is None or not serving.is_healthy(self._now_s):
             return None
@@ -276,7 +281,7 @@ class NavMerge:
         return None if given is None else given.value
 
     def _arm(self, unit: NavUnitSettings) -> tuple[float, float, float] | None:
-        """Lever arm in north, east, down; None if it cannot be told without a heading."""
+        """Return the lever arm in north, east, down; None if it needs a heading and there is none."""
         heading: HeadingReading | None = self._fresh("heading")
         attitude: AttitudeReading = self._fresh("attitude") or AttitudeReading(0.0, 0.0)
         if heading is None and unit.lever_arm_m[:2] != (0.0, 0.0):
@@ -285,7 +290,7 @@ class NavMerge:
         return arm_north_east_down(unit.lever_arm_m, 0.0 if heading is None else heading.heading_rad, *attitude)
 
     def _without_arm(self, position: Position, unit: NavUnitSettings) -> Position:
-        """Of the vehicle's reference; without a heading, of the antenna, the arm's length less sure."""
+        """Return the position of the reference; without a heading, of the antenna, with the arm's length as error."""
         if unit.lever_arm_m == (0.0, 0.0, 0.0):
             return position
         arm = self._arm(unit)
@@ -302,7 +307,7 @@ class NavMerge:
         return value_m - down_m if quantity == "depth" else value_m + down_m
 
     def _believed(self, channel: _Channel, time_s: float, position: Position) -> Position | None:
-        """The position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
+        """Accept the position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
             channel.doubt = channel.watch.doubt(time_s, position, self._fresh("depth"), self._reckoner.travelled)
@@ -319,7 +324,7 @@ class NavMerge:
         return position
 
     def _submerged(self, source: str) -> bool:
-        """Whether a satellite receiver is under water, or sends positions as if it were."""
+        """Return whether a satellite receiver is under water, or sends positions as if it were."""
         depth_m = self._fresh("depth")
         channel = self._channels.get(("position", source))
         return (depth_m is not None and depth_m > self._settings.surface_depth_m) or (channel is not None and channel.doubt is not None)
@@ -329,7 +334,7 @@ class NavMerge:
         return slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
 
     def _choose(self, quantity: Quantity) -> list[Event]:
-        """Have the best healthy unit serve; tell if that is another one than before."""
+        """Let the best healthy unit serve; raise a notice if it is another one than before."""
         fallback = self._fallbacks[quantity]
         before = fallback.serving
         now = fallback.choose(self._now_s)
@@ -338,15 +343,15 @@ class NavMerge:
         if now is None and before is not None:
             self._lost.add(quantity)
             if quantity == "position":
-                return []  # told with what becomes of it: dead reckoning or nothing
+                return []  # reported with its consequence: dead reckoning or nothing
             text = f"{quantity} is lost: '{before.source}' gave none for {before.valid_s:g} s and no other unit does. Check its cable."
             return [Notice(code="nav_quantity_lost", text=text)]
         if now is None:
             return []
         if before is None:
-            told = quantity in self._lost and quantity != "position"
+            was_reported = quantity in self._lost and quantity != "position"
             self._lost.discard(quantity)
-            return [Notice(code="nav_quantity_back", text=f"{quantity} is back, from '{now.source}'")] if told else []
+            return [Notice(code="nav_quantity_back", text=f"{quantity} is back, from '{now.source}'")] if was_reported else []
         if before.is_healthy(self._now_s) and fallback.is_starting(now):
             return []  # nothing failed: the units start one after the other
         why = "which is better and has been healthy for a while"
@@ -356,7 +361,7 @@ class NavMerge:
         return [Notice(code="nav_source_changed", text=text, for_the_record=before.is_healthy(self._now_s))]
 
     def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
-        """Set a unit that does not serve beside the one that does."""
+        """Compare a unit that does not serve with the one that does."""
         serving = self._fallbacks[quantity].serving
         reference = None if serving is None else self._channels[quantity, serving.source].given
         given = channel.given
@@ -386,13 +391,13 @@ class NavMerge:
             self._reckoner.fix(time_s, reading)
 
     def _reckon(self, stamp: Stamp) -> list[Event]:
-        """A position by dead reckoning, if no unit has one and it is time for the next."""
+        """Return a position by dead reckoning, if no unit has one and the next is due."""
         fallback = self._fallbacks["position"]
         if fallback.serving is not None or not fallback.units:
             return []
         reckoned = self._reckoner.position()
         if reckoned is None:
-            return self._tell_position_lost()
+            return self._report_position_lost()
         time_s, position = reckoned
         if time_s - self._reckoned_s < _RECKONING_PERIOD_S:
             return []
@@ -404,21 +409,21 @@ class NavMerge:
         events: list[Event] = []
         if not self._reckoning:
             self._reckoning, self._position_lost = True, False
-            self._n_steps_told = sum(step_m <= position.sigma_m for step_m in _RECKONING_STEPS_M)
-            text = f"no unit gives a believable position{self._doubts()}: going on by heading and speed, "
+            self._n_steps_reported = sum(step_m <= position.sigma_m for step_m in _RECKONING_STEPS_M)
+            text = f"no unit gives a plausible position{self._doubts()}: continuing by heading and speed, "
             text += f"1-sigma {position.sigma_m:.1f} m and growing"
             events.append(Notice(code="nav_dead_reckoning", text=text))
-        elif self._n_steps_told < len(_RECKONING_STEPS_M) and position.sigma_m >= _RECKONING_STEPS_M[self._n_steps_told]:
-            self._n_steps_told += 1
-            text = f"still going on by heading and speed: 1-sigma of the position is {position.sigma_m:.0f} m"
+        elif self._n_steps_reported < len(_RECKONING_STEPS_M) and position.sigma_m >= _RECKONING_STEPS_M[self._n_steps_reported]:
+            self._n_steps_reported += 1
+            text = f"still continuing by heading and speed: 1-sigma of the position is {position.sigma_m:.0f} m"
             events.append(Notice(code="nav_dead_reckoning", text=text))
         return events
 
-    def _tell_position_lost(self) -> list[Event]:
+    def _report_position_lost(self) -> list[Event]:
         if self._position_lost:
             return []
         self._reckoning, self._position_lost = False, True
-        text = f"no unit gives a believable position{self._doubts()}, and without heading and speed the way since the last one is not known"
+        text = f"no unit gives a plausible position{self._doubts()}, and dead reckoning needs a heading and a speed"
         return [Notice(code="nav_position_lost", text=text)]
 
     def _doubts(self) -> str:
@@ -441,7 +446,7 @@ class NavMerge:
         self._n_queued += 1
 
     def _due(self) -> list[Event]:
-        """The samples that no later fix can precede."""
+        """Return the samples that no later fix can precede."""
         due: list[Event] = []
         while self._queue and self._queue[0][0] <= self._now_s - self._hold_s:
             self._released_s, _, sample = heapq.heappop(self._queue)
@@ -458,24 +463,24 @@ def _apart_m(before: _Given, after: _Given) -> float:
 
 
 def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:
-    told: dict[str, float] = {}
+    reported: dict[str, float] = {}
     for quantity, reading in served.items():
         match reading:
             case Position():
-                told.update(latitude_deg=reading.latitude_deg, longitude_deg=reading.longitude_deg)
+                reported.update(latitude_deg=reading.latitude_deg, longitude_deg=reading.longitude_deg)
             case HeadingReading():
-                told["heading_rad"] = reading.heading_rad
+                reported["heading_rad"] = reading.heading_rad
             case AttitudeReading():
-                told.update(pitch_rad=reading.pitch_rad, roll_rad=reading.roll_rad)
+                reported.update(pitch_rad=reading.pitch_rad, roll_rad=reading.roll_rad)
             case SpeedReading():
-                told["speed_mps"] = reading.speed_mps
+                reported["speed_mps"] = reading.speed_mps
             case _:
-                told[f"{quantity}_m"] = reading
-    return NavSample(time_s=utc_s, **told)
+                reported[f"{quantity}_m"] = reading
+    return NavSample(time_s=utc_s, **reported)
 
 
 def _difference(quantity: Quantity, given: _Given, reference: _Given, max_speed_mps: float) -> float:
-    """How far two values are apart beyond their errors and what can have changed between them."""
+    """Return how far two values are apart beyond their errors and what can have changed between them."""
     one, other = given.value, reference.value
     apart_s = abs(given.time_s - reference.time_s)
     match quantity:

@@ -1,4 +1,4 @@
-"""A NMEA 2000 bus: frames of many units in, each unit's fixes out. It listens only; claims of addresses are noted, never made."""
+"""Decode a NMEA 2000 bus: frames of many units to each unit's fixes. It listens only and never claims an address."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _TURN: Final = 2.0 * math.pi
 
 
 class N2kBus:
-    """One bus's frames to fixes. Never raises, whatever the frames.
+    """Decode one bus's frames to fixes. Never raises, whatever the frames.
 
-    Units are called SOURCE.ADDRESS; one that claims another address keeps its name, by the 64-bit NAME in its claim. Messages of one unit
-    with one sid carry the stamp of the first of them, since they were measured together. `counters`: n2k.messages, .ignored (groups not
-    known here), .short, .claims, .impossible_position, .heading_magnetic (no variation known), .heading_reference_unknown, and those of
-    FastPackets.
+    Units are called SOURCE.ADDRESS; one that claims another address keeps its name, by the 64-bit NAME in its claim.
+    Messages of one unit with one sid carry the stamp of the first of them, since they were measured together.
+    `counters`: n2k.messages, .ignored (groups not known here), .short, .claims, .impossible_position, .heading_magnetic
+    (no variation known), .heading_reference_unknown, and those of FastPackets.
     """
 
     def __init__(self, source: str) -> None:
@@ -60,11 +60,11 @@ class N2kBus:
 
     @property
     def units(self) -> dict[str, int | None]:
-        """NAME of every unit heard, None for one that has not claimed its address since we listen."""
+        """Return the NAME of every unit heard, None for one that has not claimed its address since listening began."""
         return {talker.label: talker.name for talker in self._talkers.values()}
 
     def feed(self, can_id: int, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """The fixes that a frame completes. can_id: 29 bits. stamp: when it was read."""
+        """Return the fixes that a frame completes. can_id: 29 bits. stamp: when it was read."""
         _, pgn, _, source = identifier_of(can_id)
         if pgn in FAST_PACKET_GROUPS:
             whole = self._packets.add(pgn, source, data)
@@ -72,7 +72,7 @@ class N2kBus:
         return self.feed_message(pgn, source, data, stamp)
 
     def feed_message(self, pgn: int, address: int, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """The fixes in a whole message, for links and logs that put fast packets together themselves."""
+        """Return the fixes in a whole message, for links and logs that put fast packets together themselves."""
         if pgn == ADDRESS_CLAIM:
             self._claim(address, data)
             return []
@@ -88,10 +88,10 @@ class N2kBus:
         talker = self._talkers.get(address)
         if talker is None:
             talker = self._talkers[address] = _Talker(f"{self._source}.{address}", None)
-        told = self._told(record, talker)
-        if told is None:
+        fix_fields = self._fix_fields(record, talker)
+        if fix_fields is None:
             return []
-        return [NavFix(source=talker.label, received=talker.instant(pgn, record, stamp), **told)]
+        return [NavFix(source=talker.label, received=talker.instant(pgn, record, stamp), **fix_fields)]
 
     def _claim(self, address: int, data: bytes) -> None:
         if len(data) < 8:
@@ -113,17 +113,17 @@ class N2kBus:
         if address < _NO_ADDRESS:
             self._talkers[address] = _Talker(self._labels[name], name)
 
-    def _told(self, record: Record, talker: _Talker) -> dict[str, Any] | None:
-        """The fields of a fix that a message fills; None for one that tells nothing about the vehicle's track."""
+    def _fix_fields(self, record: Record, talker: _Talker) -> dict[str, Any] | None:
+        """Return the fields of a fix that a message fills; None for one without information on the vehicle's track."""
         match record:
             case Heading():
                 return self._heading(record, talker)
             case Attitude():
-                told: dict[str, Any] = {"pitch_rad": record.pitch_rad, "roll_rad": record.roll_rad}
+                fix_fields: dict[str, Any] = {"pitch_rad": record.pitch_rad, "roll_rad": record.roll_rad}
                 if not talker.sends_heading:
-                    told["heading_rad"] = record.yaw_rad % _TURN
-                told["valid"] = not all(math.isnan(angle) for angle in told.values())
-                return told
+                    fix_fields["heading_rad"] = record.yaw_rad % _TURN
+                fix_fields["valid"] = not all(math.isnan(angle) for angle in fix_fields.values())
+                return fix_fields
             case MagneticVariation():
                 talker.variation_rad = record.variation_rad
                 return None
@@ -147,7 +147,10 @@ class N2kBus:
         return None
 
     def _place(self, latitude_deg: float, longitude_deg: float) -> dict[str, Any]:
-        """A position as sent; the fields have room for 214 degrees. NavMerge refuses and reports what cannot be."""
+        """Return a position as sent; the fields have room for 214 degrees.
+
+        NavMerge rejects and reports impossible ones.
+        """
         if math.isnan(latitude_deg) or math.isnan(longitude_deg):
             return {"valid": False}
         is_possible = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
@@ -173,7 +176,7 @@ class N2kBus:
 
 
 class _Talker:
-    """What is remembered of one unit."""
+    """Hold the state of one unit."""
 
     def __init__(self, label: str, name: int | None) -> None:
         self.label = label
@@ -186,7 +189,7 @@ class _Talker:
         self._groups: set[int] = set()
 
     def instant(self, pgn: int, record: Record, stamp: Stamp) -> Stamp:
-        """Stamp of the first message of the instant that this one belongs to.
+        """Return the stamp of the first message of the instant that this one belongs to.
 
         Units that do not count their sids send the same one for ever, so a group that comes again begins a new instant.
         """

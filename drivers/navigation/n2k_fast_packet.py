@@ -1,4 +1,4 @@
-"""NMEA 2000 fast packets: messages of 9 to 223 bytes in frames of 8.
+"""Assemble NMEA 2000 fast packets: messages of 9 to 223 bytes in frames of 8.
 
 Byte 0 of a frame is a sequence number (3 bits) and a frame number (5 bits); byte 1 of frame 0 is the message's length.
 """
@@ -13,10 +13,10 @@ _MAX_OPEN: Final = 64  # messages under way: more talkers than any bus has for t
 
 
 class FastPackets:
-    """Puts messages together, each by its group, source and sequence number; a message with a hole is dropped.
+    """Assemble messages by group, source and sequence number; drop a message with a gap.
 
-    `counters`: n2k.fast_packet.incomplete (dropped for a hole, or because the next began), .orphan (frames without their frame 0),
-    .length, .messages. Holds at most 64 messages under way.
+    `counters`: n2k.fast_packet.incomplete (dropped for a gap, or because the next began), .orphan (frames without their
+    frame 0), .length, .messages. Holds at most 64 messages under way.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class FastPackets:
         self._open: dict[tuple[int, int, int], tuple[int, bytearray]] = {}  # length, and what has come
 
     def add(self, pgn: int, source: int, frame: bytes) -> bytes | None:
-        """Take a frame's data; the message if that completes one."""
+        """Take a frame's data; return the message if that completes one."""
         if len(frame) < 2:
             self.counters["n2k.fast_packet.length"] += 1
             return None
@@ -64,7 +64,7 @@ class FastPackets:
 
 
 def frames_of(data: bytes, sequence: int) -> list[bytes]:
-    """The frames of a message, the last one filled up with ones. Raises ValueError for more than 223 bytes or none."""
+    """Split a message into frames, the last one filled up with ones. Raises ValueError for more than 223 bytes or none."""
     if not 0 < len(data) <= MAX_MESSAGE_BYTES:
         raise ValueError(f"a fast packet has 1 to {MAX_MESSAGE_BYTES} bytes, not {len(data)}")
     head = (sequence & 7) << 5

@@ -1,8 +1,9 @@
-"""NMEA 2000 messages as typed records, both ways, from one table of bit fields.
+"""Decode and encode NMEA 2000 messages as typed records, from one table of bit fields.
 
-The layouts are those that canboat's analyser and other open decoders agree on. Bits count from the least significant one of byte 0, which
-makes a message one little-endian number. A field whose bits are all ones (signed: the largest number) is not available, one less is an
-error of the sender; both are NaN here. Angles are radians, speeds m/s, temperatures K, pressures Pa; sid is a number, NaN if absent.
+The layouts are those that canboat's analyser and other open decoders agree on. Bits count from the least significant
+one of byte 0, which makes a message one little-endian number. A field whose bits are all ones (signed: the largest
+number) is not available, one less is an error of the sender; both are NaN here. Angles are radians, speeds m/s,
+temperatures K, pressures Pa; sid is a number, NaN if absent.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ GLOBAL: Final = 255
 
 
 class N2kField(NamedTuple):
-    """One number: n_bits from start_bit on, times resolution."""
+    """Describe one number: n_bits from start_bit on, times resolution."""
 
     start_bit: int
     n_bits: int
@@ -151,7 +152,7 @@ R = TypeVar("R", bound=tuple[Any, ...])
 
 
 class N2kMessage(NamedTuple, Generic[R]):
-    """n_bytes: what a whole message has at least; a longer one goes on with repeated groups."""
+    """Describe a message. n_bytes: minimum of a whole one; a longer one goes on with repeated groups."""
 
     pgn: int
     priority: int
@@ -161,7 +162,7 @@ class N2kMessage(NamedTuple, Generic[R]):
 
 
 class Identifier(NamedTuple):
-    """What a 29-bit CAN identifier says. destination: GLOBAL unless the message is addressed."""
+    """Hold the parts of a 29-bit CAN identifier. destination: GLOBAL unless the message is addressed."""
 
     priority: int
     pgn: int
@@ -170,7 +171,7 @@ class Identifier(NamedTuple):
 
 
 def identifier_of(can_id: int) -> Identifier:
-    """SAE J1939-21: below 240 the middle byte of the group number is a destination."""
+    """Split a 29-bit identifier. SAE J1939-21: below 240 the middle byte of the group number is a destination."""
     pgn = can_id >> 8 & 0x3FFFF
     if pgn >> 8 & 0xFF < 240:
         return Identifier(can_id >> 26 & 7, pgn & 0x3FF00, pgn & 0xFF, can_id & 0xFF)
@@ -184,7 +185,7 @@ def can_id_of(identifier: Identifier) -> int:
 
 
 def decode(pgn: int, data: bytes) -> Record | None:
-    """The record of a message's bytes; None for a group not known here. Raises ValueError for one that is too short."""
+    """Decode a message's bytes to its record; None for an unknown group. Raises ValueError for one that is too short."""
     message = MESSAGES.get(pgn)
     if message is None:
         return None
@@ -206,7 +207,10 @@ def decode(pgn: int, data: bytes) -> Record | None:
 
 
 def encode(record: Record) -> tuple[int, bytes]:
-    """PGN and bytes of a record; what it does not know, and every reserved bit, is all ones. Raises ValueError for one without room."""
+    """Encode a record to PGN and bytes; unknown values, and every reserved bit, are all ones.
+
+    Raises ValueError for one without room.
+    """
     message = _BY_RECORD[type(record)]
     bits = (1 << 8 * message.n_bytes) - 1
     for (start_bit, n_bits, signed, resolution), value in zip(message.fields, record, strict=True):

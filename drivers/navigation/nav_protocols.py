@@ -1,4 +1,4 @@
-"""The navigation protocols there are decoders for, by the name a configuration gives."""
+"""List the navigation protocols with a decoder, by their names in the configuration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TEXT_PROTOCOLS: Final[Mapping[str, Callable[[str], NavDecoder]]] = MappingProxyT
 
 
 def text_decoder(protocol: str, source: str) -> NavDecoder:
-    """A decoder for one link; source: the unit's name. Raises UsageError for a protocol that is not there."""
+    """Make a decoder for one link; source: the unit's name. Raises UsageError for an unknown protocol."""
     if protocol not in TEXT_PROTOCOLS:
-        raise UsageError(f"there is no navigation protocol '{protocol}'. Known: {', '.join((*TEXT_PROTOCOLS, CAN_PROTOCOL))}")
+        raise UsageError(f"unknown navigation protocol '{protocol}'. Known: {', '.join((*TEXT_PROTOCOLS, CAN_PROTOCOL))}")
     return TEXT_PROTOCOLS[protocol](source)

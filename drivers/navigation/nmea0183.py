@@ -1,7 +1,7 @@
-"""NMEA 0183 framing: `$` or `!`, a body, `*`, the XOR of the body in hex. What follows, CR LF or not, does not matter.
+"""Frame NMEA 0183: `$` or `!`, a body, `*`, the XOR of the body in hex. What follows, CR LF or not, does not matter.
 
-IEC 61162-1, section 7: `$`, `!` and `*` never occur inside a body, so whatever came before an intact sentence cannot swallow it. The
-standard's 82 characters are not enforced, since attitude and inertial units send more.
+IEC 61162-1, section 7: `$`, `!` and `*` never occur inside a body, so whatever came before an intact sentence cannot
+swallow it. The standard's 82 characters are not enforced, since attitude and inertial units send more.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ _CANDIDATES: Final = MessageCandidates(
 
 
 class NmeaGrammar(Grammar[str]):
-    """A message is a sentence's body, such as `GPHDT,123.4,T`. Its line end is not waited for; one that comes later counts as skipped."""
+    """Frame sentences; a message is a sentence's body, such as `GPHDT,123.4,T`.
+
+    Its line end is not waited for; one that comes later counts as skipped.
+    """
 
     name = "nmea"
     head_bytes = 1
@@ -66,13 +69,13 @@ class NmeaGrammar(Grammar[str]):
 
 
 def sentence(body: str) -> bytes:
-    """The whole line for a body such as `GPHDT,123.4,T`, with CR LF. Raises UnicodeEncodeError unless it is ASCII."""
+    """Encode a body such as `GPHDT,123.4,T` as a whole line, with CR LF. Raises UnicodeEncodeError unless it is ASCII."""
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor_of(data))
 
 
 def xor_of(data: bytes) -> int:
-    """XOR of at most 256 bytes; of more than a few it is folded in halves, which is several times faster than byte by byte."""
+    """Return the XOR of at most 256 bytes; more than a few are folded in halves, several times faster than one by one."""
     if len(data) <= _FEW_BYTES:
         return reduce(xor, data, 0)
     folded = int.from_bytes(data, "big")

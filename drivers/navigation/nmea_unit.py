@@ -1,4 +1,4 @@
-"""A unit that sends NMEA 0183: GNSS receivers, compasses, echo sounders, attitude sensors, and PHINS bursts."""
+"""Decode units that send NMEA 0183: GNSS receivers, compasses, echo sounders, attitude sensors, and PHINS bursts."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ _MODES_NOT_MEASURED: Final = frozenset("NMS")
 
 
 class NmeaUnit:
-    """One link's sentences to fixes. Never raises, whatever the bytes.
+    """Decode one link's sentences to fixes. Never raises, whatever the bytes.
 
-    `counters`: those of the framer (`nmea.*`), `nmea.malformed` (checksum right, fields impossible), `nmea.ignored` (kinds not known here).
+    `counters`: those of the framer (`nmea.*`), `nmea.malformed` (checksum right, fields impossible), `nmea.ignored`
+    (kinds not known here).
     """
 
     def __init__(self, source: str) -> None:
@@ -41,11 +42,11 @@ class NmeaUnit:
         return self._framer.counters + self._own
 
     def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """What a chunk completes, in order. stamp: when its last byte was read."""
+        """Return what a chunk completes, in order. stamp: when its last byte was read."""
         return [fix for arrived in self._framer.feed(data, stamp) for fix in self._fixes(arrived)]
 
     def finish(self) -> list[NavFix]:
-        """What waits for more, at the end of a log or link."""
+        """Return what still waited at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)] + self._burst.end()
 
     def _fixes(self, arrived: StampedMessage[str]) -> list[NavFix]:
@@ -62,10 +63,12 @@ class NmeaUnit:
             self._since_burst = 0
         if self._since_burst == 0 or (isinstance(record, Hdt) and self._since_burst < _BURST_SENTENCES):
             return self._burst.add(record, arrived)
-        return [NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **self._told(record, arrived.received))]
+        return [
+            NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **self._fix_fields(record, arrived.received))
+        ]
 
-    def _told(self, record: Any, stamp: Stamp) -> dict[str, Any]:
-        """The fields of a fix that a sentence fills."""
+    def _fix_fields(self, record: Any, stamp: Stamp) -> dict[str, Any]:
+        """Return the fields of a fix that a sentence fills."""
         match record:
             case Gga():
                 time_utc_s = self._date.nearest(record.time_of_day_s, stamp)
@@ -74,27 +77,29 @@ class NmeaUnit:
                 place = _place(record.latitude_deg, record.longitude_deg)
                 return {"time_utc_s": time_utc_s, "estimated": record.quality == _GGA_ESTIMATED, **place}
             case Rmc():
-                told = _judged(record.status, record.mode)
-                told["time_utc_s"] = self._date.dated(record.date_days, record.time_of_day_s, stamp)
-                if told["valid"]:
-                    told.update(_place(record.latitude_deg, record.longitude_deg), speed_mps=record.speed_mps, course_rad=record.course_rad)
-                return told
+                fix_fields = _judged(record.status, record.mode)
+                fix_fields["time_utc_s"] = self._date.dated(record.date_days, record.time_of_day_s, stamp)
+                if fix_fields["valid"]:
+                    fix_fields.update(
+                        _place(record.latitude_deg, record.longitude_deg), speed_mps=record.speed_mps, course_rad=record.course_rad
+                    )
+                return fix_fields
             case Gll():
-                told = _judged(record.status, record.mode)
-                told["time_utc_s"] = self._date.nearest(record.time_of_day_s, stamp)
-                if told["valid"]:
-                    told.update(_place(record.latitude_deg, record.longitude_deg))
-                return told
+                fix_fields = _judged(record.status, record.mode)
+                fix_fields["time_utc_s"] = self._date.nearest(record.time_of_day_s, stamp)
+                if fix_fields["valid"]:
+                    fix_fields.update(_place(record.latitude_deg, record.longitude_deg))
+                return fix_fields
             case Hdt():
                 return {"heading_rad": record.heading_rad, "valid": not math.isnan(record.heading_rad)}
             case Vtg():
-                told = _judged("A", record.mode)
-                if told["valid"]:
-                    told.update(speed_mps=record.speed_mps, course_rad=record.course_rad)
-                return told
+                fix_fields = _judged("A", record.mode)
+                if fix_fields["valid"]:
+                    fix_fields.update(speed_mps=record.speed_mps, course_rad=record.course_rad)
+                return fix_fields
             case Zda():
                 time_utc_s = self._date.dated(record.date_days, record.time_of_day_s, stamp)
-                return {"time_utc_s": time_utc_s, "tells_utc": time_utc_s is not None and not math.isnan(record.date_days)}
+                return {"time_utc_s": time_utc_s, "is_time_message": time_utc_s is not None and not math.isnan(record.date_days)}
             case Dpt() | Dbt():
                 return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
             case Pashr():
@@ -116,6 +121,6 @@ def _judged(status: str, mode: str) -> dict[str, Any]:
 
 
 def _place(latitude_deg: float, longitude_deg: float) -> dict[str, Any]:
-    """A position; without one the unit had none."""
+    """Return the fields of a position; invalid where the unit gives none."""
     known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
     return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg} if known else {"valid": False}

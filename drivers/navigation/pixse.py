@@ -1,4 +1,4 @@
-"""PHINS bursts (iXblue `$PIXSE`): the sentences of one instant, stamped with the time that comes after them."""
+"""Assemble PHINS bursts (iXblue `$PIXSE`): the sentences of one instant, stamped with the time that comes after them."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ PIXSE_RECORDS: Final = (
 
 
 class Burst:
-    """Collects one burst after the other.
+    """Collect one burst after the other.
 
-    A burst ends with its TIME__, or, if that was lost, with a heading, which comes first, or a second sentence of a kind it has already.
-    Standard deviations come before or after the time, depending on the unit, and change slowly: a fix has the newest ones told.
+    A burst ends with its TIME__, or, if that was lost, with a heading, which comes first, or a second sentence of a
+    kind it has already. Standard deviations come before or after the time, depending on the unit, and change slowly: a
+    fix has the newest ones reported.
     """
 
     def __init__(self, source: str, date: DeviceDate) -> None:
@@ -48,7 +49,7 @@ class Burst:
         self._sigma: dict[str, Any] = {}
 
     def add(self, record: Any, arrived: StampedMessage[str]) -> list[NavFix]:
-        """Take one record of PIXSE_RECORDS or a heading; the fixes that became complete."""
+        """Take one record of PIXSE_RECORDS or a heading; return the fixes that it completes."""
         match record:
             case PixseAttitudeSigma():
                 self._sigma["heading_sigma_rad"] = record.heading_rad
@@ -71,20 +72,20 @@ class Burst:
         return []
 
     def end(self, time_utc_s: float | None = None) -> list[NavFix]:
-        """The burst as far as it has come, if anything has."""
+        """Return the fix of the burst so far, if it holds anything."""
         first, self._first = self._first, None
         records, self._records = self._records, {}
         if first is None:
             return []
-        told: dict[str, Any] = {}
+        fix_fields: dict[str, Any] = {}
         for record in records.values():
-            told.update(_told(record))
+            fix_fields.update(_fix_fields(record))
         return [
-            NavFix(source=self._source, received=first.received, n_bytes=first.n_bytes, time_utc_s=time_utc_s, **told, **self._sigma),
+            NavFix(source=self._source, received=first.received, n_bytes=first.n_bytes, time_utc_s=time_utc_s, **fix_fields, **self._sigma),
         ]
 
 
-def _told(record: Any) -> dict[str, Any]:
+def _fix_fields(record: Any) -> dict[str, Any]:
     match record:
         case Hdt():
             return {"heading_rad": record.heading_rad}

@@ -1,4 +1,4 @@
-"""Dead reckoning: where the vehicle is by its heading and speed since the last position, and how sure that is."""
+"""Reckon the vehicle's position, and its error, from heading and speed since the last position."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MAX_HOLD_S: Final = 1.5  # a velocity is taken to go on for this long, no longer
 
 
 class Travelled(NamedTuple):
-    """Way made since the beginning. leg: of two instants of one leg the way between them is known, of others it is not."""
+    """Hold the distance run since the start. leg: the distance between two instants is known only within one leg."""
 
     leg: int
     east_m: float
@@ -27,10 +27,12 @@ class _Anchor(NamedTuple):
 
 
 class Reckoner:
-    """Adds up velocities, direction first from a course over ground, else from heading and drift. Times are seconds on any clock.
+    """Integrate velocities, with the direction from a course over ground, else from heading and drift.
 
-    Errors of heading and speed are taken to be constant, so that they add up with the way and with the time: the 1-sigma is
-    sqrt(sigma0^2 + (sigma_heading * distance)^2 + (sigma_speed * time)^2).
+    Times are seconds on any clock.
+
+    Errors of heading and speed are taken to be constant, so that they add up with the way and with the time: the
+    1-sigma is sqrt(sigma0^2 + (sigma_heading * distance)^2 + (sigma_speed * time)^2).
     """
 
     def __init__(self) -> None:
@@ -55,11 +57,11 @@ class Reckoner:
         self._go_to(time_s)
 
     def fix(self, time_s: float, position: Position) -> None:
-        """Begin from a measured position."""
+        """Start from a measured position."""
         self._anchor = _Anchor(time_s, position, self.travelled, self._distance_m)
 
     def position(self) -> tuple[float, Position] | None:
-        """Time and place by reckoning; None if the way since the last measured position is not known."""
+        """Return time and place by reckoning; None if the distance run since the last measured position is not known."""
         anchor = self._anchor
         if anchor is None or self._velocity is None or anchor.travelled.leg != self._leg or self._heading is None or self._speed is None:
             return None
@@ -72,7 +74,7 @@ class Reckoner:
         return self._time_s, Position(latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2))
 
     def _go_to(self, time_s: float) -> None:
-        """Move on with the mean of the velocities before and now. Messages that come late change the velocity, not the way made."""
+        """Advance by the mean of the last two velocities. Late messages change the velocity, not the distance run."""
         elapsed_s = time_s - self._time_s
         velocity = self._velocity_at(time_s)
         if elapsed_s > MAX_HOLD_S or velocity is None:
@@ -91,7 +93,7 @@ class Reckoner:
         self._time_s = max(self._time_s, time_s)
 
     def _velocity_at(self, time_s: float) -> tuple[float, float] | None:
-        """East and north, if heading and speed are recent."""
+        """Return the velocity east and north, in m/s, if heading and speed are recent; else None."""
         if self._speed is None or abs(time_s - self._speed[0]) > MAX_HOLD_S:
             return None
         speed = self._speed[1]

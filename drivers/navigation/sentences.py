@@ -1,8 +1,9 @@
-"""NMEA 0183 sentences as typed records, both ways, from one table.
+"""Decode and encode NMEA 0183 sentences as typed records, from one table.
 
-Angles are radians, speeds m/s, times of day seconds since midnight UTC, dates days since 1970-01-01; an empty field is NaN or "".
-Signs are those of the wire. Fields missing at the end count as empty, since older units send fewer. Layouts: IEC 61162-1 for the standard
-ones, the makers' published descriptions for PASHR, PRDID (TSS1/Teledyne RDI) and PIXSE (iXblue).
+Angles are radians, speeds m/s, times of day seconds since midnight UTC, dates days since 1970-01-01; an empty field is
+NaN or "". Signs are those of the wire. Fields missing at the end count as empty, since older units send fewer. Layouts:
+IEC 61162-1 for the standard ones, the makers' published descriptions for PASHR, PRDID (TSS1/Teledyne RDI) and PIXSE
+(iXblue).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _MICRO: Final = 1_000_000
 
 
 class Codec(NamedTuple):
-    """How one value stands in one or several fields. read raises ValueError for what cannot be one."""
+    """Read and write one value in one or several fields. read raises ValueError for an impossible one."""
 
     n_fields: int
     read: Callable[[Sequence[str]], Any]
@@ -184,7 +185,11 @@ R = TypeVar("R", bound=tuple[Any, ...])
 
 
 class Sentence(NamedTuple, Generic[R]):
-    """key: what `key_of` says. codecs: one per value of the record, None for a field that is written empty and not read."""
+    """Describe a sentence.
+
+    key: as `key_of` returns it. codecs: one per value of the record, None for a field that is written empty and not
+    read.
+    """
 
     key: str
     make: Callable[..., R]
@@ -192,7 +197,10 @@ class Sentence(NamedTuple, Generic[R]):
 
 
 def key_of(fields: Sequence[str]) -> str:
-    """Which sentence the fields of a body are: the type without its talker, a proprietary one whole, iXblue's with its second field."""
+    """Return the key of the sentence that a body's fields form.
+
+    The type without its talker, a proprietary one whole, iXblue's with its second field.
+    """
     address = fields[0]
     if address == "PIXSE":
         return f"PIXSE,{fields[1]}" if len(fields) > 1 else address
@@ -200,7 +208,10 @@ def key_of(fields: Sequence[str]) -> str:
 
 
 def parse(body: str) -> Record | None:
-    """The record in a sentence's body; None for a kind not known here. Raises ValueError for one that cannot be true to its kind."""
+    """Decode a sentence's body to its record; None for an unknown kind.
+
+    Raises ValueError for one that does not fit its kind.
+    """
     fields = body.split(",")
     key = key_of(fields)
     kind = SENTENCES.get(key)
@@ -223,7 +234,7 @@ def parse(body: str) -> Record | None:
 
 
 def body_of(record: Record, talker: str = "GP") -> str:
-    """The body that says a record; talker: for standard sentences."""
+    """Encode a record as a body; talker: for standard sentences."""
     kind = _BY_RECORD[type(record)]
     fields = [kind.key if kind.key.startswith("P") else talker + kind.key]
     values = iter(record)
@@ -242,7 +253,7 @@ def _read_number(fields: Sequence[str]) -> float:
 
 
 def _number(decimals: int, unit: float = 1.0) -> Codec:
-    """A decimal number; unit: what 1 on the wire is here."""
+    """Make the codec of a decimal number; unit: the SI value of 1 on the wire."""
 
     def read(fields: Sequence[str]) -> float:
         return _read_number(fields) * unit
@@ -263,7 +274,7 @@ def _letter(allowed: str) -> Codec:
 
 
 def _with_unit(number: Codec, unit: str) -> Codec:
-    """A number and the letter of its unit, which may be left out but not be another."""
+    """Make the codec of a number and the letter of its unit, which may be missing but not be another."""
 
     def read(fields: Sequence[str]) -> float:
         if fields[1] not in ("", unit):
@@ -275,7 +286,7 @@ def _with_unit(number: Codec, unit: str) -> Codec:
 
 
 def _degrees_and_minutes(n_degree_digits: int, hemispheres: str) -> Codec:
-    """ddmm.mmmm and a hemisphere; written to a millionth of a minute, 2 mm."""
+    """Make the codec of ddmm.mmmm and a hemisphere; written to a millionth of a minute, 2 mm."""
     limit_deg = {2: 90.0, 3: 180.0}[n_degree_digits]
 
     def read(fields: Sequence[str]) -> float:

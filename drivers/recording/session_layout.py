@@ -1,8 +1,9 @@
-"""What a recorded session holds and how it lies in its files.
+"""Define what a recorded session holds and its layout in files.
 
-A session is a folder of MCAP files (https://mcap.dev/spec), each readable without the others: uncompressed chunks with a CRC-32, a
-channel per port and direction, one message per chunk of bytes. A message's log time is UTC and its publish time the monotonic
-clock, as the bytes were read; its sequence counts the chunks of the whole session. The first message of a file says what the session is.
+A session is a folder of MCAP files (https://mcap.dev/spec), each readable without the others: uncompressed chunks with
+a CRC-32, a channel per port and direction, one message per chunk of bytes. A message's log time is UTC and its publish
+time the monotonic clock, as the bytes were read; its sequence counts the chunks of the whole session. The first message
+of a file says what the session is.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ SEQUENCE_SPAN: Final = 2**32
 
 
 class Recorded(NamedTuple):
-    """Bytes that one read of a port gave (`in`), or that were written to it (`out`), and when. Empty ones are ticks of the clock."""
+    """Hold the bytes of one read of a port (`in`) or one write to it (`out`), and when.
+
+    Empty ones are ticks of the clock.
+    """
 
     port: str
     direction: Direction
@@ -32,7 +36,7 @@ class Recorded(NamedTuple):
 
 
 class PortDescription(msgspec.Struct, frozen=True, kw_only=True):
-    """A port by the name that the configuration gives it. uri: where it is; device: what speaks there, by its driver's name."""
+    """Describe a port, by its name in the configuration. uri: where it is; device: the name of its driver."""
 
     name: str
     uri: str
@@ -40,7 +44,10 @@ class PortDescription(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SessionDescription(msgspec.Struct, frozen=True, kw_only=True):
-    """What a replay needs to know. version: of the program that recorded; config_yaml: its whole configuration; started: when."""
+    """Hold what a replay needs.
+
+    version: of the program that recorded; config_yaml: its whole configuration; started: when.
+    """
 
     version: str
     started: Stamp
@@ -49,14 +56,14 @@ class SessionDescription(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FileHead(msgspec.Struct, frozen=True, kw_only=True):
-    """The first message of each file. file_number: 0, 1 ... in the order of recording."""
+    """Begin each file with the session. file_number: 0, 1 ... in the order of recording."""
 
     file_number: int
     session: SessionDescription
 
 
 class Lost(msgspec.Struct, frozen=True, kw_only=True):
-    """What came too fast for the disk, after the messages before and before those behind. n_bytes: by port."""
+    """Count bytes that came too fast for the disk, between the messages before and behind. n_bytes: by port."""
 
     n_chunks: int
     n_bytes: dict[str, int]

@@ -1,4 +1,4 @@
-"""Recording beside the event loop: it hands bytes over and never waits; a thread writes them and makes them durable."""
+"""Record beside the event loop: it hands bytes over and never waits; a thread writes them and makes them durable."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _CLOSE_S: Final = 10.0
 
 
 class SessionRecorder:
-    """One session, recorded into a folder of its own.
+    """Record one session into a folder of its own.
 
-    Bytes are durable within a second. Those that come while the queue is full, and all after the disk was full or failed, are lost:
-    counted, told by a notice and, where anything is written after them, marked in the recording. A recorder that stopped does not start
-    again.
-    Counts session.chunks_recorded, .bytes_recorded (durable), .chunks_lost and .bytes_lost.
+    Bytes are durable within a second. Those that come while the queue is full, and all after the disk was full or
+    failed, are lost: counted, reported by a notice and, where anything is written after them, marked in the recording.
+    A recorder that stopped does not start again. Counts session.chunks_recorded, .bytes_recorded (durable),
+    .chunks_lost and .bytes_lost.
     """
 
     def __init__(
@@ -46,9 +46,12 @@ class SessionRecorder:
         open_file: Callable[[Path], DurableFile] = DurableFile,
         free_bytes: Callable[[Path], int] = free_bytes,
     ) -> None:
-        """Begin the recording. file_bytes, reserve_bytes: as of `SessionWriter`; queue_bytes: memory for what the disk has not taken yet.
+        """Begin the recording.
 
-        A full disk is told by a notice. Raises UsageError for a folder that cannot be written to or holds a session already.
+        file_bytes, reserve_bytes: as of `SessionWriter`; queue_bytes: memory for what the disk has not taken yet.
+
+        A full disk raises a notice. Raises UsageError for a folder that cannot be written to or holds a session
+        already.
         """
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
@@ -59,7 +62,7 @@ class SessionRecorder:
         self._notices: list[Notice] = []
         self._place = str(folder)
         self._stopped = False
-        self._told_slow = False
+        self._reported_slow = False
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="session-recorder", daemon=True)
         try:
@@ -77,13 +80,13 @@ class SessionRecorder:
 
     @property
     def counters(self) -> Counter[str]:
-        """What has been counted so far."""
+        """Return the counters so far."""
         with self._lock:
             return self._counters.copy()
 
     @property
     def queued_bytes(self) -> int:
-        """Memory that waits for the disk."""
+        """Return the bytes of memory that wait for the disk."""
         return self._queued_bytes
 
     def record(self, port: str, direction: Direction, stamp: Stamp, data: bytes) -> None:
@@ -98,7 +101,7 @@ class SessionRecorder:
             self._queued_bytes += size
 
     def take_notices(self) -> list[Notice]:
-        """What a person should know, since last asked."""
+        """Return the notices since the last call."""
         with self._lock:
             notices, self._notices = self._notices, []
             return notices
@@ -152,13 +155,13 @@ class SessionRecorder:
         lost = self._lost_here or Lost(n_chunks=0, n_bytes={}, first=stamp, last=stamp)
         n_bytes = {**lost.n_bytes, port: lost.n_bytes.get(port, 0) + len(data)}
         self._lost_here = Lost(n_chunks=lost.n_chunks + 1, n_bytes=n_bytes, first=lost.first, last=stamp)
-        if not self._told_slow:
-            self._told_slow = True
+        if not self._reported_slow:
+            self._reported_slow = True
             text = (
                 f"the disk under {self._place} is too slow for what comes in: bytes are missing from the recording, which says where. The "
                 "mission goes on. Record to a faster disk."
             )
-            self._tell(Notice(code="session_bytes_lost", text=text, place=self._place))
+            self._raise_notice(Notice(code="session_bytes_lost", text=text, place=self._place))
 
     def _stop(self, error: Exception, unsafe: list[Recorded]) -> None:
         with self._lock:
@@ -172,8 +175,8 @@ class SessionRecorder:
                 f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded before can be read. "
                 "Free disk space or check the disk, then start again."
             )
-            self._tell(Notice(code="session_stopped", text=text, place=self._place))
+            self._raise_notice(Notice(code="session_stopped", text=text, place=self._place))
 
-    def _tell(self, notice: Notice) -> None:
+    def _raise_notice(self, notice: Notice) -> None:
         self._notices.append(notice)
         log.error("%s", notice.text)

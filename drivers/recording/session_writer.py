@@ -1,4 +1,4 @@
-"""A session's files: written in chunks, made durable on demand, begun anew by size, stopped before the disk is full."""
+"""Write a session's files in chunks, make them durable on demand, rotate them by size, stop before the disk is full."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ _MESSAGE_BYTES: Final = 64  # at most, of a message beside its data, with its en
 
 
 class DurableFile:
-    """A new file, unbuffered, as far as the MCAP writer needs one. Raises OSError; FileExistsError if there is one of that name."""
+    """Open a new file, unbuffered, as far as the MCAP writer needs one.
+
+    Raises OSError; FileExistsError if there is one of that name.
+    """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
@@ -59,7 +62,7 @@ class DurableFile:
         return self._n_bytes
 
     def flush(self) -> None:
-        """Nothing is held back here; `sync` makes it durable."""
+        """Do nothing: no data is held back here; `sync` makes it durable."""
 
     def sync(self) -> None:
         os.fsync(self._descriptor)
@@ -69,13 +72,13 @@ class DurableFile:
 
 
 def free_bytes(folder: Path) -> int:
-    """Free disk space for a process without privileges. Raises OSError."""
+    """Return the free disk space, in bytes, for a process without privileges. Raises OSError."""
     status = os.statvfs(folder)
     return status.f_bavail * status.f_frsize
 
 
 class SessionWriter:
-    """The files of one session. After an OSError nothing more can be written; `abandon` then lets go of the file."""
+    """Write the files of one session. After an OSError nothing more can be written; `abandon` then lets go of the file."""
 
     def __init__(
         self,
@@ -90,8 +93,8 @@ class SessionWriter:
     ) -> None:
         """Make the folder if need be, and its first file durable.
 
-        file_bytes, file_flushes: from which size on, or after how many flushes, a new file is begun. reserve_bytes: disk space left to
-        others. Raises OSError, also if the folder holds a session.
+        file_bytes, file_flushes: from which size on, or after how many flushes, a new file is begun. reserve_bytes:
+        disk space left to others. Raises OSError, also if the folder holds a session.
         """
         self._folder = folder
         self._session = session
@@ -116,7 +119,7 @@ class SessionWriter:
         self._pending_bytes += len(data) + _MESSAGE_BYTES
 
     def add_lost(self, lost: Lost) -> None:
-        """Say that bytes are missing here."""
+        """Mark that bytes are missing here."""
         self._add_note(LOST_TOPIC, lost, lost.last)
 
     def flush(self) -> None:

@@ -1,4 +1,4 @@
-"""A recording of the ports that a configuration names."""
+"""Start a recording of the ports that a configuration names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.recording.session_recorder import SessionRecorder
 
 
 def start_recording(folder: Path, config: Config, clock: Clock) -> SessionRecorder:
-    """Begin a recording that says how it came about. Raises UsageError, as `SessionRecorder`."""
+    """Begin a recording with its configuration and version. Raises UsageError, as `SessionRecorder`."""
     session = SessionDescription(
         version=__version__,
         started=Stamp(mono_ns=round(clock.monotonic_s() * 1e9), utc_ns=round(clock.utc_s() * 1e9)),

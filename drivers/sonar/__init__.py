@@ -1,1 +1,1 @@
-"""Side-scan sonars: what they send as frames, and what they are told as bytes."""
+"""Decode side-scan sonars to frames, and encode their commands."""

@@ -1,7 +1,7 @@
-"""Imagenex SportScan and its like: a side-scan on a serial line that answers every switch command with one ping.
+"""Drive Imagenex SportScan and similar sonars: a serial side-scan that answers every switch command with one ping.
 
-Layouts (Imagenex, "SportScan" and "852" interface descriptions): the command is 27 bytes from FE 44 to FD, and no other byte may be FD;
-the answer is 'IGX', 9 more bytes of header, 400 echo bytes of 0..127 and FC, 413 bytes in all.
+Layouts (Imagenex, "SportScan" and "852" interface descriptions): the command is 27 bytes from FE 44 to FD, and no other
+byte may be FD; the answer is 'IGX', 9 more bytes of header, 400 echo bytes of 0..127 and FC, 413 bytes in all.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _ACCEPTED: Final = 0x40
 
 
 class SwitchCommand(NamedTuple):
-    """What the head is told with every ping. gain_db: 0..40. absorption: hundredths of dB/m. pulse_us: transmit pulse."""
+    """Command one ping of the head. gain_db: 0..40. absorption: hundredths of dB/m. pulse_us: transmit pulse."""
 
     range_m: int
     gain_db: int = 20
@@ -53,7 +53,7 @@ class SwitchCommand(NamedTuple):
 
 
 class IgxReturn(NamedTuple):
-    """One ping. channel: 1 starboard, 2 port, 3 both, starboard and port in turn. echo: (400,) uint8 of 0..127."""
+    """Hold one ping. channel: 1 starboard, 2 port, 3 both, starboard and port in turn. echo: (400,) uint8 of 0..127."""
 
     range_m: int
     channel: int
@@ -63,7 +63,10 @@ class IgxReturn(NamedTuple):
 
 
 def encode_command(command: SwitchCommand) -> bytes:
-    """The 27 bytes of a switch command. Raises UsageError for a value that would be taken for the end of the command."""
+    """Encode a switch command in 27 bytes.
+
+    Raises UsageError for a value that would be taken for the end of the command.
+    """
     frame = bytearray(COMMAND_BYTES)
     frame[:3] = (*_COMMAND_START, _HEAD_ID)
     frame[3] = command.range_m
@@ -79,14 +82,14 @@ def encode_command(command: SwitchCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> SwitchCommand | None:
-    """A switch command from its 27 bytes, None if they are none."""
+    """Decode a switch command from 27 bytes; return None for other bytes."""
     if len(frame) != COMMAND_BYTES or not frame.startswith(_COMMAND_START) or frame.find(_COMMAND_END) != COMMAND_BYTES - 1:
         return None
     return SwitchCommand(frame[3], frame[8], frame[10], frame[14], frame[19], frame[25])
 
 
 def encode_return(ping: IgxReturn) -> bytes:
-    """The 413 bytes of one ping."""
+    """Encode one ping in 413 bytes."""
     count = _HEADER_BYTES + _N_ECHO
     head = bytes(
         (
@@ -145,7 +148,7 @@ class IgxGrammar(Grammar[IgxReturn]):
 
 
 class SportScanDecoder:
-    """Each return becomes a frame. The device tells neither number nor time nor what its numbers mean; frames are counted from 0."""
+    """Make a frame of each return. The device reports neither number, time nor scale; frames are counted from 0."""
 
     def __init__(self) -> None:
         self._framer = StampedFramer(IgxGrammar())
@@ -181,7 +184,7 @@ class SportScanDecoder:
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
-    """The command to send for every ping; none while not enabled. Raises UsageError for what the head cannot do."""
+    """Return the command to send for every ping; none while not enabled. Raises UsageError for what the head cannot do."""
     check_settings(settings, "sportscan", max_range_m=float(RANGES_M[-1]), max_gain=MAX_GAIN)
     if settings.range_m not in RANGES_M:
         known = ", ".join(map(str, RANGES_M))

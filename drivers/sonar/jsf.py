@@ -1,4 +1,4 @@
-"""EdgeTech side-scan sonars: framing of JSF, decoding into frames, commands."""
+"""Drive EdgeTech side-scan sonars: framing of JSF, decoding into frames, commands."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from drivers.sonar.jsf_messages import (
     SideScanHeader,
     Validity,
     amplitude,
+    declared_data_bytes,
     decode_data,
     read_time,
     set_value,
-    told_data_bytes,
 )
 from drivers.sonar.pairing import SidePairer
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
@@ -46,11 +46,11 @@ MAX_GAIN: Final = 100
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
 
 _MAX_BODY_BYTES: Final = (1 << 18) - 1  # 32 times the samples that side-scans of AUVs send
-_MAX_OTHER_BYTES: Final = 1 << 14  # nothing but its size tells the length of other messages: a wrong one costs little waiting
+_MAX_OTHER_BYTES: Final = 1 << 14  # only its size gives the length of other messages: a wrong one costs little waiting
 _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
-_TOLD_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
+_LENGTH_KNOWN_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
 _MAX_WEIGHTING: Final = 40
-_MAX_RANGE_TOLD_M: Final = 2000.0
+_MAX_REPORTED_RANGE_M: Final = 2000.0
 _NAVIGATION: Final = Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
 _KNOT_MPS: Final = 1852.0 / 3600.0
 _SAME_SPEED_MPS: Final = 0.5
@@ -71,10 +71,11 @@ _KIND_AND_SIZE: Final = Struct("<H6xI").unpack_from
 
 
 class JsfGrammar(Grammar[JsfMessage]):
-    """Without a checksum, a message is believed for its plausible header and because no other begins inside it.
+    """Frame JSF, which has no checksum: accept a message with a plausible header if no other begins inside it.
 
-    If one seems to begin inside, either the outer lost its end and swallowed the beginning of the next, or samples look like a header by
-    chance. The inner is believed if another follows it inside or it ends where the outer does; else the outer, if a header follows it.
+    If one seems to begin inside, either the outer lost its end and swallowed the beginning of the next, or samples look
+    like a header by chance. The inner is believed if another follows it inside or it ends where the outer does; else
+    the outer, if a header follows it.
     """
 
     name = "jsf"
@@ -96,8 +97,8 @@ class JsfGrammar(Grammar[JsfMessage]):
             return reason
         n_there = len(buffer) - at
         _, version, session, kind, command, subsystem, channel, sequence, reserved, n_body = HEADER.unpack_from(buffer, at)
-        if kind == SIDE_SCAN and n_there < _TOLD_BYTES:
-            return _TOLD_BYTES
+        if kind == SIDE_SCAN and n_there < _LENGTH_KNOWN_BYTES:
+            return _LENGTH_KNOWN_BYTES
         n_bytes: int = HEADER_BYTES + n_body
         if n_there < n_bytes:
             return n_bytes
@@ -109,16 +110,16 @@ class JsfGrammar(Grammar[JsfMessage]):
 
 
 def _refusal(buffer: bytearray, at: int) -> str | None:
-    """Why the candidate at `at` is refused, None if it is not, or if that is not known yet."""
+    """Return why the candidate at `at` is refused, None if it is not, or if that is not known yet."""
     kind, n_body = _KIND_AND_SIZE(buffer, at + _KIND_OFFSET)
     end = at + HEADER_BYTES + n_body
     n_there = len(buffer)
     if kind == SIDE_SCAN:
         if n_body < DATA_HEADER_BYTES:
             return "length"
-        if n_there < at + _TOLD_BYTES:
+        if n_there < at + _LENGTH_KNOWN_BYTES:
             return None
-        if not 0 <= n_body - told_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
+        if not 0 <= n_body - declared_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
             return "length"
     elif n_body > _MAX_OTHER_BYTES:
         return "length"
@@ -140,11 +141,12 @@ def _refusal(buffer: bytearray, at: int) -> str | None:
 
 
 class JsfDecoder:
-    """Data messages of one subsystem become frames of amplitude, both sides joined; answers become replies; others are counted.
+    """Decode data messages of one subsystem to frames of amplitude, both sides joined, and answers to replies.
 
-    Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second, so that
-    consecutive pings keep one sample layout; 1500 m/s where it tells none. Messages repeat the position until the topside has a new one:
-    a repeated one is no fix for 1.25 s, so that the track runs between fixes and not in steps.
+    Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second,
+    so that consecutive pings keep one sample layout; 1500 m/s where it reports none. Messages repeat the position until
+    the topside has a new one: a repeated one is not taken as a fix for 1.25 s, so that the track runs between fixes and
+    not in steps.
     """
 
     def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
@@ -153,7 +155,7 @@ class JsfDecoder:
         self._pairer = SidePairer(self._framer.counters)
         self._subsystem = subsystem
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
-        self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first told
+        self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first reported
 
     @property
     def counters(self) -> Counter[str]:
@@ -210,7 +212,7 @@ class JsfDecoder:
         return self._pairer.add(frame)
 
     def _is_fix(self, header: SideScanHeader) -> bool:
-        """Whether a message's position is more than that of a message before repeated."""
+        """Return whether a message's position is new, not that of an earlier message repeated."""
         place = header.longitude, header.latitude
         if self._fix is not None and self._fix[:2] == place and 0.0 < header.utc_s - self._fix[2] < _REPEATED_S:
             self.counters["jsf.repeated_position"] += 1
@@ -219,16 +221,16 @@ class JsfDecoder:
         return True
 
     def _range_speed_mps(self, header: SideScanHeader) -> float:
-        told = header.sound_speed_mps
-        if not (header.validity & Validity.SOUND_SPEED and 1300.0 <= told <= 1700.0):
+        sound_speed_mps = header.sound_speed_mps
+        if not (header.validity & Validity.SOUND_SPEED and 1300.0 <= sound_speed_mps <= 1700.0):
             self.counters["jsf.sound_speed_not_told"] += 1
-        elif abs(told - self._sound_speed_mps) >= _SAME_SPEED_MPS:
-            self._sound_speed_mps = told
+        elif abs(sound_speed_mps - self._sound_speed_mps) >= _SAME_SPEED_MPS:
+            self._sound_speed_mps = sound_speed_mps
         return self._sound_speed_mps
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
-    """What to send on the command link so that the subsystem pings like this; without a gain, its own is kept.
+    """Return the commands that make the subsystem ping with these settings; without a gain, its own is kept.
 
     The number of samples and the sound speed are the sonar's own affair. Raises UsageError for what it cannot do.
     """
@@ -241,11 +243,11 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
 
 
 def _unusable(data: SideScanData, spacing_m: float) -> str | None:
-    """Why no trace can be made of it, in one word."""
+    """Return why no trace can be made of it, in one word."""
     header = data.header
     if header.data_format not in (DataFormat.ENVELOPE, DataFormat.ANALYTIC):
         return "data_format"
-    if header.n_samples == 0 or spacing_m <= 0.0 or (header.start_depth_samples + header.n_samples) * spacing_m > _MAX_RANGE_TOLD_M:
+    if header.n_samples == 0 or spacing_m <= 0.0 or (header.start_depth_samples + header.n_samples) * spacing_m > _MAX_REPORTED_RANGE_M:
         return "range"
     if abs(header.weighting) > _MAX_WEIGHTING:
         return "weighting"
@@ -257,7 +259,10 @@ def _valued(header: SideScanHeader, field: int, value: float) -> float:
 
 
 def _navigation(header: SideScanHeader, time_s: float, *, is_fix: bool) -> NavSample | None:
-    """What the message tells about the vehicle; None if nothing. Pitch is bow up, roll port up. is_fix: its position is a new one."""
+    """Return the vehicle's navigation in the message; None if it has none.
+
+    Pitch is bow up, roll port up. is_fix: its position is a new one.
+    """
     if not header.validity & _NAVIGATION:
         return None
     latitude_deg = longitude_deg = NAN

@@ -1,7 +1,7 @@
-"""Messages of EdgeTech's JSF format: the side-scan data message (type 80) and the commands that an AUV needs.
+"""Decode and encode EdgeTech's JSF: the side-scan data message (type 80) and the commands that an AUV needs.
 
-Layout (EdgeTech, "JSF Data File Description", 0023492 rev. M), little-endian. Every field keeps the number on the wire; properties give
-them their units. A log (.jsf) is the same stream, stored.
+Layout (EdgeTech, "JSF Data File Description", 0023492 rev. M), little-endian. Every field keeps the number on the wire;
+properties give them their units. A log (.jsf) is the same stream, stored.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Command(IntEnum):
 
 
 class Validity:
-    """Bits of the data message's validity: which of its fields hold something."""
+    """Name the bits of the data message's validity: which of its fields hold a value."""
 
     POSITION = 1 << 0
     COURSE = 1 << 1
@@ -47,7 +47,7 @@ class Validity:
 
 
 class PositionUnits(IntEnum):
-    """What longitude and latitude are counted in."""
+    """Name the units of longitude and latitude."""
 
     MILLIMETRES = 1
     ARC_MINUTES_1E_4 = 2
@@ -66,7 +66,7 @@ _TWO_VALUES_PER_SAMPLE: Final = (DataFormat.ANALYTIC, DataFormat.UNMATCHED_ANALY
 
 
 class JsfMessage(NamedTuple):
-    """A message as it travels. subsystem: 20, 21, 22 are the low, high and very high side-scan."""
+    """Hold a message as sent. subsystem: 20, 21, 22 are the low, high and very high side-scan."""
 
     message_type: int
     body: bytes
@@ -80,7 +80,10 @@ class JsfMessage(NamedTuple):
 
 
 class SideScanHeader(NamedTuple):
-    """The 240 bytes before the samples, in order; what is not listed is zero. samples_low: low 16 bits of the number of samples."""
+    """Hold the 240 bytes before the samples, in order; bytes not listed are zero.
+
+    samples_low: low 16 bits of the number of samples.
+    """
 
     time_s: int = 0
     start_depth_samples: int = 0
@@ -147,7 +150,7 @@ class SideScanHeader(NamedTuple):
 
     @property
     def utc_s(self) -> float:
-        """Of the ping, since 1970."""
+        """Return the time of the ping, UTC seconds since 1970."""
         return self.time_s + 1e-3 * (self.milliseconds_today % 1000)
 
 
@@ -160,14 +163,17 @@ _SAMPLES: Final = Struct("<H96xH")  # msb at 16, low 16 bits at 114
 
 
 class SideScanData(NamedTuple):
-    """One side of one ping. values: (n_samples,) uint16 envelope, or (n_values,) int16 for the other formats, as recorded."""
+    """Hold one side of one ping.
+
+    values: (n_samples,) uint16 envelope, or (n_values,) int16 for the other formats, as recorded.
+    """
 
     header: SideScanHeader
     values: NDArray[np.uint16] | NDArray[np.int16]
 
 
 def to_wire(message: JsfMessage) -> bytes:
-    """The message as bytes. Raises struct.error for numbers that do not fit their field."""
+    """Encode the message. Raises struct.error for numbers that do not fit their field."""
     head = HEADER.pack(
         SYNC,
         message.version,
@@ -184,7 +190,7 @@ def to_wire(message: JsfMessage) -> bytes:
 
 
 def encode_data(data: SideScanData, subsystem: int, channel: int, sequence: int = 0) -> bytes:
-    """A data message as bytes, its number of samples taken from `values`."""
+    """Encode a data message, with its number of samples from `values`."""
     n_samples = data.values.shape[0] // values_per_sample(data.header.data_format)
     header = data.header._replace(samples_low=n_samples & 0xFFFF, msb=data.header.msb & 0xF0FF | (n_samples >> 16 & 0xF) << 8)
     kind = "<u2" if header.data_format == DataFormat.ENVELOPE else "<i2"
@@ -193,7 +199,7 @@ def encode_data(data: SideScanData, subsystem: int, channel: int, sequence: int 
 
 
 def decode_data(body: bytes) -> SideScanData | None:
-    """The body of a data message; None if it is shorter than it says."""
+    """Decode the body of a data message; None if it is shorter than it declares."""
     if len(body) < DATA_HEADER_BYTES:
         return None
     header = SideScanHeader(*DATA_HEADER.unpack_from(body))
@@ -204,8 +210,8 @@ def decode_data(body: bytes) -> SideScanData | None:
     return SideScanData(header, np.frombuffer(body, dtype=kind, count=n_values, offset=DATA_HEADER_BYTES))
 
 
-def told_data_bytes(buffer: bytearray, body_at: int) -> int:
-    """Bytes of body that a data message needs by its own account; its first 116 bytes of body must be there."""
+def declared_data_bytes(buffer: bytearray, body_at: int) -> int:
+    """Return the bytes of body that a data message declares; its first 116 bytes of body must be there."""
     msb, low = _SAMPLES.unpack_from(buffer, body_at + 16)
     (data_format,) = _DATA_FORMAT.unpack_from(buffer, body_at + 34)
     n_samples: int = low | (msb >> 8 & 0xF) << 16
@@ -217,7 +223,7 @@ def values_per_sample(data_format: int) -> int:
 
 
 def amplitude(data: SideScanData) -> NDArray[np.float32]:
-    """(n_samples,) float32 amplitude of envelope or analytic samples, weighting undone: value * 2^-weighting."""
+    """Return the (n_samples,) float32 amplitude of envelope or analytic samples, value * 2^-weighting."""
     values = data.values.astype(np.float32)
     if data.header.data_format == DataFormat.ANALYTIC:
         values = np.hypot(values[0::2], values[1::2])
@@ -225,7 +231,10 @@ def amplitude(data: SideScanData) -> NDArray[np.float32]:
 
 
 def set_value(message_type: int, value: int, subsystem: int) -> bytes:
-    """A command with one number: PING_RANGE in mm, PING_GAIN, PING_ENABLE 0 or 1, PING_TRIGGER, DATA_ACTIVE, PING_AUTOSELECT."""
+    """Encode a command with one number.
+
+    PING_RANGE in mm, PING_GAIN, PING_ENABLE 0 or 1, PING_TRIGGER, DATA_ACTIVE, PING_AUTOSELECT.
+    """
     return to_wire(JsfMessage(message_type, value.to_bytes(4, "little"), Command.SET, subsystem))
 
 
@@ -233,13 +242,13 @@ _TIME: Final = Struct("<II")
 
 
 def time_reply(utc_s: float) -> bytes:
-    """The answer to it, to the millisecond."""
+    """Encode the answer to a time request, to the millisecond. utc_s: seconds since 1970."""
     milliseconds = round(1e3 * utc_s)
     return to_wire(JsfMessage(SYSTEM_TIME, _TIME.pack(milliseconds // 1000, milliseconds % 1000), Command.REPLY))
 
 
 def read_time(body: bytes) -> float | None:
-    """Seconds since 1970 of a time reply; None if it is none."""
+    """Return the seconds since 1970 of a time reply; None for other messages."""
     if len(body) < _TIME.size:
         return None
     seconds, milliseconds = _TIME.unpack_from(body)

@@ -1,4 +1,4 @@
-"""Sides of a transmission that arrive as messages of their own."""
+"""Pair the sides of a transmission that arrive in separate messages."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from drivers.sonar.sonar_decoder import SonarFrame
 
 
 class SidePairer:
-    """Joins one-sided frames that stem from the same transmission.
+    """Join one-sided frames of the same transmission.
 
-    Two heads that count their pings together are told by number, two that count for themselves by time: within half the two-way travel
-    time to the far end of the trace there is no other transmission. A side that stays alone goes out with the next message that is not
-    its other half; `counters` tell pairing.lone_port, pairing.lone_starboard and pairing.repeated_side.
+    Two heads with a common count of pings are paired by number, two with separate counts by time: within half the
+    two-way travel time to the far end of the trace there is no other transmission. A side that stays alone goes out
+    with the next message that is not its other half; `counters`: pairing.lone_port, pairing.lone_starboard and
+    pairing.repeated_side.
     """
 
     def __init__(self, counters: Counter[str]) -> None:
         self._counters = counters
         self._waiting: SonarFrame | None = None
-        self._last: SonarFrame | None = None  # what went out last, to know its messages again if they are repeated
+        self._last: SonarFrame | None = None  # sent last, to recognise repetitions
 
     def add(self, frame: SonarFrame) -> list[SonarFrame]:
-        """What became ready by one more frame, which has one side only."""
+        """Take a one-sided frame; return the frames that became ready."""
         waiting = self._waiting
         if _repeats(waiting, frame) or _repeats(self._last, frame):
             self._counters["pairing.repeated_side"] += 1
             return []
         if waiting is not None and _together(waiting, frame):
             self._waiting = None
-            # The message that came first tells best when the transmission was.
+            # The message that came first gives the best time of the transmission.
             if waiting.port is None:
                 self._last = structs.replace(waiting, port=frame.port)
             else:
@@ -41,7 +42,7 @@ class SidePairer:
         return ready
 
     def finish(self) -> list[SonarFrame]:
-        """The side that still waits for its other half."""
+        """Return the side that still waits for its other half."""
         if self._waiting is None:
             return []
         self._last, self._waiting = self._waiting, None

@@ -1,7 +1,7 @@
-"""Messages of the Ping Protocol that side-scan sonars of the Omniscan 450 kind send and take.
+"""Decode and encode the Ping Protocol messages of Omniscan 450 side-scan sonars.
 
-Layout (Blue Robotics, "Ping Protocol", MIT licence), little-endian: 'B' 'R', u16 payload length, u16 message id, u8 source, u8 destination,
-payload, u16 sum of all bytes before it.
+Layout (Blue Robotics, "Ping Protocol", MIT licence), little-endian: 'B' 'R', u16 payload length, u16 message id, u8
+source, u8 destination, payload, u16 sum of all bytes before it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HEADER_BYTES: Final = HEADER.size
 CHECKSUM_BYTES: Final = 2
 
 ACK, NACK, ASCII_TEXT, DEVICE_INFORMATION, PROTOCOL_VERSION, GENERAL_REQUEST, JSON_WRAPPER = 1, 2, 3, 4, 5, 6, 10
-SET_SPEED_OF_SOUND, OLD_SET_SPEED_OF_SOUND = 116, 1002  # devices made before the spring of 2026 know the old number
+SET_SPEED_OF_SOUND, OLD_SET_SPEED_OF_SOUND = 116, 1002  # devices made before the spring of 2026 take the old number
 OS_PING_PARAMS, OS_MONO_PROFILE = 2197, 2198
 NMEA_WRAPPER, MAVLINK_WRAPPER = 109, 150  # in logs of SonarView (Cerulean, "Cerulean Ping Protocol", General Packet Definitions)
 
@@ -30,7 +30,7 @@ _FULL_SCALE: Final = 65535.0
 
 
 class PingMessage(NamedTuple):
-    """A message as it travels. source, destination: device numbers, 0 where there is but one."""
+    """Hold a message as sent. source, destination: device numbers, 0 where there is but one."""
 
     message_id: int
     payload: bytes
@@ -68,13 +68,13 @@ class ProtocolVersion(NamedTuple):
 
 
 class GeneralRequest(NamedTuple):
-    """Asks for one message of this id."""
+    """Request one message of this id."""
 
     requested_id: int
 
 
 class JsonWrapper(NamedTuple):
-    """What the first message of a log says about it: any JSON value, None if it is not JSON."""
+    """Hold the description in a log's first message: any JSON value, None if it is not JSON."""
 
     content: Any
 
@@ -84,7 +84,10 @@ class SetSpeedOfSound(NamedTuple):
 
 
 class OsPingParams(NamedTuple):
-    """How to ping. msec_per_ping: 0 for as fast as the range permits. gain_index: 0..7, -1 for automatic. num_results: 200..1200."""
+    """Hold the ping settings.
+
+    msec_per_ping: 0 for as fast as the range permits. gain_index: 0..7, -1 for automatic. num_results: 200..1200.
+    """
 
     start_mm: int
     length_mm: int
@@ -102,7 +105,10 @@ class OsPingParams(NamedTuple):
 
 
 class OsMonoProfile(NamedTuple):
-    """One side of one ping. timestamp_ms: since power-up, modulo 2^32. pwr_results: (n,) uint16, near to far, on a scale of decibels."""
+    """Hold one side of one ping.
+
+    timestamp_ms: since power-up, modulo 2^32. pwr_results: (n,) uint16, near to far, on a scale of decibels.
+    """
 
     ping_number: int
     start_mm: int
@@ -149,7 +155,7 @@ PROFILE_FIELDS: Final = (*OsMonoProfile._fields[:6], "n_results", *OsMonoProfile
 _ID_OF: Final[dict[type, int]] = {kind: number for number, (kind, _) in FIXED_LAYOUTS.items() if number != OLD_SET_SPEED_OF_SOUND}
 _MAX_TEXT_BYTES: Final = 1024
 
-# By message id, fewest and most bytes of payload that are believed of it; of ids that do not stand there, the others'.
+# Plausible minimum and maximum bytes of payload by message id; OTHER_LIMITS for ids not listed.
 OTHER_LIMITS: Final = (0, 4096)
 PAYLOAD_LIMITS: Final[dict[int, tuple[int, int]]] = {
     **{number: (layout.size, layout.size) for number, (_, layout) in FIXED_LAYOUTS.items()},
@@ -158,17 +164,17 @@ PAYLOAD_LIMITS: Final[dict[int, tuple[int, int]]] = {
     JSON_WRAPPER: (0, PROFILE_HEADER.size + 2 * MAX_RESULTS),
     OS_MONO_PROFILE: (PROFILE_HEADER.size, PROFILE_HEADER.size + 2 * MAX_RESULTS),
 }
-MAX_MESSAGE_BYTES: Final = HEADER_BYTES + max(most for _, most in PAYLOAD_LIMITS.values()) + CHECKSUM_BYTES
+MAX_MESSAGE_BYTES: Final = HEADER_BYTES + max(max_bytes for _, max_bytes in PAYLOAD_LIMITS.values()) + CHECKSUM_BYTES
 
 
 def to_wire(message: PingMessage) -> bytes:
-    """The message as bytes, checksum included."""
+    """Encode the message, checksum included."""
     body = HEADER.pack(SYNC, len(message.payload), message.message_id, message.source, message.destination) + message.payload
     return body + (sum(body) & 0xFFFF).to_bytes(2, "little")
 
 
 def encode(payload: Payload, source: int = 0, destination: int = 0) -> bytes:
-    """A message with this payload, as bytes. Raises struct.error for numbers that do not fit their field."""
+    """Encode a message with this payload. Raises struct.error for numbers that do not fit their field."""
     if isinstance(payload, OsMonoProfile):
         message_id, content = OS_MONO_PROFILE, _encode_profile(payload)
     elif isinstance(payload, Nack):
@@ -184,10 +190,10 @@ def encode(payload: Payload, source: int = 0, destination: int = 0) -> bytes:
 
 
 def decode(message: PingMessage) -> Payload | None:
-    """What the message says; None for an id that is not known here, or if its payload has not the length it should."""
+    """Decode the message's content; None for an unknown id, or a payload of the wrong length."""
     message_id, payload = message.message_id, message.payload
-    least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
-    if not least <= len(payload) <= most:
+    min_bytes, max_bytes = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
+    if not min_bytes <= len(payload) <= max_bytes:
         return None
     if message_id == OS_MONO_PROFILE:
         return _decode_profile(payload)
@@ -205,7 +211,7 @@ def decode(message: PingMessage) -> Payload | None:
 
 
 def linear_power(profile: OsMonoProfile) -> NDArray[np.float32]:
-    """(n,) float32 power, proportional to intensity: 10^(dB / 10) of dB = min + result / 65535 * (max - min)."""
+    """Return (n,) float32 power, proportional to intensity: 10^(dB / 10) of dB = min + result / 65535 * (max - min)."""
     neper = np.log(10.0) / 10.0
     slope = np.float32(neper * (profile.max_pwr_db - profile.min_pwr_db) / _FULL_SCALE)
     exponent = profile.pwr_results.astype(np.float32)

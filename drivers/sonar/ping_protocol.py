@@ -1,4 +1,4 @@
-"""Omniscan 450 and others that speak the Ping Protocol: framing, decoding into frames, commands.
+"""Drive the Omniscan 450 and others that speak the Ping Protocol: framing, decoding into frames, commands.
 
 A log (.svlog) is the same stream, stored.
 """
@@ -57,12 +57,12 @@ _MAX_DB: Final = 300.0
 _LENGTH_AND_ID: Final = Struct("<HH")
 _N_RESULTS: Final = Struct("<H").unpack_from
 _N_RESULTS_AT: Final = HEADER_BYTES + N_RESULTS_OFFSET
-_PROFILE_TOLD_BYTES: Final = HEADER_BYTES + PROFILE_HEADER.size  # that must be there before its results are counted
+_PROFILE_HEAD_BYTES: Final = HEADER_BYTES + PROFILE_HEADER.size  # that must be there before its results are counted
 _ANSWERS: Final = frozenset({ACK, NACK, DEVICE_INFORMATION, PROTOCOL_VERSION})
 
 
 class PingGrammar(Grammar[PingMessage]):
-    """Length believed only if it is plausible for its message id, and for a profile if it agrees with the number of its results."""
+    """Frame messages; a length must be plausible for its id, and for a profile agree with its number of results."""
 
     name = "ping_protocol"
     head_bytes = len(SYNC)
@@ -78,11 +78,11 @@ class PingGrammar(Grammar[PingMessage]):
         sums: Sequence[int] = ()
         while at > start and n_there - at >= HEADER_BYTES:
             n_payload, message_id = _LENGTH_AND_ID.unpack_from(buffer, at + len(SYNC))
-            least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
+            min_bytes, max_bytes = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
             stop = at + HEADER_BYTES + n_payload
-            if not least <= n_payload <= most:
+            if not min_bytes <= n_payload <= max_bytes:
                 n_length += 1
-            elif message_id == OS_MONO_PROFILE and n_there - at < _PROFILE_TOLD_BYTES:
+            elif message_id == OS_MONO_PROFILE and n_there - at < _PROFILE_HEAD_BYTES:
                 break
             elif message_id == OS_MONO_PROFILE and n_payload != PROFILE_HEADER.size + 2 * _N_RESULTS(buffer, at + _N_RESULTS_AT)[0]:
                 n_length += 1
@@ -105,13 +105,13 @@ class PingGrammar(Grammar[PingMessage]):
         if n_there < HEADER_BYTES:
             return HEADER_BYTES
         _, n_payload, message_id, source, destination = HEADER.unpack_from(buffer, at)
-        least, most = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
-        if not least <= n_payload <= most:
+        min_bytes, max_bytes = PAYLOAD_LIMITS.get(message_id, OTHER_LIMITS)
+        if not min_bytes <= n_payload <= max_bytes:
             return "length"
         start = at + HEADER_BYTES
         if message_id == OS_MONO_PROFILE:
-            if n_there < _PROFILE_TOLD_BYTES:
-                return _PROFILE_TOLD_BYTES
+            if n_there < _PROFILE_HEAD_BYTES:
+                return _PROFILE_HEAD_BYTES
             if n_payload != PROFILE_HEADER.size + 2 * _N_RESULTS(buffer, at + _N_RESULTS_AT)[0]:
                 return "length"
         n_bytes: int = HEADER_BYTES + n_payload + CHECKSUM_BYTES
@@ -128,7 +128,7 @@ class PingGrammar(Grammar[PingMessage]):
 
 
 class PingDecoder:
-    """Profiles become frames of linear power, both sides joined; answers become replies; other messages are counted.
+    """Decode profiles to frames of linear power, both sides joined, and answers to replies; count other messages.
 
     The compass headings in a profile are not used: devices leave them zero.
     """
@@ -186,11 +186,11 @@ class PingDecoder:
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
-    """What to send so that the sonar pings like this. Raises UsageError for what it cannot do."""
+    """Return the commands that make the sonar ping with these settings. Raises UsageError for what it cannot do."""
     check_settings(settings, "ping_protocol", max_range_m=MAX_RANGE_M, max_gain=MAX_GAIN)
-    least, most = _RESULTS
-    if not least <= settings.n_samples <= most:
-        raise UsageError(f"ping_protocol: {settings.n_samples} samples per side cannot be set. Give {least} to {most}.")
+    min_samples, max_samples = _RESULTS
+    if not min_samples <= settings.n_samples <= max_samples:
+        raise UsageError(f"ping_protocol: {settings.n_samples} samples per side cannot be set. Give {min_samples} to {max_samples}.")
     parameters = OsPingParams(
         start_mm=0,
         length_mm=round(1e3 * settings.range_m),
@@ -202,7 +202,7 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
 
 
 def _unusable(profile: OsMonoProfile) -> str | None:
-    """Why no trace can be made of it, in one word."""
+    """Return why no trace can be made of it, in one word."""
     if profile.channel_number > 1:
         return "channel"
     if profile.pwr_results.shape[0] == 0 or profile.length_mm == 0 or profile.start_mm + profile.length_mm > _MAX_TRACE_MM:

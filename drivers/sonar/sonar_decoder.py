@@ -1,4 +1,4 @@
-"""What every sonar driver gives and takes: transmissions, answers, settings."""
+"""Define what every sonar driver gives and takes: transmissions, answers, settings."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from auv_mcm.records import NAN, EchoTrace, NavSample
 
 
 class SonarFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """One transmission, both sides or one, as the device told it.
+    """Hold one transmission, both sides or one, as the device reported it.
 
-    number: the device's own. transfer: what its samples are, as in SonarConfig, where the protocol says so; None if it does not.
-    sound_speed_mps: that the ranges were made with. altitude_m: NaN if the device did not tell. device_time_s: of the transmission, on
-    the device's own counter or, if device_time_is_utc, seconds since 1970; None if the device tells no time. received: when the last
-    byte of its first message was read; n_bytes: bytes on the wire from that message's first to the end of the chunk read then, which
-    took n_bytes * 10 / baud seconds. navigation: what the message told about the vehicle, at device_time_s (time_s is NaN unless UTC).
+    number: the device's own. transfer: what its samples are, as in SonarConfig, where the protocol defines it; None if
+    it does not. sound_speed_mps: that the ranges were made with. altitude_m: NaN if not reported. device_time_s: of the
+    transmission, on the device's own counter or, if device_time_is_utc, seconds since 1970; None if the device reports
+    no time. received: when the last byte of its first message was read; n_bytes: bytes on the wire from that message's
+    first to the end of the chunk read then, which took n_bytes * 10 / baud seconds. navigation: of the vehicle, as the
+    message reports it, at device_time_s (time_s is NaN unless UTC).
     """
 
     number: int
@@ -35,7 +36,7 @@ class SonarFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class SonarReply(msgspec.Struct, frozen=True, kw_only=True):
-    """A device's answer to a command. request: the message id it answers. text: what it said, for a person.
+    """Hold a device's answer to a command. request: the message id it answers. text: its words, for a person.
 
     utc_s: the device's clock, in answer to a time request, None otherwise.
     """
@@ -49,7 +50,9 @@ class SonarReply(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SonarSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """How to ping. range_m: slant range. gain: the device's own index or percentage, None: automatic. sound_speed_mps: for its ranges.
+    """Hold the ping settings.
+
+    range_m: slant range. gain: the device's own index or percentage, None: automatic. sound_speed_mps: for its ranges.
 
     subsystem: which frequency of an EdgeTech sonar, 20, 21 or 22; None: the high one, 21.
     """
@@ -63,15 +66,15 @@ class SonarSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SonarDecoder(Protocol):
-    """Bytes of one link to what they say. Never raises, whatever the bytes; `counters` tell what was refused, by dotted name."""
+    """Decode bytes of one link. Never raises, whatever the bytes; `counters` count what was refused, by dotted name."""
 
     @property
     def counters(self) -> Counter[str]: ...
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
-        """What a chunk completes, in order. stamp: when its last byte was read."""
+        """Return what a chunk completes, in order. stamp: when its last byte was read."""
         ...
 
     def finish(self) -> list[SonarFrame | SonarReply]:
-        """What waits for more, at the end of a log or link."""
+        """Return what still waited at the end of a log or link."""
         ...

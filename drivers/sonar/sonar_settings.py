@@ -1,4 +1,4 @@
-"""Refusing settings that a sonar cannot have."""
+"""Reject settings that a sonar cannot have."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.sonar.sonar_decoder import SonarSettings
 
 
 def check_settings(settings: SonarSettings, device: str, *, max_range_m: float, max_gain: int) -> None:
-    """Raises UsageError for a range, gain or sound speed outside of what the device takes."""
+    """Check settings; raise UsageError for a range, gain or sound speed outside of what the device takes."""
     if not 1.0 <= settings.range_m <= max_range_m:
         raise UsageError(f"{device}: a range of {settings.range_m:g} m cannot be set. Give 1 to {max_range_m:g} m.")
     if settings.gain is not None and not 0 <= settings.gain <= max_gain:

@@ -1,4 +1,4 @@
-"""The sonars there are drivers for, by the name a configuration gives."""
+"""List the sonars with a driver, by their names in the configuration."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from drivers.sonar.sonar_decoder import SonarDecoder, SonarSettings
 
 
 class SonarDevice(NamedTuple):
-    """How to speak with one kind of sonar.
+    """Describe how to communicate with one kind of sonar.
 
-    decoder: makes a decoder for one link or log. commands: what to send so that it pings as told. sets_range, sets_gain, sets_enable: what
-    of the settings reaches the device. asked_per_ping: it pings only when the commands are sent, once for each time. counter_period_s:
-    after which its counter of time starts again at 0; None if it has none.
+    decoder: makes a decoder for one link or log. commands: what to send so that it pings as configured. sets_range,
+    sets_gain, sets_enable: what of the settings reaches the device. asked_per_ping: it pings only when the commands are
+    sent, once for each time. counter_period_s: after which its counter of time starts again at 0; None if it has none.
     """
 
     decoder: Callable[[SonarConfig], SonarDecoder]
@@ -42,7 +42,7 @@ SONARS: Final[Mapping[str, SonarDevice]] = MappingProxyType(
 
 
 def sonar_named(name: str) -> SonarDevice:
-    """Raises UsageError for a name that is not there."""
+    """Return the driver of a sonar. Raises UsageError for an unknown name."""
     if name not in SONARS:
-        raise UsageError(f"there is no driver for a sonar '{name}'. Known: {', '.join(SONARS)}")
+        raise UsageError(f"unknown sonar '{name}'. Known: {', '.join(SONARS)}")
     return SONARS[name]

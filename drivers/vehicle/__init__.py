@@ -1,1 +1,1 @@
-"""The vehicle's own controller: what it says, what it is told, and when it may be told anything."""
+"""Communicate with the vehicle's own controller: decode its messages, report to it, command it while it grants control."""

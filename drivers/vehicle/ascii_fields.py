@@ -1,7 +1,7 @@
-"""How values stand in the sentences of vehicles, and what a contact looks like among them.
+"""Read and write the fields of vehicles' sentences, and the fields of a contact.
 
-Angles are radians, depths and altitudes metres, speeds m/s, times of day seconds since midnight UTC; an empty field is NaN. What cannot be
-true of a vehicle is refused, since a checksum of eight bits lets one damaged sentence in 256 pass.
+Angles are radians, depths and altitudes metres, speeds m/s, times of day seconds since midnight UTC; an empty field is
+NaN. What cannot be true of a vehicle is refused, since a checksum of eight bits lets one damaged sentence in 256 pass.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WHOLE: Final = re.compile(r"\d{1,20}")
 
 
 class Table:
-    """The sentences of one dialect, each for both directions; its key is up to three fields long."""
+    """Hold the sentences of one dialect, each for both directions; a key is up to three fields long."""
 
     def __init__(self, *kinds: Sentence[Any]) -> None:
         self._by_key = {kind.key: kind for kind in kinds}
@@ -33,11 +33,13 @@ class Table:
 
     @property
     def kinds(self) -> tuple[Sentence[Any], ...]:
-        """Every sentence."""
+        """Return every sentence."""
         return tuple(self._by_key.values())
 
     def parse(self, body: str) -> Any | None:
-        """The record in a sentence's body; None for a kind not known here. Raises ValueError for one that cannot be true to its kind.
+        """Decode a sentence's body to its record; None for an unknown kind.
+
+        Raises ValueError for one that does not fit its kind.
 
         Fields missing at the end count as empty; codecs that need a value refuse that.
         """
@@ -49,7 +51,7 @@ class Table:
         return None
 
     def body_of(self, record: Any) -> str:
-        """The body that says a record of this table."""
+        """Encode a record of this table as a body."""
         kind = self._by_record[type(record)]
         values = iter(record)
         return ",".join(chain((kind.key,), *(("",) if codec is None else codec.write(next(values)) for codec in kind.codecs)))
@@ -64,12 +66,12 @@ def _values(kind: Sentence[Any], texts: Sequence[str]) -> Iterable[Any]:
 
 
 def _of(key: str) -> list[Codec]:
-    """The codecs of a standard sentence."""
+    """Return the codecs of a standard sentence."""
     return [codec for codec in SENTENCES[key].codecs if codec is not None]
 
 
 def within(codec: Codec, low: float, high: float) -> Codec:
-    """Refuses numbers outside; an empty field passes."""
+    """Make a codec that rejects numbers outside; an empty field passes."""
 
     def read(fields: Sequence[str]) -> float:
         value: float = codec.read(fields)
@@ -81,12 +83,12 @@ def within(codec: Codec, low: float, high: float) -> Codec:
 
 
 def scaled(codec: Codec, unit: float) -> Codec:
-    """unit: what 1 on the wire is here."""
+    """Make the codec of a number. unit: the SI value of 1 on the wire."""
     return Codec(codec.n_fields, lambda fields: codec.read(fields) * unit, lambda value: codec.write(value / unit))
 
 
 def needed(codec: Codec) -> Codec:
-    """Refuses an empty field."""
+    """Make a codec that rejects an empty field."""
 
     def read(fields: Sequence[str]) -> Any:
         if not fields[0]:
@@ -97,7 +99,7 @@ def needed(codec: Codec) -> Codec:
 
 
 def between(before: str, codec: Codec, after: str = "") -> Codec:
-    """One field that stands between fixed texts, such as `V1.50` or `1.5 meters/sec`."""
+    """Make the codec of one field between fixed texts, such as `V1.50` or `1.5 meters/sec`."""
 
     def read(fields: Sequence[str]) -> Any:
         text = fields[0]
@@ -109,7 +111,7 @@ def between(before: str, codec: Codec, after: str = "") -> Codec:
 
 
 def one_of(*words: str) -> Codec:
-    """One of these words; an empty field only if it is one of them."""
+    """Make the codec of one of these words; an empty field only if it is one of them."""
 
     def read(fields: Sequence[str]) -> str:
         if fields[0] not in words:
@@ -119,9 +121,9 @@ def one_of(*words: str) -> Codec:
     return Codec(1, read, lambda value: (value,))
 
 
-def plain_text(text: str, most: int) -> str:
-    """What of a text may stand in a field, at most so many characters."""
-    return _NO_TEXT.sub(" ", text)[:most]
+def plain_text(text: str, max_chars: int) -> str:
+    """Return a text without the characters that a field cannot hold, cut to max_chars."""
+    return _NO_TEXT.sub(" ", text)[:max_chars]
 
 
 def _read_whole(fields: Sequence[str]) -> int:
@@ -141,7 +143,7 @@ DECIMAL_DEGREES: Final = _of("PIXSE,POSITI")[0]
 
 
 def heading(n_decimals: int) -> Codec:
-    """Degrees [0, 360), also where rounding would make it 360."""
+    """Write degrees in [0, 360), also where rounding would make it 360."""
     degrees = (TENTHS, CENTI)[n_decimals - 1]
     read = within(scaled(degrees, DEGREE), 0.0, 2.0 * _HALF_TURN + 1e-9).read
     return Codec(1, read, lambda value: degrees.write(round(value / DEGREE, n_decimals) % 360.0))
@@ -153,12 +155,12 @@ ROLL: Final = within(scaled(CENTI, DEGREE), -_HALF_TURN, _HALF_TURN)
 
 
 def depth(codec: Codec, unit: float = 1.0) -> Codec:
-    """A depth or an altitude. unit: what 1 on the wire is, m."""
+    """Make the codec of a depth or an altitude. unit: 1 on the wire, in m."""
     return within(scaled(codec, unit), -10.0, 12_000.0)
 
 
 def speed(codec: Codec, unit: float = 1.0) -> Codec:
-    """unit: what 1 on the wire is, m/s."""
+    """Make the codec of a speed. unit: 1 on the wire, in m/s."""
     return within(scaled(codec, unit), -30.0, 30.0)
 
 
@@ -208,7 +210,7 @@ CONTACT: Final = Codec(
     _read_contact,
     lambda report: list(chain.from_iterable(codec.write(getattr(report, name)) for name, codec in _CONTACT.items())),
 )
-"""A contact in 25 fields, for vehicles whose language has no sentence for one:
+"""Write a contact in 25 fields, for vehicles whose protocol has no sentence for one:
 
 session, number, revision, time (UTC seconds since 1970), latitude (ddmm.mmmmmm, N or S), longitude (dddmm.mmmmmm, E or W), 1-sigma of the
 position (m), depth of the sea floor (m), class, probability of a mine, belief in cylinder, sphere, truncated_cone, wedge, clutter

@@ -1,13 +1,13 @@
-"""Who commands the vehicle. The vehicle decides, always; the payload asks, waits, and gives back.
+"""Track who commands the vehicle. The vehicle always decides; the payload requests, waits, and releases.
 
 down       the wire is closed, or the vehicle is silent
-listening  it speaks, and nothing is asked of it
-requested  control was asked for
+listening  it speaks, and nothing is requested
+requested  control was requested
 granted    the payload commands
 revoked    the vehicle refused, or took control back; it is left alone for a while
 
-No clock, no wire: every call says what time it is, and what is to be done comes back. Whatever was asked for or held is given back when it
-ends on this side; when the vehicle itself ends it there is nothing left to give.
+No clock, no wire: every call passes the time, and returns what is to be done. Whatever was asked for or held is
+given back when it ends on this side; when the vehicle itself ends it there is nothing left to give.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ SETTLE_S: Final = 1.0  # between giving back and what is said next of control: a
 
 
 class Ask(NamedTuple):
-    """Ask the vehicle for control."""
+    """Request control of the vehicle."""
 
 
 class GiveBack(NamedTuple):
-    """Give control back, or withdraw the request for it."""
+    """Release control, or withdraw the request for it."""
 
     reason: str
 
@@ -35,10 +35,11 @@ Action: TypeAlias = Ask | GiveBack
 
 
 class Authority:
-    """The state, and when to ask and to give back.
+    """Hold the state of control, and decide when to request and to release it.
 
-    silent_after_s: a vehicle not heard for so long is gone. ask_again_s: after a refusal, or control taken back, it is asked not sooner.
-    max_control_s: control is given back after so long in one piece. All in seconds; `now_s` never runs backwards.
+    silent_after_s: a vehicle not heard for so long is gone. ask_again_s: after a refusal, or control taken back, it is
+    asked not sooner. max_control_s: control is given back after so long in one piece. All in seconds; `now_s` never
+    runs backwards.
     """
 
     def __init__(self, *, silent_after_s: float, ask_again_s: float, max_control_s: float) -> None:
@@ -60,23 +61,23 @@ class Authority:
 
     @property
     def reason(self) -> str:
-        """Why it is in this state, for people."""
+        """Return why it is in this state, for people."""
         return self._reason
 
     def connected(self, now_s: float) -> Action | None:
-        """The wire is open. That the vehicle is there is known only when it is heard."""
+        """Note that the wire is open. Whether the vehicle is there is known only when it is heard."""
         action = self._lose("the wire was opened anew", now_s)
         self._wire_open = True
         return action
 
     def disconnected(self, now_s: float) -> Action | None:
-        """The wire is closed."""
+        """Note that the wire is closed."""
         action = self._lose("the wire is closed", now_s)
         self._wire_open = False
         return action
 
     def heard(self, now_s: float) -> None:
-        """The vehicle said something that makes sense."""
+        """Note a valid message of the vehicle."""
         if not self._wire_open:
             return
         self._heard_s = now_s
@@ -84,21 +85,21 @@ class Authority:
             self._go("listening", "the vehicle speaks", now_s)
 
     def granted(self, reason: str, now_s: float) -> None:
-        """The vehicle says that the payload may command. That counts only where it was asked for."""
+        """Take a grant of the vehicle. It counts only if control was requested."""
         if self._state == "requested":
             self._go("granted", reason, now_s)
         elif self._state != "granted":
             self._not_asked_for = True
 
     def withheld(self, reason: str, now_s: float) -> None:
-        """The vehicle says that the payload may not command, or no longer."""
+        """Take a refusal or a revocation of control by the vehicle."""
         self._not_asked_for = False
         if self._state in ("requested", "granted"):
             self._not_before_s = now_s + self._ask_again_s
             self._go("revoked", reason, now_s)
 
     def give_back(self, reason: str, now_s: float, *, pause: bool) -> Action | None:
-        """Control is no longer wanted. pause: it is not asked for again at once but as after a refusal."""
+        """Release control. pause: it is not requested again at once but as after a refusal."""
         if self._state not in ("requested", "granted"):
             return None
         if pause:
@@ -106,7 +107,10 @@ class Authority:
         return self._give_back("listening", reason, now_s)
 
     def step(self, wanted: bool, now_s: float) -> Action | None:
-        """What time brings, and what is to be done now. wanted: there is something to command. Called ten times a second."""
+        """Return what is to be done now.
+
+        wanted: there is something to command. Called ten times a second.
+        """
         if self._state == "down":
             return None
         if now_s - self._heard_s > self._silent_after_s:
@@ -119,20 +123,20 @@ class Authority:
             if since_s > ANSWER_WITHIN_S:
                 return self.give_back(f"no answer to the request for {ANSWER_WITHIN_S:g} s", now_s, pause=False)
         elif self._state == "revoked" and now_s >= self._not_before_s:
-            self._go("listening", "control may be asked for again", now_s)
+            self._go("listening", "control may be requested again", now_s)
         if self._state in ("requested", "granted"):
             return None if wanted else self.give_back("there is nothing to command", now_s, pause=False)
         if now_s - self._gave_back_s < SETTLE_S:
             return None
         if self._not_asked_for:
-            return self._give_back(self._state, "control was not asked for", now_s)
+            return self._give_back(self._state, "control was not requested", now_s)
         if wanted and self._state == "listening" and now_s >= self._not_before_s:
-            self._go("requested", "control was asked for", now_s)
+            self._go("requested", "control was requested", now_s)
             return Ask()
         return None
 
     def _lose(self, reason: str, now_s: float) -> Action | None:
-        """The vehicle is out of reach; what it believed of us it is asked anew."""
+        """Note that the vehicle is out of reach; control has to be requested anew."""
         action = None
         if self._state in ("requested", "granted"):
             action = self._give_back("down", reason, now_s)

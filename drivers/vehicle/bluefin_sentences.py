@@ -1,9 +1,11 @@
-"""The sentences of Bluefin's standard payload interface, for both directions.
+"""Define the sentences of Bluefin's standard payload interface, for both directions.
 
-Times are hhmmss.sss with three decimals, by the vehicle's clock. Source: Goby3, frontseat/bluefin (LGPL), which names the fields
-after the maker's manual. What it does not name, as the fields of `$BPTRK`, is left out; so is `$BPABT`, which aborts the mission.
+Times are hhmmss.sss with three decimals, by the vehicle's clock. Source: Goby3, frontseat/bluefin (LGPL), which names
+the fields after the maker's manual. What it does not name, as the fields of `$BPTRK`, is left out; so is `$BPABT`,
+which aborts the mission.
 
-Contacts have no sentence of the maker's: they go out as `$BPMCM`, time and the fields of `ascii_fields.CONTACT`; the name is a setting.
+Contacts have no sentence of the maker's: they go out as `$BPMCM`, time and the fields of `ascii_fields.CONTACT`; the
+name is a setting.
 """
 
 from __future__ import annotations
@@ -125,7 +127,10 @@ class BluefinStatus(NamedTuple):
 
 
 class BluefinSteer(NamedTuple):
-    """`$BPRMB`. vertical_mode: 0 depth, 1 altitude, 2 pitch. speed_mode: 0 rpm, 1 m/s. heading_mode: 0 heading, 1 rudder."""
+    """`$BPRMB`.
+
+    vertical_mode: 0 depth, 1 altitude, 2 pitch. speed_mode: 0 rpm, 1 m/s. heading_mode: 0 heading, 1 rudder.
+    """
 
     time_of_day_s: float
     heading_rad: float
@@ -149,13 +154,13 @@ class BluefinContact(NamedTuple):
 
 
 class BluefinGrammar(NmeaGrammar):
-    """Sentences of NMEA 0183, counted as this vehicle's."""
+    """Frame sentences of NMEA 0183, counted as this vehicle's."""
 
     name = "bluefin"
 
 
 def table_of(settings: BluefinSettings) -> Table:
-    """The sentences of this vehicle."""
+    """Make the table of this vehicle's sentences."""
     name = settings.contact_sentence
     return Table(
         Sentence("BFACK", BluefinAnswer, (CLOCK, needed(TEXT), CLOCK, None, one_of(*"0123"), None, TEXT)),

@@ -1,4 +1,4 @@
-"""The DBC file of the messages between payload and vehicle, from their table.
+"""Write the DBC file of the messages between payload and vehicle, from their table.
 
 python -m drivers.vehicle.can_dbc > deploy/auv_mcm.dbc
 """
@@ -29,7 +29,10 @@ _NOT_AVAILABLE: Final = "not available"
 
 
 def dbc_text() -> str:
-    """The whole file. Identifiers have the addresses that are the default; another address changes their last byte."""
+    """Return the whole file.
+
+    Identifiers have the addresses that are the default; another address changes their last byte.
+    """
     settings = CanSettings()
     address = {"payload": settings.payload_address, "vehicle": settings.vehicle_address}
     ids = {message.number: can_id_of(message, address[message.sender]) | _EXTENDED for message in MESSAGES}
@@ -50,13 +53,16 @@ def dbc_text() -> str:
         for signal, _, _ in _signals(message):
             named = dict(enumerate(signal.names)) if signal.scale is None else {signal.unavailable: _NOT_AVAILABLE}
             if named:
-                told = " ".join(f"{value} {_quoted(name)}" for value, name in named.items())
-                lines.append(f"VAL_ {ids[message.number]} {signal.name} {told} ;")
+                named_values = " ".join(f"{value} {_quoted(name)}" for value, name in named.items())
+                lines.append(f"VAL_ {ids[message.number]} {signal.name} {named_values} ;")
     return "\n".join(lines) + "\n"
 
 
 def _signals(message: CanMessage) -> Iterator[tuple[Signal, int, str]]:
-    """Every signal with head and CRC, its first byte, and its mark: M for the part number, m1 for a signal of part 1."""
+    """List every signal with head and CRC, its first byte, and its mark.
+
+    M for the part number, m1 for a signal of part 1.
+    """
     if not message.is_transfer:
         for placed in message.placed:
             yield placed.signal, placed.first_byte, ""

@@ -1,16 +1,18 @@
-"""Messages between payload and vehicle on a CAN bus, both ways, from one table.
+"""Define the messages between payload and vehicle on a CAN bus, both ways, in one table.
 
-Identifiers have 29 bits, laid out as in SAE J1939-21: priority, page, 0xFF, message number, address of the sender. Both page bits are set,
-which J1939 leaves to others (ISO 15765-3) and NMEA 2000 never does: on a bus shared with NMEA 2000 nobody can take these frames for a
-parameter group, as other makers' units could if the frames had proprietary groups without a maker's code. No address is claimed.
+Identifiers have 29 bits, laid out as in SAE J1939-21: priority, page, 0xFF, message number, address of the sender. Both
+page bits are set, which J1939 leaves to others (ISO 15765-3) and NMEA 2000 never does: on a bus shared with NMEA 2000
+nobody can take these frames for a parameter group, as other makers' units could if the frames had proprietary groups
+without a maker's code. No address is claimed.
 
-Every frame has 8 bytes, numbers are little-endian and byte-aligned, bytes without a meaning are 0xFF. A quantity whose bits are all ones
-(signed: the largest number) is not available, NaN here; others are rounded to the nearest step, ties to the even one. Counters, numbers
-and codes are whole and always available.
+Every frame has 8 bytes, numbers are little-endian and byte-aligned, bytes without a meaning are 0xFF. A quantity whose
+bits are all ones (signed: the largest number) is not available, NaN here; others are rounded to the nearest step, ties
+to the even one. Counters, numbers and codes are whole and always available.
 
-A message of one frame ends with the CRC-16/IBM-3740 of message number, sender and the 6 bytes before. A longer one is a transfer: each
-frame begins with its part number and the transfer's sequence number, and 6 bytes of content follow; the last 4 bytes of the last part are
-the CRC-32 (as in zip) of message number, sender and all content before. So half a transfer, or halves of two, are nothing.
+A message of one frame ends with the CRC-16/IBM-3740 of message number, sender and the 6 bytes before. A longer one is a
+transfer: each frame begins with its part number and the transfer's sequence number, and 6 bytes of content follow; the
+last 4 bytes of the last part are the CRC-32 (as in zip) of message number, sender and all content before. So half a
+transfer, or halves of two, are nothing.
 """
 
 from __future__ import annotations
@@ -168,7 +170,10 @@ Record: TypeAlias = PayloadStatus | GoToMessage | SteerMessage | ReportMessage |
 
 
 class Signal(NamedTuple):
-    """One number. scale: of a quantity; None: whole. low, high: what it may be. names: of a code's values from 0 on."""
+    """Describe one number.
+
+    scale: of a quantity; None: whole. low, high: what it may be. names: of a code's values from 0 on.
+    """
 
     name: str
     n_bytes: int
@@ -182,12 +187,12 @@ class Signal(NamedTuple):
 
     @property
     def unavailable(self) -> int:
-        """The number that says that a quantity is not known."""
+        """Return the number that stands for an unknown quantity."""
         return (1 << 8 * self.n_bytes - self.signed) - 1
 
 
 class PlacedSignal(NamedTuple):
-    """A signal of a message. part: of its transfer, 0 where there is one frame. first_byte: in the frame."""
+    """Place a signal in a message. part: of its transfer, 0 where there is one frame. first_byte: in the frame."""
 
     part: int
     first_byte: int
@@ -195,7 +200,10 @@ class PlacedSignal(NamedTuple):
 
 
 class CanMessage(NamedTuple):
-    """parts: the signals of each frame, in the order of the record's fields. period_s: 0 for one that is sent when there is reason to."""
+    """Describe a message. parts: the signals of each frame, in the order of the record's fields.
+
+    period_s: 0 for one that is sent when there is reason to.
+    """
 
     number: int
     name: str
@@ -212,7 +220,7 @@ class CanMessage(NamedTuple):
 
     @property
     def placed(self) -> Iterator[PlacedSignal]:
-        """Where every signal but head and CRC is."""
+        """Return the place of every signal but head and CRC."""
         for part, signals in enumerate(self.parts):
             at = HEAD_BYTES if self.is_transfer else 0
             for signal in signals:
@@ -225,14 +233,17 @@ def can_id_of(message: CanMessage, address: int) -> int:
 
 
 def number_and_address(can_id: int) -> tuple[int, int] | None:
-    """Message number and sender's address of a 29-bit identifier, whatever the priority; None for one that is not of these messages."""
+    """Split a 29-bit identifier into message number and sender's address; None for other messages."""
     if can_id >> 8 & 0x3FF00 != _PAGES_AND_FORMAT:
         return None
     return can_id >> 8 & 0xFF, can_id & 0xFF
 
 
 def encode(record: Record, address: int, sequence: int = 0) -> list[CanFrame]:
-    """The frames of a record. sequence: of a transfer, modulo 256. Raises ValueError for a value out of its signal's range."""
+    """Encode a record as frames.
+
+    sequence: of a transfer, modulo 256. Raises ValueError for a value out of its signal's range.
+    """
     message = BY_RECORD[type(record)]
     values = iter(record)
     can_id = can_id_of(message, address)
@@ -251,7 +262,10 @@ def encode(record: Record, address: int, sequence: int = 0) -> list[CanFrame]:
 
 
 def decode(message: CanMessage, contents: list[bytes]) -> Record:
-    """The record of frames without heads and CRC, whose CRC was right. Raises ValueError for a value that is out of its signal's range."""
+    """Decode frames without heads and CRC, whose CRC was right, to a record.
+
+    Raises ValueError for a value that is out of its signal's range.
+    """
     start = HEAD_BYTES if message.is_transfer else 0
     values = []
     for part, first_byte, signal in message.placed:
@@ -261,17 +275,17 @@ def decode(message: CanMessage, contents: list[bytes]) -> Record:
 
 
 def crc16(number: int, address: int, content: bytes) -> int:
-    """CRC-16/IBM-3740 of a message of one frame: polynomial 0x1021, start 0xFFFF, not reflected."""
+    """Return the CRC-16/IBM-3740 of a message of one frame: polynomial 0x1021, start 0xFFFF, not reflected."""
     return crc_hqx(bytes((number, address)) + content, _CRC16_START)
 
 
 def crc_of(number: int, address: int, content: bytes) -> int:
-    """CRC-32/ISO-HDLC of a transfer."""
+    """Return the CRC-32/ISO-HDLC of a transfer."""
     return crc32(bytes((number, address)) + content)
 
 
 def goes_on(counter: int, last: int) -> bool:
-    """Whether a counter of one byte is newer than it was: ahead by less than half its range."""
+    """Return whether a counter of one byte is newer than it was: ahead by less than half its range."""
     return 0 < (counter - last) % N_NUMBERS < N_NUMBERS // 2
 
 
@@ -385,13 +399,13 @@ MESSAGES: Final = (
         7,
         0.0,
         ReportMessage,
-        "A contact. Repeated until answered, after 1 s and then less and less often; session, number and revision tell a repetition. "
-        "Sizes, errors and depths too large are told as the largest value.",
+        "A contact. Repeated until answered, after 1 s and then less and less often; session, number and revision identify a repetition. "
+        "Sizes, errors and depths too large are sent as the largest value.",
         (
             (_number("ticket", 2, "to be named in the answer; 1 to 65535"), _number("number", 4, "of the contact in its session")),
             (
                 _number("session", 4, "of the run that numbers its contacts"),
-                _number("revision", 2, "which telling of the contact; 1 the first"),
+                _number("revision", 2, "which report of the contact; 1 the first"),
             ),
             (Signal("time_s", 6, 0.0, 1e11, "UTC since 1970 of the first view", 1e-3, "s"),),
             (_LATITUDE, Signal("sigma_m", 2, 0.0, 655.0, "1-sigma, semi-major axis of the position's error ellipse", 0.01, "m")),
@@ -448,7 +462,7 @@ MESSAGES: Final = (
         3,
         VEHICLE_STATE_PERIOD_S,
         StateMessage,
-        "Where the vehicle is, all of one instant. May be left out where NMEA 2000 units on the bus tell it.",
+        "Where the vehicle is, all of one instant. May be left out where NMEA 2000 units on the bus report it.",
         (
             (_LATITUDE, _HEADING),
             (_LONGITUDE, _SPEED),

@@ -1,4 +1,4 @@
-"""Frames of one sender to whole messages."""
+"""Assemble frames of one sender to whole messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_OPEN: Final = 8  # transfers of one message under way: a sender has one at 
 
 
 class Received(NamedTuple):
-    """A message that came whole. sequence, crc: of its transfer, 0 for a message of one frame."""
+    """Hold a whole message. sequence, crc: of its transfer, 0 for a message of one frame."""
 
     record: Record
     sequence: int
@@ -34,7 +34,7 @@ class Received(NamedTuple):
 
 
 class _Transfer:
-    """Parts of one transfer so far, by number."""
+    """Hold the parts of one transfer so far, by number."""
 
     def __init__(self, begun_s: float) -> None:
         self.begun_s = begun_s
@@ -42,11 +42,12 @@ class _Transfer:
 
 
 class CanReceiver:
-    """Puts the messages of one sender together, in whatever order their frames come; never raises, whatever they hold.
+    """Assemble one sender's messages, in whatever order their frames arrive; never raises, whatever they hold.
 
-    counters: NAME.messages, NAME.ignored (frames of others' protocols, 11-bit identifiers, messages of the own side), and what was refused:
-    NAME.refused.foreign (messages of this sender from another address), .message (no such number), .length, .part (no such part), .crc,
-    .value (out of range), .repeated (a part once more), .incomplete (transfers that did not become whole).
+    counters: NAME.messages, NAME.ignored (frames of others' protocols, 11-bit identifiers, messages of the own side),
+    and what was refused: NAME.refused.foreign (messages of this sender from another address), .message (no such
+    number), .length, .part (no such part), .crc, .value (out of range), .repeated (a part once more), .incomplete
+    (transfers that did not become whole).
     """
 
     def __init__(self, name: str, sender: Sender, address: int, counters: Counter[str]) -> None:
@@ -57,7 +58,7 @@ class CanReceiver:
         self._open: dict[int, dict[int, _Transfer]] = {message.number: {} for message in BY_NUMBER.values()}
 
     def add(self, frame: CanFrame, now_s: float) -> Received | None:
-        """Take a frame; the message if that completes one."""
+        """Take a frame; return the message if that completes one."""
         found = number_and_address(frame.can_id) if frame.extended else None
         if found is None:
             self.counters[f"{self._name}.ignored"] += 1
@@ -107,7 +108,7 @@ class CanReceiver:
         return self._whole(message, contents, sequence, crc)
 
     def _transfer(self, message: CanMessage, sequence: int, now_s: float) -> _Transfer:
-        """The one under way, or a new one; those that take too long are dropped."""
+        """Return the transfer under way, or a new one; drop those that take too long."""
         under_way = self._open[message.number]
         for old in [old for old, transfer in under_way.items() if not 0.0 <= now_s - transfer.begun_s <= TRANSFER_S]:
             del under_way[old]

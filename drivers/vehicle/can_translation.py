@@ -1,4 +1,4 @@
-"""Between what payload and vehicle have to say and the messages that say it on a CAN bus."""
+"""Translate between dialect records and the messages on a CAN bus."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STEPS_PER_M: Final = 1000.0
 
 
 def command_message(command: Command, valid_s: float, command_number: int, request_number: int) -> GoToMessage | SteerMessage:
-    """Depths and altitudes are rounded to the shallower, so that a bound that was kept stays kept."""
+    """Translate a command. Depths and altitudes are rounded to the shallower, so that bounds stay kept."""
     vertical_m = _shallower(command.vertical)
     reference = REFERENCES.index(command.vertical.reference)
     if isinstance(command, GoTo):
@@ -47,9 +47,9 @@ def command_message(command: Command, valid_s: float, command_number: int, reque
 
 
 def command_of(message: GoToMessage | SteerMessage) -> Command:
-    """Raises ValueError for one with something not available."""
+    """Translate a received command. Raises ValueError if a field is not available."""
     if any(math.isnan(value) for value in message):
-        raise ValueError("a command must say everything")
+        raise ValueError("a command must have all fields")
     vertical = Vertical(REFERENCES[message.vertical_reference], message.vertical_m)
     if isinstance(message, GoToMessage):
         return GoTo(message.latitude_deg, message.longitude_deg, vertical, message.speed_mps, message.radius_m)
@@ -57,7 +57,10 @@ def command_of(message: GoToMessage | SteerMessage) -> Command:
 
 
 def report_message(report: ContactReport, ticket: int) -> ReportMessage:
-    """Of a session the lower 32 bits are told; sizes, errors and depths too large as the largest value."""
+    """Translate a report.
+
+    The session keeps its lower 32 bits; sizes, errors and depths too large become the largest value.
+    """
     return ReportMessage(
         ticket=ticket,
         number=report.number,
@@ -106,7 +109,7 @@ def report_from_can(message: ReportMessage) -> ContactReport:
 
 
 def text_message(text: str) -> HealthText:
-    """The first 44 bytes of a text, no character cut in two."""
+    """Return the first 44 bytes of a text, no character cut in two."""
     whole = text.encode("utf-8", "replace")[:TEXT_BYTES].decode("utf-8", "ignore")
     data = whole.encode("utf-8").ljust(TEXT_BYTES, b"\0")
     parts, at = [], 0

@@ -1,7 +1,7 @@
-"""What a vehicle's controller and the payload have to say to each other, whatever the dialect.
+"""Define the messages between a vehicle's controller and the payload, whatever the dialect.
 
-Directions are radians clockwise from true north, depths metres below the surface, altitudes metres above the sea floor. What is not known
-is NaN. `now_s` is the monotonic clock.
+Directions are radians clockwise from true north, depths metres below the surface, altitudes metres above the sea floor.
+What is not known is NaN. `now_s` is the monotonic clock.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ Wntra = TypeVar("Wntra", contravariant=True)
 
 
 class Capability(enum.Flag):
-    """What a dialect can carry."""
+    """Name the capabilities of a dialect."""
 
-    NAVIGATION = enum.auto()  # it says where the vehicle is
+    NAVIGATION = enum.auto()  # it reports the vehicle's position
     WAYPOINT = enum.auto()  # the vehicle goes to a place by itself
     STEERING = enum.auto()  # the vehicle holds a heading, a depth or altitude, and a speed
     CONTACT = enum.auto()  # it takes reports of contacts
-    ACKNOWLEDGED = enum.auto()  # and says which it has got
+    ACKNOWLEDGED = enum.auto()  # and acknowledges them
     HEALTH = enum.auto()  # it takes the payload's health
 
 
 class Vertical(NamedTuple):
-    """How deep to go."""
+    """Command a depth or an altitude."""
 
     reference: Literal["depth", "altitude"]
     value_m: float
 
 
 class GoTo(NamedTuple):
-    """Go to a place by yourself. radius_m: as near counts as there."""
+    """Command the vehicle to a place. radius_m: as near counts as arrived."""
 
     latitude_deg: float
     longitude_deg: float
@@ -50,7 +50,7 @@ class GoTo(NamedTuple):
 
 
 class Steer(NamedTuple):
-    """Hold this."""
+    """Command a heading, a depth or altitude, and a speed to hold."""
 
     heading_rad: float
     vertical: Vertical
@@ -61,12 +61,12 @@ Command: TypeAlias = GoTo | Steer
 
 
 class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
-    """A contact as it is reported to the vehicle.
+    """Hold a contact as it is reported to the vehicle.
 
-    session: of the run that numbers its contacts, so that two runs are not confused. number, revision: of the contact, and which telling of
-    it this is, 1 the first; a report with the session, number and revision of an earlier one is a repetition. time_s: UTC seconds
-    since 1970 of the first view. depth_m: of the sea floor there. *_sigma_m: 1-sigma; sigma_m is the semi-major axis of the position's
-    error ellipse. belief: mass per class and `unknown`, sum 1.
+    session: of the run that numbers its contacts, so that two runs are not confused. number, revision: of the contact,
+    and which report of it this is, 1 the first; a report with the session, number and revision of an earlier one is a
+    repetition. time_s: UTC seconds since 1970 of the first view. depth_m: of the sea floor there. *_sigma_m: 1-sigma;
+    sigma_m is the semi-major axis of the position's error ellipse. belief: mass per class and `unknown`, sum 1.
     """
 
     session: int
@@ -90,19 +90,22 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def label(self) -> str:
-        """A name for people and for dialects that know names alone."""
+        """Return a name for people and for dialects that carry names alone."""
         return f"MLC-{self.number:05d}"
 
 
 class PayloadHealth(NamedTuple):
-    """How the payload is. state: `starting`, `normal`, `fault` (it works, with less), `failure` (do not count on it)."""
+    """Hold the payload's health.
+
+    state: `starting`, `normal`, `fault` (it works, with less), `failure` (do not count on it).
+    """
 
     state: Literal["starting", "normal", "fault", "failure"]
     text: str
 
 
 class ReportedState(NamedTuple):
-    """Where the vehicle says it is."""
+    """Hold the vehicle's own navigation."""
 
     received: Stamp
     latitude_deg: float = NAN
@@ -116,7 +119,7 @@ class ReportedState(NamedTuple):
 
 
 def fix_of(source: str, state: ReportedState) -> NavFix:
-    """The state for the navigation. source: the port that it came from."""
+    """Return the state as a fix for the navigation. source: the port that it came from."""
     return NavFix(
         source=source,
         received=state.received,
@@ -132,36 +135,42 @@ def fix_of(source: str, state: ReportedState) -> NavFix:
 
 
 class Granted(NamedTuple):
-    """We may command."""
+    """Grant control to the payload."""
 
     reason: str
 
 
 class Withheld(NamedTuple):
-    """We may not, or no longer: refused, taken back, timed out, mission over, shutting down. reason: in the vehicle's words, for people."""
+    """Refuse or revoke control: refused, taken back, timed out, mission over, shutting down.
+
+    reason: in the vehicle's words, for people.
+    """
 
     reason: str
 
 
 class PlaceReached(NamedTuple):
-    """The vehicle is at the place of the GoTo that was commanded last."""
+    """Report that the vehicle has reached the place of the last GoTo."""
 
 
 class Acknowledged(NamedTuple):
-    """The message with this ticket was taken."""
+    """Acknowledge the message with this ticket."""
 
     ticket: int
 
 
 class Rejected(NamedTuple):
-    """The message with this ticket was understood and refused; saying it again is of no use."""
+    """Reject the message with this ticket: understood and refused; repeating it is of no use."""
 
     ticket: int
     reason: str
 
 
 class Doubted(NamedTuple):
-    """A message that would let the payload command was refused, as it may be somebody else's or an old one. reason: for people."""
+    """Report a refused grant, which may be somebody else's or an old one.
+
+    reason: for people.
+    """
 
     reason: str
 
@@ -169,11 +178,12 @@ class Doubted(NamedTuple):
 VehicleEvent: TypeAlias = ReportedState | Granted | Withheld | PlaceReached | Acknowledged | Rejected | Doubted
 
 
-class Said(NamedTuple):
-    """One message of the vehicle.
+class VehicleMessage(NamedTuple):
+    """Hold one message of the vehicle.
 
-    record: in the terms of its dialect, None for what is of no use to a talker. state: where the vehicle is, if it says so. fixes: the same
-    for the navigation, and what other units on its bus say. of_vehicle: False if only such a unit said it.
+    record: in the terms of its dialect, None for what is of no use to a talker. state: where the vehicle is, if it says
+    so. fixes: the same for the navigation, and what other units on its bus say. of_vehicle: False if only such a unit
+    said it.
     """
 
     record: Any
@@ -184,7 +194,9 @@ class Said(NamedTuple):
 
 
 class VehicleDecoder(Protocol[Wntra]):
-    """Bytes or frames of one vehicle to messages. They depend on what is fed alone, so a recording gives the same. It never raises.
+    """Decode bytes or frames of one vehicle to messages.
+
+    They depend on what is fed alone, so a recording gives the same. It never raises.
 
     counters: NAME.messages, NAME.refused.REASON and others, by dotted name. bus_counters: of other units on its bus.
     """
@@ -194,19 +206,27 @@ class VehicleDecoder(Protocol[Wntra]):
     @property
     def bus_counters(self) -> Counter[str]: ...
 
-    def feed(self, data: Wntra, stamp: Stamp) -> list[Said]:
-        """What a chunk of bytes, or a frame, completes, in order; one for each message, understood or not. stamp: when it was read."""
+    def feed(self, data: Wntra, stamp: Stamp) -> list[VehicleMessage]:
+        """Return the messages that a chunk of bytes, or a frame, completes, in order; one for each message, understood
+        or not.
+
+        stamp: when it was read.
+        """
         ...
 
 
 class Talker(Protocol[W]):
-    """The payload's part of one vehicle's language; W: bytes, or CanFrame on a bus. It opens no port, reads no clock and never raises.
+    """Talk to one vehicle in its protocol; W: bytes, or CanFrame on a bus.
 
-    What it decides is how things are said, acknowledged, said again and kept alive; whether they may be said at all is decided before.
-    What there is to say comes out of `take_outgoing`, asked after every call and at least ten times a second.
+    It opens no port, reads no clock and never raises.
 
-    silent_after_s: a vehicle not heard for so long is taken for gone. command_period_s: a command that holds is given again so often, well
-    within the time after which the vehicle itself forgets it. counters: by dotted name, besides those of the decoder.
+    It decides how messages are sent, acknowledged, repeated and kept alive; whether they may be sent at all is decided
+    before. The messages to be sent come out of `take_outgoing`, called after every call and at least ten times a
+    second.
+
+    silent_after_s: a vehicle not heard for so long is taken for gone. command_period_s: a command that holds is given
+    again so often, well within the time after which the vehicle itself forgets it. counters: by dotted name, besides
+    those of the decoder.
     """
 
     @property
@@ -219,23 +239,29 @@ class Talker(Protocol[W]):
     def counters(self) -> Counter[str]: ...
 
     def connected(self, now_s: float) -> None:
-        """The wire is open, perhaps again: greet, and forget what was half said. Unacknowledged reports come again by `report`."""
+        """Note that the wire is open, perhaps again: greet, and forget what was half sent.
+
+        Unacknowledged reports come again by `report`.
+        """
         ...
 
     def disconnected(self) -> None:
-        """The wire is gone."""
+        """Note that the wire is lost."""
         ...
 
-    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
-        """What the messages of a chunk of bytes, or of a frame, mean, in order. stamp: when it was read; called without messages, too."""
+    def hear(self, messages: Sequence[VehicleMessage], stamp: Stamp) -> list[VehicleEvent]:
+        """Interpret the messages of a chunk of bytes, or of a frame, in order.
+
+        stamp: when it was read; called without messages, too.
+        """
         ...
 
     def request(self, now_s: float) -> None:
-        """Ask to be allowed to command."""
+        """Request control."""
         ...
 
     def command(self, command: Command, now_s: float) -> None:
-        """Only while granted, and only kinds in `capabilities`. It takes the place of the one before."""
+        """Send a command, only while granted, and only kinds in `capabilities`. It replaces the one before."""
         ...
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
@@ -243,13 +269,16 @@ class Talker(Protocol[W]):
         ...
 
     def report_health(self, health: PayloadHealth, now_s: float) -> None:
-        """Called whenever it changes; the dialect repeats it as its vehicle wants."""
+        """Take the payload's health whenever it changes; the dialect repeats it as its vehicle requires."""
         ...
 
     def release(self, reason: str, now_s: float) -> None:
-        """Give control back, at once; a command not yet sent is dropped. Also when it was asked for and not yet granted."""
+        """Release control at once; a command not yet sent is dropped.
+
+        Also when it was asked for and not yet granted.
+        """
         ...
 
     def take_outgoing(self, now_s: float) -> list[W]:
-        """What is to be sent now: answers, heartbeats, repetitions."""
+        """Return what is to be sent now: answers, heartbeats, repetitions."""
         ...

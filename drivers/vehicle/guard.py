@@ -1,4 +1,4 @@
-"""What must not be sent: commands that lead out of the fence, too low, too deep, or that are too old; and when not to command at all.
+"""Refuse commands that lead out of the fence, too low or too deep, or that are too old.
 
 Current and the vehicle's way of turning are not known here; `fence_margin_m` is there for both.
 """
@@ -22,16 +22,17 @@ _TURN: Final = 2.0 * math.pi
 
 
 class Refusal(NamedTuple):
-    """Why something is not sent. code: one word for counters; text: for people."""
+    """Hold why a command is not sent. code: one word for counters; text: for people."""
 
     code: str
     text: str
 
 
 class Fence:
-    """A polygon on the sea surface, its corners in either order; edges are the shortest lines between corners.
+    """Hold a polygon on the sea surface, its corners in either order; edges are the shortest lines between corners.
 
-    Raises UsageError for corners that are no polygon: fewer than three, edges that cross, no area, more than 50 km from their middle.
+    Raises UsageError for corners that are no polygon: fewer than three, edges that cross, no area, more than 50 km from
+    their middle.
     """
 
     def __init__(self, corners_deg: Sequence[tuple[float, float]]) -> None:
@@ -46,18 +47,18 @@ class Fence:
         ]
         self._edges = list(zip(ring, [*ring[1:], *ring[:1]], strict=True))
         if len(ring) < 3 or _cross_themselves(self._edges) or abs(_area_m2(ring)) < 1.0:
-            raise UsageError("vehicle: fence_deg is no area; give its corners in order, edges must not cross")
+            raise UsageError("vehicle: fence_deg encloses no area; give its corners in order, edges must not cross")
 
     def point(self, latitude_deg: float, longitude_deg: float) -> Point:
         return self._plane.point(latitude_deg, longitude_deg)
 
     def ahead(self, latitude_deg: float, longitude_deg: float, heading_rad: float, reach_m: float) -> Point:
-        """Where a way along a true heading leads."""
+        """Return where a course along a true heading leads."""
         here, step = self._plane.point(latitude_deg, longitude_deg), self._plane.direction(latitude_deg, longitude_deg, heading_rad)
         return Point(here.east_m + reach_m * step.east_m, here.north_m + reach_m * step.north_m)
 
     def clearance_m(self, start: Point, end: Point) -> float:
-        """How near the straight way comes to the fence; -inf if any of it is outside, or not on the chart."""
+        """Return the minimum distance of a straight leg to the fence, in m; -inf if it leaves the fence or the chart."""
         if not (self.inside(start) and self.inside(end)):
             return -math.inf
         if any(_cross(start, end, *edge) for edge in self._edges):
@@ -73,7 +74,7 @@ class Fence:
         )
 
     def inside(self, point: Point) -> bool:
-        """Even-odd rule; points on an edge may count as either."""
+        """Return whether a point is inside, by the even-odd rule; points on an edge may count as either."""
         east_m, north_m = point
         inside = False
         for a, b in self._edges:
@@ -84,7 +85,7 @@ class Fence:
 
 
 class Guard:
-    """Judges commands by the configuration's bounds. Without a fence everything is refused.
+    """Check commands against the configured bounds. Without a fence everything is refused.
 
     Raises UsageError for a fence that is no area.
     """
@@ -94,23 +95,27 @@ class Guard:
         self._fence = Fence(config.fence_deg) if config.fence_deg else None
 
     def plan(self, places_deg: Sequence[tuple[float, float]], slack_m: float) -> Refusal | None:
-        """Why straight legs from place to place are not to be flown, wherever the vehicle is.
+        """Return why straight legs from place to place must not be flown, wherever the vehicle is.
 
         slack_m: they keep so much farther inside the fence, for a vehicle that wanders about them.
         """
         if self._fence is None:
             return _NO_FENCE
         points = [self._fence.point(*place) for place in places_deg]
-        least_m = self._config.fence_margin_m + slack_m
+        min_clearance_m = self._config.fence_margin_m + slack_m
         for number, (start, end) in enumerate(pairwise([*points[:1], *points]), start=1):
-            if not (clearance_m := self._fence.clearance_m(start, end)) >= max(least_m - _ROUNDING_M, _TOUCH_M):
+            if not (clearance_m := self._fence.clearance_m(start, end)) >= max(min_clearance_m - _ROUNDING_M, _TOUCH_M):
                 where = f"way-point {number} of {len(points)}, or the way to it, "
-                what = "lies outside the fence" if clearance_m < 0.0 else f"is {clearance_m:.1f} m from the fence, less than {least_m:g} m"
+                what = (
+                    "lies outside the fence"
+                    if clearance_m < 0.0
+                    else f"is {clearance_m:.1f} m from the fence, less than {min_clearance_m:g} m"
+                )
                 return Refusal("plan_outside_fence", where + what)
         return None
 
     def state(self, state: ReportedState | None) -> Refusal | None:
-        """Why a vehicle that is there must not be commanded. What is not known cannot be judged, and so is refused."""
+        """Return why a vehicle in this state must not be commanded. Unknown quantities are refused."""
         if self._fence is None:
             return _NO_FENCE
         if state is None or not math.isfinite(state.latitude_deg + state.longitude_deg):
@@ -129,19 +134,19 @@ class Guard:
         return None
 
     def age(self, age_s: float) -> Refusal | None:
-        """Why a command that the payload confirmed so long ago is void. NaN is too old."""
+        """Return why a command that the payload confirmed so long ago is void. NaN is too old."""
         if not age_s <= self._config.command_valid_s:
             return Refusal("expired", f"commands were not confirmed for {age_s:.1f} s, command_valid_s is {self._config.command_valid_s:g}")
         return None
 
     def plan_age(self, age_s: float) -> Refusal | None:
-        """Why a plan proposed so long ago is void."""
+        """Return why a plan proposed so long ago is void."""
         if not age_s <= self._config.plan_valid_s:
             return Refusal("plan_expired", f"the plan is {age_s:.0f} s old, plan_valid_s is {self._config.plan_valid_s:g}")
         return None
 
     def command(self, command: Command, state: ReportedState | None) -> Refusal | None:
-        """Why a command must not be sent to a vehicle in this state."""
+        """Return why a command must not be sent to a vehicle in this state."""
         if (refusal := self.state(state)) is not None:
             return refusal
         assert state is not None  # else refused above
@@ -158,9 +163,9 @@ class Guard:
         return None
 
     def _vertical(self, vertical: Vertical, state: ReportedState) -> Refusal | None:
-        """Both ways of telling are judged by both bounds, over the sea floor as it is below the vehicle now."""
+        """Check a depth or an altitude against both bounds, over the sea floor below the vehicle."""
         if not 0.0 <= vertical.value_m < math.inf:
-            return Refusal("vertical", f"{vertical.reference} {vertical.value_m:g} m is none")
+            return Refusal("vertical", f"{vertical.reference} {vertical.value_m:g} m is not valid")
         floor_m = state.depth_m + state.altitude_m
         altitude_m = vertical.value_m if vertical.reference == "altitude" else floor_m - vertical.value_m
         depth_m = vertical.value_m if vertical.reference == "depth" else floor_m - vertical.value_m
@@ -174,7 +179,7 @@ class Guard:
 
     def _go_to(self, command: GoTo, state: ReportedState, fence: Fence) -> Refusal | None:
         if not 0.0 < command.radius_m < math.inf:
-            return Refusal("radius", f"radius {command.radius_m:g} m is none")
+            return Refusal("radius", f"radius {command.radius_m:g} m is not valid")
         here, there = fence.point(state.latitude_deg, state.longitude_deg), fence.point(command.latitude_deg, command.longitude_deg)
         if (refusal := self._way(here, there, fence)) is not None:
             return refusal
@@ -192,21 +197,21 @@ class Guard:
         return self._way(here, fence.ahead(state.latitude_deg, state.longitude_deg, command.heading_rad, reach_m), fence)
 
     def _way(self, here: Point, there: Point, fence: Fence) -> Refusal | None:
-        """A vehicle that is within the margin already may leave it, but not come nearer to the fence."""
+        """Return why a heading must not be held. A vehicle within the margin may leave it, but not approach the fence."""
         clearance_m = fence.clearance_m(here, there)
         if clearance_m >= max(self._config.fence_margin_m, _TOUCH_M):
             return None
-        least_m = min(self._config.fence_margin_m, fence.clearance_m(here, here))
-        if not clearance_m >= max(least_m - _ROUNDING_M, _TOUCH_M):
-            return Refusal("leads_out", f"the straight way leads out of the fence, or nearer to it than {least_m:.1f} m")
+        min_clearance_m = min(self._config.fence_margin_m, fence.clearance_m(here, here))
+        if not clearance_m >= max(min_clearance_m - _ROUNDING_M, _TOUCH_M):
+            return Refusal("leads_out", f"the straight way leads out of the fence, or nearer to it than {min_clearance_m:.1f} m")
         return None
 
 
-_NO_FENCE: Final = Refusal("no_fence", "there is no fence")
+_NO_FENCE: Final = Refusal("no_fence", "no fence is configured: set vehicle.fence_deg")
 
 
 def _middle_deg(corners_deg: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Of directions from the Earth's centre, so that neither poles nor the antimeridian matter."""
+    """Return the mean of directions from the Earth's centre, so that neither poles nor the antimeridian matter."""
     angles = [(math.radians(latitude_deg), math.radians(longitude_deg)) for latitude_deg, longitude_deg in corners_deg]
     x = math.fsum(math.cos(latitude) * math.cos(longitude) for latitude, longitude in angles)
     y = math.fsum(math.cos(latitude) * math.sin(longitude) for latitude, longitude in angles)
@@ -215,12 +220,12 @@ def _middle_deg(corners_deg: Sequence[tuple[float, float]]) -> tuple[float, floa
 
 
 def _turn_m2(a: Point, b: Point, c: Point) -> float:
-    """Twice the area of a triangle, positive counter-clockwise."""
+    """Return twice the area of a triangle, positive counter-clockwise."""
     return (b.east_m - a.east_m) * (c.north_m - a.north_m) - (b.north_m - a.north_m) * (c.east_m - a.east_m)
 
 
 def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether two lines cross, not merely touch; True if that cannot be told."""
+    """Return whether two lines cross, not merely touch; True if rounding leaves it open."""
     if _turn_m2(a, b, c) * _turn_m2(a, b, d) >= 0.0:
         return False
     return not _turn_m2(c, d, a) * _turn_m2(c, d, b) >= 0.0

@@ -1,12 +1,13 @@
-"""From way-points to headings: line of sight along straight legs, for vehicles that hold a heading and no track.
+"""Guide along way-points by headings: line of sight on straight legs, for vehicles that hold a heading and no track.
 
-The course aims at a point on the leg one look-ahead distance in front of the vehicle's foot on it (Fossen, "Handbook of Marine Craft
-Hydrodynamics and Motion Control", 2011, sec. 10.3). Against current the cross-track integral of Borhaug, Pavlov and Pettersen ("Integral
-LOS control for path following of underactuated marine surface vessels in the presence of constant ocean currents", CDC 2008) has to
-settle anew on every leg, which takes longer than a re-inspection leg is; so the current itself is estimated as a vector that all legs
-share, and the heading is crabbed against it (Fossen and Lekkas, "Direct and indirect adaptive integral line-of-sight path-following
-controllers for marine craft exposed to ocean currents", 2017, the indirect form). What is estimated is whatever drives the vehicle off:
-current, a compass that is wrong, another speed than was commanded.
+The course aims at a point on the leg one look-ahead distance in front of the vehicle's foot on it (Fossen, "Handbook of
+Marine Craft Hydrodynamics and Motion Control", 2011, sec. 10.3). Against current the cross-track integral of Borhaug,
+Pavlov and Pettersen ("Integral LOS control for path following of underactuated marine surface vessels in the presence
+of constant ocean currents", CDC 2008) has to settle anew on every leg, which takes longer than a re-inspection leg is;
+so the current itself is estimated as a vector that all legs share, and the heading is crabbed against it (Fossen and
+Lekkas, "Direct and indirect adaptive integral line-of-sight path-following controllers for marine craft exposed to
+ocean currents", 2017, the indirect form). What is estimated is whatever drives the vehicle off: current, a compass that
+is wrong, another speed than was commanded.
 
 Every leg has its own chart, so neither poles nor the antimeridian matter.
 """
@@ -30,18 +31,19 @@ _TURN: Final = 2.0 * math.pi
 
 
 class OffTrack(NamedTuple):
-    """to_go_m: along the leg to its end. cross_m: to starboard of it."""
+    """Hold the place on a leg. to_go_m: along the leg to its end. cross_m: to starboard of it."""
 
     to_go_m: float
     cross_m: float
 
 
 class WaypointTrack:
-    """Way-points to be flown in order on the straight legs between them.
+    """Follow way-points in order on the straight legs between them.
 
-    places_deg: latitude, longitude; the first is where the way begins and is not flown to. radius_m: as near counts as there. A
-    way-point is also behind the vehicle once it has passed it abeam, however far off: it would circle one that it cannot reach.
-    cut_radius_m: turn this tight before a corner so as to come out on the next leg; 0 for vehicles that turn by themselves.
+    places_deg: latitude, longitude; the first is where the way begins and is not flown to. radius_m: as near counts as
+    there. A way-point is also behind the vehicle once it has passed it abeam, however far off: it would circle one that
+    it cannot reach. cut_radius_m: turn this tight before a corner so as to come out on the next leg; 0 for vehicles
+    that turn by themselves.
     """
 
     def __init__(self, places_deg: tuple[tuple[float, float], ...], *, radius_m: float, cut_radius_m: float = 0.0) -> None:
@@ -54,7 +56,7 @@ class WaypointTrack:
 
     @property
     def index(self) -> int:
-        """Of the place that is flown to."""
+        """Return the index of the place that is flown to."""
         return self._index
 
     @property
@@ -66,7 +68,7 @@ class WaypointTrack:
         return self._places_deg[self._index]
 
     def nearest(self, position_deg: tuple[float, float], first: int, last: int) -> int:
-        """Which of the places `first` to `last` to go on to from a position: the end of the nearest leg, of several the last."""
+        """Return the place of `first` to `last` to continue to: the end of the nearest leg, of several the last."""
         chart = LocalPlane(*position_deg)
         best, nearest_m = first, math.inf
         for index in range(first, last + 1):
@@ -76,7 +78,7 @@ class WaypointTrack:
         return best
 
     def join(self, position_deg: tuple[float, float], index: int) -> None:
-        """Go on from a position, straight to a place."""
+        """Continue from a position, straight to a place."""
         self._index, self._from_deg = index, position_deg
         self._lay_leg()
 
@@ -86,23 +88,23 @@ class WaypointTrack:
             self.arrive()
 
     def arrive(self) -> None:
-        """The vehicle is where it was to go."""
+        """Note that the vehicle has arrived."""
         self._from_deg = self._places_deg[self._index]
         self._index += 1
         self._lay_leg()
 
     def off_track(self, position_deg: tuple[float, float]) -> OffTrack:
-        """NaN for a position that is not known."""
+        """Return the place on the leg; NaN for an unknown position."""
         east_m, north_m = self._chart.point(*position_deg)
         along_east, along_north = self._along
         return OffTrack(-(east_m * along_east + north_m * along_north), east_m * along_north - north_m * along_east)
 
     def true_heading_rad(self, position_deg: tuple[float, float], right_of_leg_rad: float) -> float:
-        """The true heading at a position of a direction so far to the right of the leg's."""
+        """Return the true heading at a position of a direction so far to the right of the leg's."""
         return self._chart.true_heading_rad(*position_deg, math.atan2(*self._along) + right_of_leg_rad)
 
     def _lay_leg(self) -> None:
-        """The chart of the leg, its origin the place to go to; `_along` points down the leg."""
+        """Lay the chart of the leg, its origin the place to go to; `_along` points down the leg."""
         if self.finished:
             return
         self._chart = LocalPlane(*self.target_deg)
@@ -113,7 +115,7 @@ class WaypointTrack:
         self._cut_m = self._corner_cut_m()
 
     def _corner_cut_m(self) -> float:
-        """How long before the corner a circle that touches both legs begins."""
+        """Return the distance before the corner, in m, at which a circle that touches both legs begins."""
         if self._index + 1 >= len(self._places_deg) or self._cut_radius_m == 0.0:
             return 0.0
         after = self._chart.point(*self._places_deg[self._index + 1])
@@ -131,7 +133,7 @@ class WaypointTrack:
 
 
 class _Sailed(NamedTuple):
-    """Where the vehicle is expected, on the observer's chart, and its heading as a direction there."""
+    """Hold the expected position on the observer's chart, and the heading as a direction there."""
 
     time_s: float
     east_m: float
@@ -140,7 +142,7 @@ class _Sailed(NamedTuple):
 
 
 class CurrentEstimate:
-    """Which way the vehicle is driven off, from where it goes and where it heads: a Luenberger observer of position and current."""
+    """Estimate the current from track and heading, by a Luenberger observer of position and current."""
 
     def __init__(self) -> None:
         self._east_mps = 0.0
@@ -149,16 +151,16 @@ class CurrentEstimate:
         self._last: _Sailed | None = None
 
     def restart(self) -> None:
-        """What happened since is not known; the current is taken to be the same."""
+        """Forget the position after a gap; keep the current."""
         self._last = None
 
     def to_starboard_mps(self, position_deg: tuple[float, float], course_rad: float) -> float:
-        """The current across a true course at a position near those observed."""
+        """Return the current across a true course, in m/s, at a position near those observed."""
         ahead = self._chart.direction(*position_deg, course_rad)
         return self._east_mps * ahead.north_m - self._north_mps * ahead.east_m
 
     def observe(self, position_deg: tuple[float, float], heading_rad: float, speed_mps: float, time_s: float) -> None:
-        """A new position. heading_rad, speed_mps: through the water."""
+        """Take a new position. heading_rad, speed_mps: through the water."""
         if not math.hypot(*self._chart.point(*position_deg)) <= _CHART_M:
             self._move_chart(position_deg)
         here = self._chart.point(*position_deg)
@@ -191,11 +193,14 @@ class CurrentEstimate:
 
 
 class LineOfSight:
-    """The heading to hold. The commanded heading turns no faster than on a circle of `turn_radius_m` through the water.
+    """Compute the heading to hold.
 
-    A vehicle that follows its heading within a second or two is half a metre from a long leg once it has settled, in currents up to 0.8 of
-    the speed. On a leg that begins one turn radius after the tightest turn it is within 0.3 m in still water, 2.5 m in a current of 0.3
-    and 5 m in one of 0.5 of the speed: a following current makes the turn itself wider than planned.
+    The commanded heading turns no faster than on a circle of `turn_radius_m` through the water.
+
+    A vehicle that follows its heading within a second or two is half a metre from a long leg once it has settled, in
+    currents up to 0.8 of the speed. On a leg that begins one turn radius after the tightest turn it is within 0.3 m in
+    still water, 2.5 m in a current of 0.3 and 5 m in one of 0.5 of the speed: a following current makes the turn itself
+    wider than planned.
     """
 
     def __init__(self, *, turn_radius_m: float, speed_mps: float) -> None:
@@ -208,14 +213,17 @@ class LineOfSight:
         self._position_s = -math.inf
 
     def start(self) -> None:
-        """Command begins, from whatever heading the vehicle has."""
+        """Begin to command, from whatever heading the vehicle has."""
         self._turned_s = -math.inf
         self._current.restart()
 
     def heading_rad(
         self, track: WaypointTrack, position_deg: tuple[float, float], position_s: float, heading_rad: float, now_s: float
     ) -> float:
-        """The true heading to command, [0, 2 pi). position_s: when the position was told. heading_rad: of the vehicle."""
+        """Return the true heading to command, [0, 2 pi).
+
+        position_s: when the position was reported. heading_rad: of the vehicle.
+        """
         if position_s > self._position_s:
             self._current.observe(position_deg, heading_rad, self._speed_mps, position_s)
             self._position_s = position_s
@@ -228,9 +236,9 @@ class LineOfSight:
     def _turn_towards(self, wanted_rad: float, heading_rad: float, now_s: float) -> float:
         if self._turned_s == -math.inf:
             self._heading_rad, self._turned_s = heading_rad, now_s
-        most_rad = self._max_turn_radps * min(max(now_s - self._turned_s, 0.0), 1.0)
+        max_step_rad = self._max_turn_radps * min(max(now_s - self._turned_s, 0.0), 1.0)
         turn_rad = math.remainder(wanted_rad - self._heading_rad, _TURN)
-        turned_rad = self._heading_rad + min(max(turn_rad, -most_rad), most_rad)
+        turned_rad = self._heading_rad + min(max(turn_rad, -max_step_rad), max_step_rad)
         lead_rad = math.remainder(turned_rad - heading_rad, _TURN)
         self._heading_rad = (heading_rad + min(max(lead_rad, -MAX_LEAD_RAD), MAX_LEAD_RAD)) % _TURN % _TURN
         self._turned_s = now_s

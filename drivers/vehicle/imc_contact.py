@@ -1,4 +1,4 @@
-"""Reports of contacts as IMC messages: Target, which every vehicle knows, and the payload's own MineContact, which tells all."""
+"""Encode contact reports in IMC: Target, which every vehicle takes, and the payload's own, complete MineContact."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _U16, _U32 = 0xFFFF, 0xFFFFFFFF
 
 
 def target_of(report: ContactReport) -> Target:
-    """What fits into a Target: name, place and depth."""
+    """Encode what fits into a Target: name, place and depth."""
     known = math.isfinite(report.depth_m)
     return Target(
         label=report.label,
@@ -26,7 +26,7 @@ def target_of(report: ContactReport) -> Target:
 
 
 def imc_contact_of(report: ContactReport) -> MineContact:
-    """The whole report. Session and number keep their lower 32 bits, revision and views 16."""
+    """Encode the whole report. Session and number keep their lower 32 bits, revision and views 16."""
     masses = {f"belief_{name}": report.belief.get(name, 0.0) for name in CLASSES}
     return MineContact(
         session=report.session & _U32,
@@ -51,9 +51,9 @@ def imc_contact_of(report: ContactReport) -> MineContact:
 
 
 def report_from_imc(contact: MineContact) -> ContactReport:
-    """The report in a message. Raises ValueError for a class that is none."""
+    """Decode a message to a report. Raises ValueError for an unknown class."""
     if contact.classification >= len(CLASSES):
-        raise ValueError(f"class {contact.classification} is none of {', '.join(CLASSES)}")
+        raise ValueError(f"class {contact.classification} is not one of {', '.join(CLASSES)}")
     return ContactReport(
         session=contact.session,
         number=contact.number,

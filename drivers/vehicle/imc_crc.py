@@ -1,9 +1,10 @@
-"""CRC-16/ARC of any stretch of a stream at a cost that does not depend on its length.
+"""Compute the CRC-16/ARC of any stretch of a stream at a cost that does not depend on its length.
 
-The checksum of IMC packets: polynomial 0x8005, reflected, from 0. It is the remainder of the stretch, read as a polynomial over
-GF(2), by x^16 + x^15 + x^2 + 1. Here the remainder of the stream is divided by x once for each of its bits, so that what a bit adds to
-it depends on where the bit stands, not on what follows. A stretch then has remainder 0 if the running remainders at both its ends are
-equal; a packet followed by its checksum, low byte first, is such a stretch. Powers of x repeat after 32767.
+The checksum of IMC packets: polynomial 0x8005, reflected, from 0. It is the remainder of the stretch, read as a
+polynomial over GF(2), by x^16 + x^15 + x^2 + 1. Here the remainder of the stream is divided by x once for each of its
+bits, so that what a bit adds to it depends on where the bit stands, not on what follows. A stretch then has remainder 0
+if the running remainders at both its ends are equal; a packet followed by its checksum, low byte first, is such a
+stretch. Powers of x repeat after 32767.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _NIBBLE: Final = 16
 
 
 def crc16_arc(data: bytes | bytearray) -> int:
-    """CRC-16/ARC of bytes."""
+    """Return the CRC-16/ARC of bytes."""
     crc, table = 0, _byte_table()
     for byte in data:
         crc = (crc >> 8) ^ table[(crc ^ byte) & 0xFF]
@@ -30,7 +31,7 @@ def crc16_arc(data: bytes | bytearray) -> int:
 
 
 class RunningRemainder:
-    """Remainders of a buffer of which bytes are dropped in front and added behind."""
+    """Keep remainders of a buffer that drops bytes in front and takes bytes behind."""
 
     def __init__(self) -> None:
         self._phase = 0  # of the buffer's first byte, 0.._PERIOD - 1
@@ -38,7 +39,7 @@ class RunningRemainder:
         self._swapped = array("H")
 
     def plain(self, buffer: bytearray) -> array[int]:
-        """The running remainder before each byte of the buffer and behind the last."""
+        """Return the running remainder before each byte of the buffer and behind the last."""
         done = len(self._plain) - 1
         if done < len(buffer):
             added = _powers(np.frombuffer(buffer, np.uint8, offset=done), self._phase + done)
@@ -47,7 +48,7 @@ class RunningRemainder:
         return self._plain
 
     def swapped(self, buffer: bytearray) -> array[int]:
-        """For each byte but the last, the running remainder behind it and the next as if these two had come in the other order.
+        """Return, for each byte but the last, the running remainder behind it and the next, both swapped.
 
         Equal to the plain one at the beginning of a packet whose checksum comes high byte first.
         """
@@ -61,7 +62,7 @@ class RunningRemainder:
         return self._swapped
 
     def forget(self, n_bytes: int) -> None:
-        """The buffer has lost its first bytes."""
+        """Drop the first bytes, as the buffer did."""
         self._phase = (self._phase + n_bytes) % _PERIOD
         if n_bytes < len(self._plain):
             del self._plain[:n_bytes]
@@ -87,13 +88,15 @@ def _byte_table() -> tuple[int, ...]:
 
 
 def _divided(remainder: int, _: int) -> int:
-    """The remainder of a polynomial divided by x, reflected: times x for the checksum that reads bits from the lowest on."""
+    """Divide a remainder by x, reflected: times x for the checksum that reads bits from the lowest on."""
     return (remainder >> 1) ^ (_POLYNOMIAL if remainder & 1 else 0)
 
 
 @cache
 def _nibble_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """(_PERIOD * 16,) uint16 each: what the low and the high four bits of a byte add, by the byte's number times 16 plus the bits.
+    """Return the tables of what the low and the high four bits of a byte add, each (_PERIOD * 16,) uint16.
+
+    Indexed by the byte's number times 16 plus the bits.
 
     2 MiB in all, made within 10 ms when the first candidate is to be proven.
     """

@@ -1,16 +1,18 @@
-"""Messages of LSTS's Inter-Module Communication protocol (IMC 5.4) as typed records, both ways, from one table.
+"""Decode and encode LSTS's Inter-Module Communication protocol (IMC 5.4) as typed records, from one table.
 
-A packet is a header (u16 sync 0xFE54, u16 message id, u16 bytes of payload, f64 UTC seconds since 1970, u16 source and u8 entity of it, u16
-destination and u8 entity), the payload, and CRC-16/ARC of both; the sync number tells the byte order. Text is a u16 length and UTF-8. A
-message inside another is its u16 id, 65535 for none, and its payload; a list of them has a u16 count before.
+A packet is a header (u16 sync 0xFE54, u16 message id, u16 bytes of payload, f64 UTC seconds since 1970, u16 source and
+u8 entity of it, u16 destination and u8 entity), the payload, and CRC-16/ARC of both; the sync number gives the byte
+order. Text is a u16 length and UTF-8. A message inside another is its u16 id, 65535 for none, and its payload; a list
+of them has a u16 count before.
 
-Fields stand in the order of the wire, with its units: radians, metres, m/s, seconds. Only messages with a use here are in the table; the
-layouts are those of IMC.xml. Two messages are the payload's own, with ids of the range for third parties (1000 and above), because IMC has
-none for a contact: MineContact (1700) and its answer MineContactTaken (1701).
+Fields stand in the order of the wire, with its units: radians, metres, m/s, seconds. Only messages with a use here are
+in the table; the layouts are those of IMC.xml. Two messages are the payload's own, with ids of the range for third
+parties (1000 and above), because IMC has none for a contact: MineContact (1700) and its answer MineContactTaken (1701).
 
-The codec is our own. imcpy, the public one, decodes a sound packet just as well and serves the tests as oracle, but its stream parser
-(1.1.2) believes lengths before checksums: in the fault campaign of `auv-mcm bench framers` it lost 4135 of 6828 intact packets, this one
-none. And it neither reads nor writes messages that its table does not have, such as the two of our own.
+The codec is our own. imcpy, the public one, decodes a sound packet just as well and serves the tests as oracle, but its
+stream parser (1.1.2) believes lengths before checksums: in the fault campaign of `auv-mcm bench framers` it lost 4135
+of 6828 intact packets, this one none. And it neither reads nor writes messages that its table does not have, such as
+the two of our own.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ import msgspec
 from auv_mcm.records import NAN
 
 Order: TypeAlias = Literal["<", ">"]
-"""Byte order as `struct` writes it."""
+"""Byte order in the notation of `struct`."""
 
 MAX_TEXT_BYTES: Final = 1024
 MAX_PAYLOAD_BYTES: Final = 4096  # of kinds whose length varies, and of those that are not known here
@@ -109,7 +111,7 @@ class _Message(msgspec.Struct, frozen=True):
 
 
 class Heartbeat(_Message, frozen=True):
-    """Sent every second: the sender is there."""
+    """Signal every second that the sender is alive."""
 
 
 class Abort(_Message, frozen=True):
@@ -137,8 +139,10 @@ class Announce(_Message, frozen=True):
 
 
 class EstimatedState(_Message, frozen=True):
-    """x north, y east, z down: offsets of the vehicle from lat, lon, height. vx north, vy east, vz down: over ground. Negative depth or
-    alt: not known."""
+    """x north, y east, z down: offsets of the vehicle from lat, lon, height.
+
+    vx north, vy east, vz down: over ground. Negative depth or alt: not known.
+    """
 
     lat: float
     lon: float
@@ -163,7 +167,10 @@ class EstimatedState(_Message, frozen=True):
 
 
 class VehicleState(_Message, frozen=True):
-    """op_mode: 0 service, 1 calibration, 2 error, 3 manoeuvre, 4 external, 5 boot. maneuver_type: its message id, 65535 for none."""
+    """op_mode: 0 service, 1 calibration, 2 error, 3 manoeuvre, 4 external, 5 boot.
+
+    maneuver_type: its message id, 65535 for none.
+    """
 
     op_mode: int
     error_count: int = 0
@@ -192,7 +199,10 @@ class DesiredSpeed(_Message, frozen=True):
 
 
 class FollowReference(_Message, frozen=True):
-    """Manoeuvre: go where control_src says, until it has been silent for `timeout` s. control_ent: 255 for any entity of it."""
+    """Manoeuvre: go where control_src says, until it has been silent for `timeout` s.
+
+    control_ent: 255 for any entity of it.
+    """
 
     control_src: int
     control_ent: int
@@ -202,8 +212,11 @@ class FollowReference(_Message, frozen=True):
 
 
 class Reference(_Message, frozen=True):
-    """Where to go. flags, what of it counts: 1 location, 2 speed, 4 z, 8 radius, 0x10 start point, 0x20 direct; 0x80 the manoeuvre is
-    done."""
+    """Order a place to go to.
+
+    flags, what of it counts: 1 location, 2 speed, 4 z, 8 radius, 0x10 start point, 0x20 direct; 0x80 the manoeuvre is
+    done.
+    """
 
     flags: int
     speed: DesiredSpeed | None = None
@@ -214,8 +227,10 @@ class Reference(_Message, frozen=True):
 
 
 class FollowRefState(_Message, frozen=True):
-    """state: 1 wait, 2 goto, 3 loiter, 4 hover, 5 elevator, 6 timeout. proximity: 1 far, 2 near in the plane, 4 near in depth, 8 and 16
-    out of reach."""
+    """state: 1 wait, 2 goto, 3 loiter, 4 hover, 5 elevator, 6 timeout.
+
+    proximity: 1 far, 2 near in the plane, 4 near in depth, 8 and 16 out of reach.
+    """
 
     control_src: int
     control_ent: int
@@ -288,11 +303,13 @@ class Target(_Message, frozen=True):
 
 
 class MineContact(_Message, frozen=True):
-    """Our own: a contact in full. What is not known is NaN; masses of belief in the order of `classification`'s numbers.
+    """Our own: a contact in full.
 
-    session, number, revision: of the run, of the contact in it, of this telling of it; the same three again are a repetition. time: UTC of
-    the first view, seconds since 1970. sigma: semi-major axis of the position's error ellipse, 1-sigma. classification: 0 cylinder,
-    1 sphere, 2 truncated cone, 3 wedge, 4 clutter, 5 unknown.
+    What is not known is NaN; masses of belief in the order of `classification`'s numbers.
+
+    session, number, revision: of the run, of the contact in it, of this report of it; the same three again are a
+    repetition. time: UTC of the first view, seconds since 1970. sigma: semi-major axis of the position's error ellipse,
+    1-sigma. classification: 0 cylinder, 1 sphere, 2 truncated cone, 3 wedge, 4 clutter, 5 unknown.
     """
 
     session: int
@@ -321,7 +338,10 @@ class MineContact(_Message, frozen=True):
 
 
 class MineContactTaken(_Message, frozen=True):
-    """Our own: the vehicle's answer to every MineContact, also to a repeated one. taken: 1 it is, 0 it is refused, for this reason."""
+    """Our own: the vehicle's answer to every MineContact, also to a repeated one.
+
+    taken: 1 it is, 0 it is refused, for this reason.
+    """
 
     session: int
     number: int
@@ -354,19 +374,19 @@ ImcMessage: TypeAlias = (
 
 
 class One(NamedTuple):
-    """A message without header, or none. kind: which it must be, None for any."""
+    """Describe a message without header, or none. kind: which it must be, None for any."""
 
     kind: type[_Message] | None = None
 
 
 class Many(NamedTuple):
-    """A counted list of messages without headers."""
+    """Describe a counted list of messages without headers."""
 
     kind: type[_Message] | None = None
 
 
 class Numbers(NamedTuple):
-    """Neighbouring numbers, read and written at once."""
+    """Describe neighbouring numbers, read and written at once."""
 
     n: int
     layouts: dict[Order, Struct]
@@ -379,13 +399,13 @@ _FEWEST_BYTES: Final = 2  # of a text, a message or a list
 
 
 class ImcLayout(NamedTuple):
-    """One row of the table. fewest, most: bytes of payload that are believed of this message."""
+    """Hold one row of the table. min_bytes, max_bytes: plausible payload of this message."""
 
     number: int
     kind: Any
     parts: tuple[_Part, ...]
-    fewest: int
-    most: int
+    min_bytes: int
+    max_bytes: int
 
 
 def _layout(number: int, kind: type[_Message], *fields: Field) -> ImcLayout:
@@ -401,9 +421,9 @@ def _layout(number: int, kind: type[_Message], *fields: Field) -> ImcLayout:
             run = ""
         if field is not None:
             parts.append("text" if isinstance(field, str) else field)
-    fewest = sum(part.layouts["<"].size if isinstance(part, Numbers) else _FEWEST_BYTES for part in parts)
+    min_bytes = sum(part.layouts["<"].size if isinstance(part, Numbers) else _FEWEST_BYTES for part in parts)
     fixed = all(isinstance(part, Numbers) for part in parts)
-    return ImcLayout(number, kind, tuple(parts), fewest, fewest if fixed else MAX_PAYLOAD_BYTES)
+    return ImcLayout(number, kind, tuple(parts), min_bytes, min_bytes if fixed else MAX_PAYLOAD_BYTES)
 
 
 def _times(n: int, field: Field) -> tuple[Field, ...]:
@@ -436,25 +456,28 @@ _BY_KIND: Final[dict[type, ImcLayout]] = {row.kind: row for row in _ROWS}
 
 
 def number_of(kind: type[_Message]) -> int:
-    """The message id of a kind of record."""
+    """Return the message id of a kind of record."""
     return _BY_KIND[kind].number
 
 
 def in_limits(number: int, n_bytes: int) -> bool:
-    """Whether a payload of this length is believed of this message."""
+    """Return whether a payload of this length is plausible for this message."""
     layout = LAYOUTS.get(number)
-    return n_bytes <= MAX_PAYLOAD_BYTES if layout is None else layout.fewest <= n_bytes <= layout.most
+    return n_bytes <= MAX_PAYLOAD_BYTES if layout is None else layout.min_bytes <= n_bytes <= layout.max_bytes
 
 
 def encode(message: ImcMessage, order: Order = "<") -> bytes:
-    """The payload. Longer texts than MAX_TEXT_BYTES are cut. Raises struct.error or OverflowError for numbers that do not fit."""
+    """Encode a record as a payload.
+
+    Longer texts than MAX_TEXT_BYTES are cut. Raises struct.error or OverflowError for numbers that do not fit.
+    """
     pieces: list[bytes] = []
     _write(message, order, pieces)
     return b"".join(pieces)
 
 
 def decode(number: int, payload: bytes, order: Order = "<") -> ImcMessage:
-    """The record in a payload of a message in LAYOUTS. Raises ValueError for one that cannot be true to its kind."""
+    """Decode a payload of a message in LAYOUTS. Raises ValueError for one that does not fit its kind."""
     reader = _Reader(payload, order)
     message = reader.message(LAYOUTS[number], 0)
     if reader.at != len(payload):
@@ -483,7 +506,7 @@ def _write(message: ImcMessage, order: Order, pieces: list[bytes]) -> None:
 
 
 class _Reader:
-    """Reads on from `at`; raises ValueError where the payload says what cannot be."""
+    """Read on from `at`; raise ValueError for an impossible payload."""
 
     def __init__(self, payload: bytes, order: Order) -> None:
         self.at = 0
@@ -519,7 +542,7 @@ class _Reader:
     def _listed(self, kind: type[_Message] | None, depth: int) -> ImcMessage:
         inner = self._inner(kind, depth)
         if inner is None:
-            raise ValueError("a list with a message that is none")
+            raise ValueError("a list with an empty message")
         return inner
 
     def _count(self) -> int:

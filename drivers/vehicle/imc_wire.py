@@ -1,4 +1,4 @@
-"""IMC packets: header, payload and checksum, in either byte order.
+"""Frame IMC packets: header, payload and checksum, in either byte order.
 
 The checksum is CRC-16/ARC over header and payload, see `imc_crc`.
 """
@@ -25,12 +25,12 @@ _LITTLE, _BIG = SYNC.to_bytes(2, "little"), SYNC.to_bytes(2, "big")
 HEADER_BYTES: Final = _HEADERS["<"].size
 CHECKSUM_BYTES: Final = 2
 _BEGINNING_BYTES: Final = _BEGINNINGS["<"].size
-_MAX_PAYLOAD: Final = max(MAX_PAYLOAD_BYTES, *(layout.most for layout in LAYOUTS.values()))
+_MAX_PAYLOAD: Final = max(MAX_PAYLOAD_BYTES, *(layout.max_bytes for layout in LAYOUTS.values()))
 _FRAME_BYTES: Final = HEADER_BYTES + CHECKSUM_BYTES
 _LITTLE_LENGTH, _BIG_LENGTH = Struct("<HH").unpack_from, Struct(">HH").unpack_from  # message id and size of payload
 _HIGHEST_SIZE: Final = re.escape(bytes((_MAX_PAYLOAD >> 8,)))  # its high byte
 _OTHER_LIMITS: Final = (0, MAX_PAYLOAD_BYTES)
-_LIMITS: Final = {number: (layout.fewest, layout.most) for number, layout in LAYOUTS.items()}
+_LIMITS: Final = {number: (layout.min_bytes, layout.max_bytes) for number, layout in LAYOUTS.items()}
 
 # Sync and a size that is plausible for some message; one byte wide, as two may overlap.
 _PLAUSIBLE: Final = re.compile(rb"\x54(?=\xfe...[\x00-%b])|\xfe(?=\x54..[\x00-%b].)" % (2 * (_HIGHEST_SIZE,)), re.DOTALL)
@@ -39,7 +39,7 @@ _START_OF: Final = re.Match.start
 
 
 class ImcPacket(NamedTuple):
-    """A message as it travels. time_s: UTC seconds since 1970."""
+    """Hold a message as sent. time_s: UTC seconds since 1970."""
 
     number: int
     payload: bytes
@@ -52,12 +52,12 @@ class ImcPacket(NamedTuple):
 
 
 def packed(message: ImcMessage, source: int, *, entity: int = ANY_ENTITY, to: int = ANYONE, time_s: float = 0.0) -> bytes:
-    """A message as the bytes of a packet. Raises as `encode` does."""
+    """Encode a message as the bytes of a packet. Raises as `encode` does."""
     return to_wire(ImcPacket(number_of(type(message)), encode(message), source, entity, to, ANY_ENTITY, time_s))
 
 
 def to_wire(packet: ImcPacket) -> bytes:
-    """The packet as bytes, checksum included."""
+    """Encode the packet, checksum included."""
     number, payload, source, source_entity, destination, destination_entity, time_s, order = packet
     head = _HEADERS[order].pack(SYNC, number, len(payload), time_s, source, source_entity, destination, destination_entity)
     body = head + payload
@@ -65,7 +65,7 @@ def to_wire(packet: ImcPacket) -> bytes:
 
 
 class ImcGrammar(Grammar[ImcPacket]):
-    """Length believed only if it is plausible for its message id."""
+    """Frame packets; a length must be plausible for its message id."""
 
     name = "imc"
     head_bytes = 2
@@ -86,8 +86,10 @@ class ImcGrammar(Grammar[ImcPacket]):
         return found
 
     def _first_alive(self, buffer: bytearray, start: int) -> tuple[int, int]:
-        """The first candidate of plausible size that is incomplete or has the right checksum, -1 if there is none; and how many before it
-        are refused for their checksum. All others before it are refused for their length."""
+        """Find the first candidate of plausible size that is incomplete or has the right checksum, -1 if none.
+
+        Return also how many before it are refused for their checksum; all others are refused for their length.
+        """
         n_there, n_checksum = len(buffer), 0
         first = _PLAUSIBLE.search(buffer, start)
         if first is not None and n_there - first.start() >= _FRAME_BYTES:

@@ -1,11 +1,11 @@
-"""The sentences of Iver Remote Helm, for both directions.
+"""Define the sentences of Iver Remote Helm, for both directions.
 
-Source: Goby3, frontseat/iver (LGPL), for the fields and their units; the depth of `$OMS` is in feet before Remote Helm 5 and in
-metres from then on, those of `$OSI` are in feet. `$OMW`, which inserts way-points, is not described in public, and `$OMSTART` and `$OMSTOP`
-start and stop the mission, which is not a guest's business: all three are left out.
+Source: Goby3, frontseat/iver (LGPL), for the fields and their units; the depth of `$OMS` is in feet before Remote Helm
+5 and in metres from then on, those of `$OSI` are in feet. `$OMW`, which inserts way-points, is not described in public,
+and `$OMSTART` and `$OMSTOP` start and stop the mission, which is not a guest's business: all three are left out.
 
-Contacts and health have no sentence of the maker's: they go out as `$PMCM,C,` with the fields of `ascii_fields.CONTACT`, and
-`$PMCM,H,` with a text; the name is a setting.
+Contacts and health have no sentence of the maker's: they go out as `$PMCM,C,` with the fields of
+`ascii_fields.CONTACT`, and `$PMCM,H,` with a text; the name is a setting.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class IverHealth(NamedTuple):
 
 
 class IverGrammar(NmeaGrammar):
-    """Sentences of NMEA 0183. The compass has no commas; its fields come out with them."""
+    """Frame sentences of NMEA 0183. The compass has no commas; its fields come out with them."""
 
     name = "iver"
 
@@ -98,7 +98,7 @@ class IverGrammar(NmeaGrammar):
 
 
 def table_of(settings: IverSettings) -> Table:
-    """The sentences of this vehicle."""
+    """Make the table of this vehicle's sentences."""
     depth_unit_m = 1.0 if settings.remote_helm_version >= _METRES_SINCE else FOOT_M
     state: tuple[Codec | None, ...] = (
         None,  # fins and motor
@@ -132,7 +132,7 @@ def table_of(settings: IverSettings) -> Table:
 
 
 def line_of(table: Table, record: Any) -> bytes:
-    """The sentence that says a record of the table."""
+    """Encode a record of the table as a sentence."""
     body = table.body_of(record)
     if isinstance(record, IverPoll):
         body += ",G,C,S,P,,,,"

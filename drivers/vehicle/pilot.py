@@ -1,8 +1,8 @@
-"""The payload's end of the talk with a vehicle: contacts and health out always, commands only while the vehicle lets it.
+"""Communicate with a vehicle: contacts and health always, commands only while the vehicle grants control.
 
-No ports and no clocks: what is heard is handed in, what is to be sent is fetched. Control is wanted only while there is a plan ahead that
-may be flown, and goes back as soon as that ends, for whatever reason. Where the payload died or the wire broke, the vehicle takes control
-back by itself once commands stay away; that is why every dialect repeats them.
+No ports and no clocks: what is heard is handed in, what is to be sent is fetched. Control is wanted only while there is
+a plan ahead that may be flown, and goes back as soon as that ends, for whatever reason. Where the payload died or the
+wire broke, the vehicle takes control back by itself once commands stay away; that is why every dialect repeats them.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from drivers.vehicle.dialect import (
     PlaceReached,
     Rejected,
     ReportedState,
-    Said,
     Steer,
     Talker,
+    VehicleMessage,
     Vertical,
     Withheld,
 )
@@ -51,7 +51,10 @@ _STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits 
 
 
 class _Plan(NamedTuple):
-    """proposed: as it was given; waypoints: as it is flown; track: its index counts in these. approved_s: when it was proposed last."""
+    """proposed: as it was given; waypoints: as it is flown; track: its index counts in these.
+
+    approved_s: when it was proposed last.
+    """
 
     proposed: tuple[Waypoint, ...]
     waypoints: tuple[Waypoint, ...]
@@ -63,7 +66,10 @@ class _Plan(NamedTuple):
         return self.waypoints[min(self.track.index, len(self.waypoints) - 1)].leg
 
     def entry(self, position_deg: tuple[float, float]) -> int:
-        """Which way-point to go to first, from a position off the track. A leg that was broken off is flown again from its beginning."""
+        """Return the way-point to go to first, from a position off the track.
+
+        A leg that was broken off is flown again from its beginning.
+        """
         first = self.track.index
         while self.waypoints[first].kind in (ON_LEG, "leg_exit") and first > 1:
             first -= 1
@@ -72,12 +78,14 @@ class _Plan(NamedTuple):
 
 
 class Pilot(Generic[W]):
-    """One vehicle. W: bytes, or CanFrame on a bus.
+    """Pilot one vehicle. W: bytes, or CanFrame on a bus.
 
-    session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the water.
+    session: of the run that numbers its contacts. turn_radius_m: of vehicles that are steered by heading, through the
+    water.
 
-    counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason), vehicle.requested,
-    .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of `ReportQueue`.
+    counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason),
+    vehicle.requested, .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of
+    `ReportQueue`.
 
     Raises UsageError for a fence that is no area.
     """
@@ -121,20 +129,20 @@ class Pilot(Generic[W]):
         return self._own + self._report_queue.counters + self._talker.counters
 
     def health(self) -> str:
-        """One line for people and for the health line."""
+        """Return one line for people and for the health line."""
         leg, n_legs = (self._plan.leg, self._plan.waypoints[-1].leg) if self._plan else (0, 0)
         refused = f"{self._refusal.code} ({self._refusal.text})" if self._refusal else "nothing"
         reports = f"reports_waiting={self._report_queue.n_pending} refused={refused}"
         return f"vehicle={self.authority} ({self._authority.reason}) leg={leg}/{n_legs} {reports}"
 
     def take_notices(self) -> list[Notice]:
-        """What a person should know since this was asked last."""
+        """Return the notices since the last call."""
         notices = list(self._notices)
         self._notices.clear()
         return notices
 
     def connected(self, now_s: float) -> None:
-        """The wire is open, perhaps again."""
+        """Note that the wire is open, perhaps again."""
         self._do(self._authority.connected(now_s), now_s)
         self._report_queue.link_lost()
         self._wire_open = True
@@ -144,18 +152,18 @@ class Pilot(Generic[W]):
         self._notice_authority()
 
     def disconnected(self, now_s: float) -> None:
-        """The wire is gone."""
+        """Note that the wire is lost."""
         self._do(self._authority.disconnected(now_s), now_s)
         self._report_queue.link_lost()
         self._wire_open = False
         self._talker.disconnected()
         self._notice_authority()
 
-    def hear(self, said: Sequence[Said], stamp: Stamp) -> None:
-        """Messages that came over the wire in a chunk of bytes, or with a frame, if any did. stamp: when it was read."""
+    def hear(self, messages: Sequence[VehicleMessage], stamp: Stamp) -> None:
+        """Take the messages in a chunk of bytes, or in a frame, if any. stamp: when it was read."""
         now_s = stamp.mono_ns * 1e-9
-        events = self._talker.hear(said, stamp)
-        if events or any(message.of_vehicle for message in said):
+        events = self._talker.hear(messages, stamp)
+        if events or any(message.of_vehicle for message in messages):
             self._authority.heard(now_s)
         for event in events:
             match event:
@@ -176,7 +184,10 @@ class Pilot(Generic[W]):
             self._notice_authority()
 
     def take_outgoing(self, now_s: float) -> list[W]:
-        """What is to be sent now. Asked at least ten times a second and after every call: it drives everything that waits for time."""
+        """Return what is to be sent now.
+
+        Call it at least ten times a second and after every call: it drives everything that waits for time.
+        """
         age_s, self._asked_s = now_s - self._asked_s, now_s
         was_up = self._authority.state != "down"
         self._end_plan(now_s)
@@ -213,9 +224,10 @@ class Pilot(Generic[W]):
             self._talker.report_health(health, now_s)
 
     def propose(self, plan: tuple[Waypoint, ...], now_s: float) -> None:
-        """Fly this instead of the plan before; () withdraws it. What of it is behind the vehicle is not flown.
+        """Propose a plan in place of the one before; () withdraws it. What of it is behind the vehicle is not flown.
 
-        A plan that leaves the fence somewhere is refused as a whole, and takes the place of the one before all the same.
+        A plan that leaves the fence somewhere is refused as a whole, and takes the place of the one before all the
+        same.
         """
         if self._plan is not None and plan == self._plan.proposed:
             self._plan = self._plan._replace(approved_s=now_s)
@@ -235,14 +247,17 @@ class Pilot(Generic[W]):
         self._plan = _Plan(plan, flown, WaypointTrack(places_deg, radius_m=radius_m, cut_radius_m=cut_radius_m), now_s)
 
     def release(self, reason: str, now_s: float) -> None:
-        """Control back, the plan dropped, nothing asked for any more: the service stops. What is to be sent is still to be fetched."""
+        """Release control, drop the plan and stop requesting: the service stops.
+
+        The messages to be sent have still to be fetched.
+        """
         self._released = True
         self._plan = None
         self._do(self._authority.give_back(reason, now_s, pause=False), now_s)
         self._notice_authority()
 
     def _end_plan(self, now_s: float) -> None:
-        """Drop a plan that is flown, or too old."""
+        """Drop a plan that is complete or too old."""
         if self._plan is None:
             return
         if self._plan.track.finished:
@@ -253,7 +268,7 @@ class Pilot(Generic[W]):
             self._drop_plan(refusal, now_s)
 
     def _why_not(self, state: ReportedState | None, age_s: float) -> Refusal | None:
-        """Why there must be no command now, whatever it says; before control is had, also why the first would be refused."""
+        """Return why no command may be sent now; before a grant, also why the first would be refused."""
         if self._plan is None or self._authority.state == "down":
             return None
         in_control = self._authority.state == "granted"
@@ -268,7 +283,7 @@ class Pilot(Generic[W]):
         return self._guard.command(self._go_to(first.latitude_deg, first.longitude_deg), state)
 
     def _fly(self, plan: _Plan, state: ReportedState, now_s: float) -> None:
-        """The next command, if it is one that may be given."""
+        """Return the next command, if it may be given."""
         position_deg = state.latitude_deg, state.longitude_deg
         if not self._joined:
             plan.track.join(position_deg, plan.entry(position_deg))
@@ -299,7 +314,7 @@ class Pilot(Generic[W]):
         return GoTo(latitude_deg, longitude_deg, self._vertical, self._config.speed_mps, self._config.arrival_radius_m)
 
     def _due(self, command: Command, now_s: float) -> bool:
-        """Whether it is new enough, or the one before given long enough ago."""
+        """Return whether the command differs enough, or the last one is old enough to be repeated."""
         since_s = now_s - self._commanded_s
         if self._command is None or since_s >= self._talker.command_period_s:
             return True
@@ -309,7 +324,7 @@ class Pilot(Generic[W]):
         return command != self._command
 
     def _arrived(self) -> None:
-        """The vehicle's own word counts where it can be true; it may still speak of the way-point before."""
+        """Take the vehicle's report of arrival where it is plausible; it may still refer to the way-point before."""
         plan, position = self._plan, self._whereabouts
         if plan is None or self._authority.state != "granted" or not isinstance(self._command, GoTo) or plan.track.finished:
             return
@@ -324,7 +339,7 @@ class Pilot(Generic[W]):
         self._do(self._authority.give_back(refusal.text, now_s, pause=False), now_s)
 
     def _refused(self, refusal: Refusal) -> None:
-        """Told once per plan and reason: what is judged ten times a second is the same news."""
+        """Report a refusal once per plan and reason, since commands are checked ten times a second."""
         self._refusal = refusal
         if refusal.code in self._counted:
             return
@@ -341,7 +356,7 @@ class Pilot(Generic[W]):
                 self._command, self._joined = None, False
                 self._own["vehicle.returned"] += 1
                 self._talker.release(reason, now_s)
-                self._raise_notice("vehicle_control_returned", f"control of the vehicle is given back: {reason}", logging.INFO)
+                self._raise_notice("vehicle_control_returned", f"control of the vehicle is released: {reason}", logging.INFO)
 
     def _notice_authority(self) -> None:
         """Raise a notice of a new state, once."""
@@ -351,7 +366,7 @@ class Pilot(Generic[W]):
         self._announced_state = state
         if state == "granted":
             self._own["vehicle.granted"] += 1
-            self._raise_notice("vehicle_control_granted", f"the vehicle lets the payload command: {reason}", logging.INFO)
+            self._raise_notice("vehicle_control_granted", f"the vehicle grants control: {reason}", logging.INFO)
         elif state == "revoked":
             self._own["vehicle.withheld"] += 1
             self._command, self._joined = None, False
@@ -363,13 +378,13 @@ class Pilot(Generic[W]):
         report = self._report_queue.reject(rejected.ticket)
         if report is not None and report.number not in self._rejected:
             self._rejected.add(report.number)
-            self._raise_notice("vehicle_report_rejected", f"the vehicle refuses {report.label}: {rejected.reason}", logging.WARNING)
+            self._raise_notice("vehicle_report_rejected", f"the vehicle rejects {report.label}: {rejected.reason}", logging.WARNING)
 
     def _doubted(self, reason: str) -> None:
-        """Report the first message that is not believed, and count the others: an attacker may send many."""
+        """Report the first rejected message, and count the others: an attacker may send many."""
         self._own["vehicle.doubted"] += 1
         if self._own["vehicle.doubted"] == 1:
-            self._raise_notice("vehicle_doubted", f"a message of the vehicle is not believed: {reason} More are counted.", logging.WARNING)
+            self._raise_notice("vehicle_doubted", f"a message of the vehicle is rejected: {reason} More are counted.", logging.WARNING)
 
     def _raise_notice(self, code: str, text: str, level: int) -> None:
         log.log(level, "%s", text)

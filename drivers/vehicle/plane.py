@@ -1,4 +1,4 @@
-"""A flat chart around one place, for the few points a command is made of: plain floats, a hundred times faster than arrays of one.
+"""Project places on a flat chart around an origin, in plain floats: a hundred times faster than arrays of one.
 
 The same projection as `auv_mcm.geometry.geodesy.LocalFrame` without heights: Earth-centred coordinates seen along the
 vertical of the origin, so that poles and the antimeridian need no branch.
@@ -21,21 +21,21 @@ _TURN: Final = 2.0 * math.pi
 
 
 class Point(NamedTuple):
-    """On the chart; NaN where it does not reach."""
+    """Hold a point on the chart; NaN where it does not reach."""
 
     east_m: float
     north_m: float
 
 
 class LocalPlane:
-    """East and north in metres from an origin, at sea level."""
+    """Project to east and north in metres from an origin, at sea level."""
 
     def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
         self._origin_m = _ecef_m(latitude_deg, longitude_deg)
         self._east, self._north = _east_north(latitude_deg, longitude_deg)
 
     def point(self, latitude_deg: float, longitude_deg: float) -> Point:
-        """Where a place lies on the chart; NaN for what is no number, and farther than 500 km away."""
+        """Return a place on the chart; NaN for NaN, and farther than 500 km away."""
         if not math.isfinite(latitude_deg + longitude_deg):
             return Point(NAN, NAN)
         x, y, z = _ecef_m(latitude_deg, longitude_deg)
@@ -46,14 +46,17 @@ class LocalPlane:
         return Point(_dot(offset, self._east), _dot(offset, self._north))
 
     def direction(self, latitude_deg: float, longitude_deg: float, heading_rad: float) -> Point:
-        """One metre on the chart along a true heading at a place: near a pole true north turns against the chart's."""
+        """Return one metre on the chart along a true heading at a place.
+
+        Near a pole true north turns against the chart's.
+        """
         east, north = _east_north(latitude_deg, longitude_deg)
         sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
         ahead = sine * east[0] + cosine * north[0], sine * east[1] + cosine * north[1], cosine * north[2]
         return Point(_dot(ahead, self._east), _dot(ahead, self._north))
 
     def true_heading_rad(self, latitude_deg: float, longitude_deg: float, course_rad: float) -> float:
-        """The true heading, [0, 2 pi), at a place of a direction on the chart; the reverse of `direction`."""
+        """Return the true heading, [0, 2 pi), at a place of a direction on the chart; the reverse of `direction`."""
         east, north = _east_north(latitude_deg, longitude_deg)
         sine, cosine = math.sin(course_rad), math.cos(course_rad)
         ahead = (
@@ -69,7 +72,7 @@ def distance_m(a: Point, b: Point) -> float:
 
 
 def distance_to_line_m(point: Point, start: Point, end: Point) -> float:
-    """From a point to the nearest of a straight line between two others, which may be one."""
+    """Return the distance of a point to the straight line between two others, which may coincide."""
     east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
     length2 = east_m * east_m + north_m * north_m
     from_east_m, from_north_m = point.east_m - start.east_m, point.north_m - start.north_m

@@ -1,4 +1,4 @@
-"""The pilot at its port: what it has to say is written at once, and a defect in it ends commanding, not the mission."""
+"""Run the pilot at its port: write its messages at once; a defect in it ends commanding, not the mission."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 from auv_mcm.clock import Clock, Stamp
 from auv_mcm.records import Contact, Notice, Waypoint
-from drivers.vehicle.dialect import PayloadHealth, Said
+from drivers.vehicle.dialect import PayloadHealth, VehicleMessage
 from drivers.vehicle.pilot import Pilot
 
 log = logging.getLogger(__name__)
@@ -19,7 +19,7 @@ _TICK_S: Final = 0.05  # dialects count on ten times a second at least
 
 
 class PortPilot:
-    """Used inside one event loop. counters: the pilot's, and vehicle.failed (a defect)."""
+    """Run the pilot inside one event loop. counters: the pilot's, and vehicle.failed (a defect)."""
 
     def __init__(self, name: str, pilot: Pilot[Any], send: Callable[[Any], object], clock: Clock) -> None:
         """name: of the port. send: takes bytes, or a frame on a bus, without waiting or raising."""
@@ -46,22 +46,22 @@ class PortPilot:
         return notices
 
     def connected(self) -> None:
-        """The wire is open."""
+        """Note that the wire is open."""
         self._have(self._pilot.connected)
 
     def disconnected(self) -> None:
-        """The wire is gone."""
+        """Note that the wire is lost."""
         self._have(self._pilot.disconnected)
 
-    def hear(self, said: Sequence[Said], stamp: Stamp) -> None:
-        """Messages of the vehicle, if any; stamp: when the last of its bytes were read."""
-        self._have(lambda now_s: self._pilot.hear(said, stamp))
+    def hear(self, messages: Sequence[VehicleMessage], stamp: Stamp) -> None:
+        """Take messages of the vehicle, if any. stamp: when the last of its bytes were read."""
+        self._have(lambda now_s: self._pilot.hear(messages, stamp))
 
     def report(self, contact: Contact) -> None:
         self._have(lambda now_s: self._pilot.report(contact))
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
-        """Take the place of the plan before; () withdraws it."""
+        """Propose a plan in place of the one before; () withdraws it."""
         if not self._n_failed:
             self._have(lambda now_s: self._pilot.propose(plan, now_s))
 
@@ -69,17 +69,20 @@ class PortPilot:
         self._have(lambda now_s: self._pilot.report_health(PayloadHealth(state, text), now_s))
 
     def release(self, reason: str) -> None:
-        """Give control back, for good."""
+        """Release control for good."""
         self._have(lambda now_s: self._pilot.release(reason, now_s))
 
     async def keep_talking(self) -> None:
-        """Timers, until cancelled."""
+        """Run the timers until cancelled."""
         while True:
             self._have(lambda now_s: None)
             await asyncio.sleep(_TICK_S)
 
     def _have(self, work: Callable[[float], None]) -> None:
-        """Have the pilot do something and send what it then has to say. If it fails, control is given back and not asked for again."""
+        """Have the pilot do something and send what it then has to say.
+
+        If it fails, control is given back and not asked for again.
+        """
         try:
             self._do(work)
         except Exception as error:
@@ -88,7 +91,7 @@ class PortPilot:
                 return
             log.exception("the pilot at port '%s' failed", self._name)
             text = (
-                f"the pilot at port '{self._name}' failed ({error!r}). Control is given back and not asked for again. This is a defect: "
+                f"the pilot at port '{self._name}' failed ({error!r}). Control is released and not requested again. This is a defect: "
                 "report it with the log and the recording."
             )
             self._notices.append(Notice(code="vehicle_failed", text=text, place=self._name))

@@ -1,9 +1,13 @@
-"""The frames of RECON, for both directions: `#`, the type and its fields, `,*`, and two upper-case hex digits, the sum of all bytes from
-`#` to `*` modulo 256.
+"""Define the frames of RECON, for both directions.
 
-Sources: two public implementations, one of a MOOS interface and one of a fish-tag follower, that agree on what is used here.
+A frame is `#`, the type and its fields, `,*`, and two upper-case hex digits, the sum of all bytes from `#` to `*`
+modulo 256.
 
-Contacts have no frame of the maker's: they go out as type `K` with the fields of `ascii_fields.CONTACT`; the letter is a setting.
+Sources: two public implementations, one of a MOOS interface and one of a fish-tag follower, that agree on what is used
+here.
+
+Contacts have no frame of the maker's: they go out as type `K` with the fields of `ascii_fields.CONTACT`; the letter is
+a setting.
 """
 
 from __future__ import annotations
@@ -53,8 +57,12 @@ _PLACE: Final = re.compile(r"(\d{1,3})([NSEW])(\d{1,2}(?:\.\d*)?)")
 
 
 class ReconState(NamedTuple):
-    """`#S`. mode: bits 1 in mission, 2 suspended (both: over), 4 override enabled, 8 override active, 10h shore power, 20h returns
-    to the closest point, 40h depth alone may be overridden, 80h override not allowed. altitude_m: 0 if not known."""
+    """`#S`.
+
+    mode: bits 1 in mission, 2 suspended (both: over), 4 override enabled, 8 override active, 10h shore power, 20h
+    returns to the closest point, 40h depth alone may be overridden, 80h override not allowed. altitude_m: 0 if not
+    known.
+    """
 
     time_of_day_s: float
     latitude_deg: float
@@ -101,7 +109,7 @@ class ReconAlive(NamedTuple):
 
 
 class ReconQuery(NamedTuple):
-    """`#Q`: something is to be told."""
+    """Request a value by `#Q`."""
 
     name: str
 
@@ -111,7 +119,7 @@ class ReconContact(NamedTuple):
 
 
 class ReconGrammar(Grammar[str]):
-    """A message is what stands between `#` and `,*`. Neither `#` nor `*` occurs inside."""
+    """Frame messages; a message is the text between `#` and `,*`. Neither `#` nor `*` occurs inside."""
 
     name = "recon"
     head_bytes = 1
@@ -134,12 +142,12 @@ class ReconGrammar(Grammar[str]):
 
 
 def sum_of(data: bytes | bytearray) -> int:
-    """The checksum of a frame from `#` to `*`."""
+    """Return the checksum of a frame from `#` to `*`."""
     return sum(data) & 0xFF
 
 
 def frame(body: str) -> bytes:
-    """The whole frame for a body such as `E,1`."""
+    """Encode a body such as `E,1` as a whole frame."""
     data = f"#{body},*".encode("ascii")
     return b"%b%02X\n" % (data, sum_of(data))
 
@@ -201,7 +209,7 @@ _STATE: Final = (
 
 
 def table_of(settings: ReconSettings) -> Table:
-    """The frames of this vehicle."""
+    """Make the table of this vehicle's frames."""
     letter = settings.contact_type
     return Table(
         Sentence("S", ReconState, _STATE),

@@ -1,7 +1,8 @@
-"""Queue the reports of contacts for the vehicle: each contact in its latest revision, exactly once as the vehicle sees it.
+"""Queue contact reports for the vehicle: each contact in its latest revision, exactly once as the vehicle sees it.
 
-A revision gets its number when it is sent. A change that comes before that replaces what was pending. The vehicle takes a report with the
-number and revision of an earlier one as a repetition, so a report that was not acknowledged can be sent again without harm.
+A revision gets its number when it is sent. A change that comes before that replaces what was pending. The vehicle takes
+a report with the number and revision of an earlier one as a repetition, so a report that was not acknowledged can be
+sent again without harm.
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ _MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
 class _QueuedContact:
-    """What is known and what was sent of one contact.
+    """Hold what is known and what was sent of one contact.
 
-    latest: as it is known. revision: sent last, 0 for none; sent: that report, at sent_s. ticket: of the acknowledgement that it awaits.
+    latest: as it is known. revision: sent last, 0 for none; sent: that report, at sent_s. ticket: of the
+    acknowledgement that it awaits.
     """
 
     def __init__(self, latest: ContactReport) -> None:
@@ -41,7 +43,7 @@ class _QueuedContact:
 
 
 class DueReport(NamedTuple):
-    """A report to send now. ticket: identifies its acknowledgement."""
+    """Hold a report to send now. ticket: identifies its acknowledgement."""
 
     report: ContactReport
     ticket: int
@@ -50,15 +52,16 @@ class DueReport(NamedTuple):
 class ReportQueue:
     """Decide which reports are due. Holds at most 10,000 contacts, each once.
 
-    counters: vehicle.reports_told (revisions sent), .reports_repeated, .reports_acknowledged, .reports_rejected, .reports_not_kept (more
-    than 10,000 contacts), .reports_without_place.
+    counters: vehicle.reports_told (revisions sent), .reports_repeated, .reports_acknowledged, .reports_rejected,
+    .reports_not_kept (more than 10,000 contacts), .reports_without_place.
     """
 
     def __init__(self, *, session: int, min_p_mine: float, acknowledges: bool) -> None:
         """Start with an empty queue.
 
-        session: number of the run. min_p_mine: contacts less likely to be mines are reported only if an earlier revision was. acknowledges:
-        the vehicle acknowledges reports; if not, all that was sent is sent again after every loss of the link.
+        session: number of the run. min_p_mine: contacts less likely to be mines are reported only if an earlier
+        revision was. acknowledges: the vehicle acknowledges reports; if not, all that was sent is sent again after
+        every loss of the link.
         """
         self.counters: Counter[str] = Counter()
         self._session = session

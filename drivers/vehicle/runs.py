@@ -1,4 +1,7 @@
-"""Points along the straight runs of a plan, for vehicles that go to places by themselves: they steer for a place, not along a line."""
+"""Put points along the straight runs of a plan.
+
+For vehicles that go to places by themselves: they steer for a place, not along a line.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ ON_LEG = "on_leg"
 
 
 def with_points_on_legs(plan: tuple[Waypoint, ...], spacing_m: float) -> tuple[Waypoint, ...]:
-    """The plan with points at most spacing_m apart between each leg's entry and exit, evenly spaced."""
+    """Return the plan with points at most spacing_m apart between each leg's entry and exit, evenly spaced."""
     points = list(plan[:1])
     for before, point in pairwise(plan):
         if point.kind == "leg_exit" and before.kind == "leg_entry":

@@ -1,6 +1,7 @@
 """Follow a sender's clock, which may be off by any amount, to find messages that were sent earlier.
 
-A message that somebody recorded earlier and sends once more bears an old time; the vehicle's own messages bear its time of now.
+A message that somebody recorded earlier and sends once more bears an old time; the vehicle's own messages bear its time
+of now.
 """
 
 from __future__ import annotations
@@ -11,16 +12,17 @@ from typing import Final
 MAX_AGE_S: Final = 1.0
 """A message that is older than the newest by so much is refused. Networks reorder and delay by milliseconds."""
 JITTER_S: Final = 0.5
-"""By so much an answer may seem to come before its question, as least delays differ and clocks are slewed."""
+"""By so much an answer may seem to come before its question, as minimum delays differ and clocks are slewed."""
 ANOTHER_CLOCK_S: Final = 5.0
 """A clock that was set is believed when messages agree on it for so long and none came by the one before."""
 _DRIFT: Final = 2e-4  # two crystals, 100 ppm each
 
 
 class SenderClock:
-    """Follows the clock of one sender by the times of its messages.
+    """Follow the clock of one sender by the times of its messages.
 
-    The offset to this computer's monotonic clock is that of the least delay: a message is received after it was sent, never before.
+    The offset to this computer's monotonic clock is that of the minimum delay: a message is received after it was sent,
+    never before.
     """
 
     def __init__(self) -> None:
@@ -30,7 +32,7 @@ class SenderClock:
         self._other_since_s = 0.0
 
     def hear(self, time_s: float, now_s: float) -> bool:
-        """Take a message's time; whether it was sent lately. now_s: when it was received, monotonic."""
+        """Take a message's time; return whether it was sent lately. now_s: when it was received, monotonic."""
         offset_s = time_s - now_s
         if not math.isfinite(offset_s) or time_s <= 0.0:
             return False

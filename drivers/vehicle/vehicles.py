@@ -1,4 +1,4 @@
-"""The vehicles' dialects there are, by the name a configuration gives."""
+"""List the vehicles' dialects, by their names in the configuration."""
 
 from __future__ import annotations
 
@@ -27,8 +27,11 @@ _N_DRAWN: Final = 0xFFFF  # request ids from 1 on
 
 
 class VehicleKind(NamedTuple):
-    """make_decoder: from settings of its own type and the port's name. make_talker: from settings and a number drawn for each run, below
-    _N_DRAWN. is_bus: it speaks in frames instead of bytes."""
+    """Describe a dialect. make_decoder: from settings of its own type and the port's name.
+
+    make_talker: from settings and a number drawn for each run, below _N_DRAWN. is_bus: it speaks in frames instead of
+    bytes.
+    """
 
     make_decoder: Callable[[Any, str], VehicleDecoder[Any]]
     make_talker: Callable[[Any, int], Talker[Any]]
@@ -48,7 +51,7 @@ VEHICLES: Final[Mapping[str, VehicleKind]] = MappingProxyType(
 
 
 def vehicle_settings_of(port: PortConfig) -> VehicleSettings:
-    """The settings of a vehicle's port, its dialect's defaults where it gives none."""
+    """Return the settings of a vehicle's port, its dialect's defaults where it gives none."""
     given: VehicleSettings | None = getattr(port, port.device)  # each section is called like its device
     return VEHICLES[port.device].settings() if given is None else given
 

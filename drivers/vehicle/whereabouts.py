@@ -1,4 +1,4 @@
-"""Where the vehicle is, put together from messages that each tell a part of it."""
+"""Combine the vehicle's state from messages that each report a part of it."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ _NEVER: Final = (NAN, -math.inf)
 
 
 class Whereabouts:
-    """What the vehicle told last of each quantity. valid_s: what is older counts as not known.
+    """Hold the vehicle's last report of each quantity. valid_s: older values count as not known.
 
-    A position is believed only if it can be one: latitude and longitude together, on Earth, and not 0, 0, which is what records hold
-    that nobody filled.
+    A position is believed only if it can be one: latitude and longitude together, on Earth, and not 0, 0, which is what
+    records hold that nobody filled.
     """
 
     def __init__(self, valid_s: float) -> None:
         self._valid_s = valid_s
-        self._told: dict[str, tuple[float, float]] = {}  # quantity: value, when
+        self._reported: dict[str, tuple[float, float]] = {}  # quantity: value, when
         self._position_s = -math.inf
         self._state: ReportedState | None = None
 
     @property
     def position_s(self) -> float:
-        """When the position was told; -inf if never."""
+        """Return when the position was reported; -inf if never."""
         return self._position_s
 
     @property
     def position_deg(self) -> tuple[float, float]:
-        """The last latitude, longitude, however old; NaN if there was none."""
-        return self._told.get("latitude_deg", _NEVER)[0], self._told.get("longitude_deg", _NEVER)[0]
+        """Return the last latitude, longitude, however old; NaN if there was none."""
+        return self._reported.get("latitude_deg", _NEVER)[0], self._reported.get("longitude_deg", _NEVER)[0]
 
     def hear(self, state: ReportedState, now_s: float) -> None:
         self._state = state
@@ -42,15 +42,17 @@ class Whereabouts:
         possible = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0.0, 0.0)
         if possible:
             self._position_s = now_s
-            self._told["latitude_deg"], self._told["longitude_deg"] = (latitude_deg, now_s), (longitude_deg, now_s)
+            self._reported["latitude_deg"], self._reported["longitude_deg"] = (latitude_deg, now_s), (longitude_deg, now_s)
         for quantity in _QUANTITIES:
             value = getattr(state, quantity)
             if math.isfinite(value):
-                self._told[quantity] = (value, now_s)
+                self._reported[quantity] = (value, now_s)
 
     def at(self, now_s: float) -> ReportedState | None:
-        """What is known now, NaN where nothing is; None if the vehicle never told anything."""
+        """Return the state as known now, NaN where nothing is; None if the vehicle never reported anything."""
         if self._state is None:
             return None
-        known = {quantity: value if now_s - told_s <= self._valid_s else NAN for quantity, (value, told_s) in self._told.items()}
+        known = {
+            quantity: value if now_s - reported_s <= self._valid_s else NAN for quantity, (value, reported_s) in self._reported.items()
+        }
         return ReportedState(self._state.received, **known)

@@ -101,7 +101,7 @@ def test_a_flood_leaves_every_turn_of_the_event_loop_to_others() -> None:
     assert flood.source.counters()["port.auv.bytes_undecoded"] == 0
 
 
-def test_a_flood_that_finds_no_room_is_recorded_counted_and_told_once() -> None:
+def test_a_flood_that_finds_no_room_is_recorded_counted_and_reported_once() -> None:
     flood = Flood()
     n_chunks = 2 * MAX_WAITING_BYTES // len(JUNK)
     sink = Collected()
@@ -115,10 +115,10 @@ def test_a_flood_that_finds_no_room_is_recorded_counted_and_told_once() -> None:
             await reading
 
     asyncio.run(main())
-    told = [event for event in sink.events if isinstance(event, Notice) and event.code == "port_flooded"]
-    assert len(told) == 1
-    assert "port 'auv'" in told[0].text
-    assert told[0].place == "auv"
+    reported = [event for event in sink.events if isinstance(event, Notice) and event.code == "port_flooded"]
+    assert len(reported) == 1
+    assert "port 'auv'" in reported[0].text
+    assert reported[0].place == "auv"
     assert sum(data == JUNK for data in flood.recorded) == n_chunks, "all of it is recorded"
     n_undecoded = flood.source.counters()["port.auv.bytes_undecoded"]
     n_decoded = n_chunks * len(JUNK) - n_undecoded

@@ -103,7 +103,7 @@ def test_a_time_is_never_before_the_truth_nor_after_the_arrival_nor_goes_back(se
 
 
 @pytest.mark.parametrize("drift_ppm", [-80.0, 0.0, 80.0])
-def test_a_minute_of_late_messages_is_told_to_ten_milliseconds(drift_ppm: float) -> None:
+def test_a_minute_of_late_messages_is_resolved_to_ten_milliseconds(drift_ppm: float) -> None:
     stream = messages(3, 6000, drift_ppm=drift_ppm, delay_s=0.05)
     times = mapped(DeviceClock("sonar"), stream)
     assert max(time.mono_ns - message.true_ns for message, time in zip(stream[600:], times[600:], strict=True)) < 10_000_000
@@ -214,7 +214,7 @@ def test_no_device_time_however_wild_makes_time_go_back_inside_a_segment(times: 
     steps=st.lists(st.tuples(st.integers(0, 99), st.sampled_from([-3600, 3600, 1, -1])), max_size=4, unique_by=lambda step: step[0] // 5),
     jitter_ns=st.sampled_from([0, 50_000, 3_000_000]),
 )
-def test_steps_of_this_computers_clock_are_told_and_followed(seed: int, steps: list[tuple[int, int]], jitter_ns: int) -> None:
+def test_steps_of_this_computers_clock_are_reported_and_followed(seed: int, steps: list[tuple[int, int]], jitter_ns: int) -> None:
     rng = np.random.Generator(np.random.PCG64(seed))
     anchor = UtcAnchor("this computer")
     source = SourceClock(DeviceClock("sonar"), anchor)

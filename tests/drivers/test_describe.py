@@ -40,9 +40,9 @@ CODES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "
 def test_every_field_stands_at_its_offset(names: tuple[str, ...], layout: Struct) -> None:
     data = bytes(range(layout.size % 256)) if layout.size < 128 else bytes(k % 120 for k in range(layout.size))
     for line, value, name in zip(struct_fields(names, layout), layout.unpack(data), names, strict=True):
-        ((at, kind, told),) = re.findall(r"^ *(\d+) (\d+ bytes|\w+) +(\w+)$", line)
+        ((at, kind, reported),) = re.findall(r"^ *(\d+) (\d+ bytes|\w+) +(\w+)$", line)
         one = Struct(f"<{CODES[kind]}" if kind in CODES else f"{kind.split()[0]}s")
-        assert told == name
+        assert reported == name
         assert str(one.unpack_from(data, int(at))[0]) == str(value)
 
 

@@ -69,8 +69,8 @@ class _EveryCandidate:
         if self._wire == "imc" and (alone == "checksum" or isinstance(alone, tuple)):
             order: Literal["little", "big"] = "little" if buffer[at] == 0x54 else "big"
             stop = at + 20 + int.from_bytes(buffer[at + 4 : at + 6], order)
-            told = int.from_bytes(buffer[stop : stop + 2], order)
-            assert isinstance(alone, tuple) == (told == crc16_arc(buffer[at:stop])), "the checksum is that of the definition"
+            reported = int.from_bytes(buffer[stop : stop + 2], order)
+            assert isinstance(alone, tuple) == (reported == crc16_arc(buffer[at:stop])), "the checksum is that of the definition"
         return alone
 
     def forget(self, n_bytes: int) -> None:

@@ -217,7 +217,7 @@ def test_a_message_without_checksum_is_given_at_once_and_gives_back_what_it_swal
     for n_lost in range(1, 16):
         framer: Framer[Any] = Framer(JsfGrammar())
         n_at_once = len(framer.feed(first[:-n_lost] + second[:n_lost]))
-        assert n_at_once == 1, "nothing tells yet that it is damaged"
+        assert n_at_once == 1, "nothing shows yet that it is damaged"
         assert [framed.n_bytes for framed in framer.feed(second[n_lost:])] == [len(second)]
 
 

@@ -58,12 +58,12 @@ async def spoken(path: Path, says: Callable[[], list[bytes]], every_s: float = 0
 
 def of_unit(name: str) -> Callable[[], list[bytes]]:
     unit = NAVIGATION_UNITS[name]()
-    n_told = 0
+    n_reported = 0
 
     def says() -> list[bytes]:
-        nonlocal n_told
-        n_told += 1
-        return [message for message in unit.measured(SAMPLE, 1_700_000_000.0 + 0.1 * n_told) if isinstance(message, bytes)]
+        nonlocal n_reported
+        n_reported += 1
+        return [message for message in unit.measured(SAMPLE, 1_700_000_000.0 + 0.1 * n_reported) if isinstance(message, bytes)]
 
     return says
 
@@ -90,7 +90,7 @@ def test_a_unit_that_speaks_as_configured_is_sound(tmp_path: Path) -> None:
     assert "messages of 'nmea0183'" in found.detail
 
 
-def test_a_unit_at_the_wrong_port_is_told_by_what_it_says(tmp_path: Path) -> None:
+def test_a_unit_at_the_wrong_port_is_identified_by_what_it_sends(tmp_path: Path) -> None:
     found = checked(tmp_path / "tty", of_unit("pd6"), serial(tmp_path / "tty", "nmea0183"))
     assert found.verdict == "FAILED"
     assert "they are messages of 'pd6'. Set device: pd6, or change the cables" in found.detail

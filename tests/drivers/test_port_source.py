@@ -1,4 +1,4 @@
-"""Live ports as a source: everything taken, recorded, asked and told, whatever wires do. The wires are in memory."""
+"""Check live ports as a source: data, recording, requests and notices, whatever wires do. The wires are in memory."""
 
 from __future__ import annotations
 
@@ -136,10 +136,10 @@ def test_what_comes_live_is_what_its_recording_comes_to() -> None:
     bench.run(bench.state_is("sonar", "up"), bench.state_is("gnss", "up"), send, lambda: sum(c[1] == "in" for c in bench.recorded) >= 60)
     intake = PortIntake(bench.config)
     replayed = [event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)]
-    told = [event for event in bench.events if not isinstance(event, Notice)]
-    assert [str(event) for event in told] == [str(event) for event in replayed + intake.finish()]
-    assert sum(isinstance(event, Ping) for event in told) == 20
-    assert any(isinstance(event, NavSample) for event in told)
+    reported = [event for event in bench.events if not isinstance(event, Notice)]
+    assert [str(event) for event in reported] == [str(event) for event in replayed + intake.finish()]
+    assert sum(isinstance(event, Ping) for event in reported) == 20
+    assert any(isinstance(event, NavSample) for event in reported)
     assert isinstance(bench.source, LiveSource)
 
 
@@ -169,15 +169,15 @@ def test_utc_by_pulses_is_the_same_when_its_recording_is_replayed() -> None:
     intake = PortIntake(bench.config)
     replayed = [event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)]
     replayed += intake.finish()
-    told = [event for event in bench.events if not (isinstance(event, Notice) and event.code.startswith("port_"))]
-    assert [str(event) for event in told] == [str(event) for event in replayed]
+    reported = [event for event in bench.events if not (isinstance(event, Notice) and event.code.startswith("port_"))]
+    assert [str(event) for event in reported] == [str(event) for event in replayed]
     assert bench.codes().count("utc_taken") == 1
-    times_s = [event.time_s for event in told if isinstance(event, NavSample)]
+    times_s = [event.time_s for event in reported if isinstance(event, NavSample)]
     assert times_s
     assert all(0.0 <= time_s - (19_000.0 * 86_400.0 + 3600.0) < GENEROUS_S for time_s in times_s)
 
 
-def test_a_sonar_is_told_how_to_ping_at_the_start_and_when_it_comes_back() -> None:
+def test_a_sonar_is_set_to_ping_at_the_start_and_when_it_comes_back() -> None:
     bench = Bench()
     wire, commands = bench.wires["sonar"], list(read_ports(bench.config)[0].commands)
 
@@ -203,7 +203,7 @@ def test_a_sonar_that_pings_when_asked_is_asked_without_end() -> None:
     assert len(set(bench.wires["s"].written)) == 1
 
 
-def test_states_are_told_and_shown() -> None:
+def test_states_are_reported_and_shown() -> None:
     bench = Bench(silent_s=0.1)
     assert bench.source.health() == "ports=sonar:down,gnss:down"
     bench.run(
@@ -213,13 +213,13 @@ def test_states_are_told_and_shown() -> None:
         lambda: setattr(bench.wires["sonar"], "plugged", False),
         bench.state_is("sonar", "down"),
     )
-    told = [event for event in bench.events if isinstance(event, Notice) and event.place == "sonar"]
-    assert [notice.code for notice in told][:4] == ["port_up", "port_silent", "port_up", "port_down"]
-    assert [notice.for_the_record for notice in told][:4] == [True, False, False, False], "a port that opens asks nothing of anybody"
-    assert "the wire was pulled; plug it in again" in told[3].text
+    reported = [event for event in bench.events if isinstance(event, Notice) and event.place == "sonar"]
+    assert [notice.code for notice in reported][:4] == ["port_up", "port_silent", "port_up", "port_down"]
+    assert [notice.for_the_record for notice in reported][:4] == [True, False, False, False], "a port that opens asks nothing of anybody"
+    assert "the wire was pulled; plug it in again" in reported[3].text
 
 
-def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wire_that_comes_and_goes_is_reported_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.port_source._MAX_STATE_NOTICES", 3)
     bench = Bench()
     wire = bench.wires["gnss"]
@@ -229,13 +229,13 @@ def test_a_wire_that_comes_and_goes_is_told_of_so_often_only(monkeypatch: pytest
         for step in (lambda there=there: setattr(wire, "plugged", there), bench.state_is("gnss", "up" if there else "down"))
     ]
     bench.run(bench.state_is("gnss", "up"), *flaps)
-    told = [event.text for event in bench.events if isinstance(event, Notice) and event.place == "gnss"]
-    assert len(told) == 3
-    assert told[-1].endswith("counted only.")
+    reported = [event.text for event in bench.events if isinstance(event, Notice) and event.place == "gnss"]
+    assert len(reported) == 3
+    assert reported[-1].endswith("counted only.")
     assert bench.source.counters()["port.gnss.state_changes"] >= 5
 
 
-def test_a_link_that_fails_by_a_defect_is_told_and_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_link_that_fails_by_a_defect_is_reported_and_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.port_source._RESTART_S", 0.01)
     bench = Bench()
     bench.defects = [ZeroDivisionError("a defect")]

@@ -51,7 +51,7 @@ def pings_of(events: list[SourceEvent]) -> list[Ping]:
 def test_pings_have_the_times_of_their_transmission_and_both_sides() -> None:
     pings = pings_of(taken_in(PORTS, list(traffic(100)))[0])
     assert [ping.number for ping in pings] == list(range(100))
-    # The sonar counts milliseconds; its least delay is not known.
+    # The sonar counts milliseconds; its minimum delay is not known.
     assert all(is_close(ping.time_s, time_of(ping.number), 2e-3) for ping in pings[20:])
     assert all(ping.port is not None and ping.starboard is not None for ping in pings)
     assert {ping.transfer for ping in pings} == {"intensity"}
@@ -77,7 +77,7 @@ def test_everything_is_counted_by_port() -> None:
     assert counters["intake.unknown_port"] == 1
 
 
-def test_a_decoder_that_fails_is_told_counted_and_survived(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_decoder_that_fails_is_reported_counted_and_survived(monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(self: PingDecoder, data: bytes, stamp: Any) -> Any:
         if b"BR" in data and int.from_bytes(data[8:12], "little") in (3, 5):
             raise IndexError("a defect")
@@ -94,11 +94,11 @@ def test_a_decoder_that_fails_is_told_counted_and_survived(monkeypatch: pytest.M
     assert "port 'sonar' failed (IndexError('a defect')) and was started anew" in notice.text
 
 
-def told_codes(events: list[SourceEvent], place: str) -> list[str]:
+def reported_codes(events: list[SourceEvent], place: str) -> list[str]:
     return [event.code for event in events if isinstance(event, Notice) and event.place == place]
 
 
-def test_a_wrong_rate_is_told_once_and_its_end_too() -> None:
+def test_a_wrong_rate_is_reported_once_and_its_end_too() -> None:
     """The device sends at 38400 baud what is read at 115200, and is put right after five seconds."""
     chunks = [
         chunk._replace(data=misread(chunk.data, 38_400, 115_200) if chunk.stamp.mono_ns < stamp(5.0).mono_ns else chunk.data)
@@ -106,19 +106,19 @@ def test_a_wrong_rate_is_told_once_and_its_end_too() -> None:
         if chunk.port == "gnss"
     ]
     events, intake = taken_in(PORTS, chunks)
-    assert told_codes(events, "gnss") == ["port_unreadable", "port_readable"]
+    assert reported_codes(events, "gnss") == ["port_unreadable", "port_readable"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "port_unreadable"]
     assert re.search(r"\d+ bytes in 2\.\d s made not one message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0", text)
     assert intake.counters["port.gnss.nmea.messages"] == 150
 
 
 @given(st.integers(0, 2**32), st.integers(2, 30))
-def test_noise_however_much_is_not_told_while_a_message_comes_through_now_and_then(seed: int, n_apart: int) -> None:
+def test_noise_however_much_is_not_reported_while_a_message_comes_through_now_and_then(seed: int, n_apart: int) -> None:
     noise = np.random.Generator(np.random.PCG64(seed))
     chunks = [
         Chunk("sonar", noise.bytes(5000) + (profile(k, 0, 0.1 * k) if k % n_apart % 18 == 0 else b""), stamp(0.1 * k)) for k in range(120)
     ]
-    assert not told_codes(taken_in(PORTS, chunks)[0], "sonar")
+    assert not reported_codes(taken_in(PORTS, chunks)[0], "sonar")
 
 
 def test_a_unit_that_says_little_or_seldom_is_readable() -> None:
@@ -127,26 +127,26 @@ def test_a_unit_that_says_little_or_seldom_is_readable() -> None:
     halves = [Chunk("gnss", part, stamp(9.0 * k + s)) for k in range(30) for s, part in ((0.0, whole[:90]), (8.0, whole[90:]))]
     little = [Chunk("gnss", b"x", stamp(1.0 * k)) for k in range(200)]
     for chunks in (seldom, halves, little):
-        assert not told_codes(taken_in(PORTS, chunks)[0], "gnss")
+        assert not reported_codes(taken_in(PORTS, chunks)[0], "gnss")
 
 
-def test_a_port_that_comes_and_goes_is_told_of_so_often_only() -> None:
+def test_a_port_that_comes_and_goes_is_reported_of_so_often_only() -> None:
     chunks = [Chunk("gnss", fix(0.1 * k, 43.0, 5.0) if k // 40 % 2 else bytes(300), stamp(0.1 * k)) for k in range(4000)]
-    assert len(told_codes(taken_in(PORTS, chunks)[0], "gnss")) == 20
+    assert len(reported_codes(taken_in(PORTS, chunks)[0], "gnss")) == 20
 
 
-def test_what_comes_out_does_not_depend_on_ticks_but_what_is_missed_is_told_by_them() -> None:
+def test_what_comes_out_does_not_depend_on_ticks_but_what_is_missed_is_reported_by_them() -> None:
     chunks = list(traffic(30))
     ticked = [item for chunk in chunks for item in (chunk, Chunk(NO_PORT, b"", chunk.stamp))]
     late = [Chunk(NO_PORT, b"", stamp(3.0 + 0.25 * k)) for k in range(20)]
-    told = taken_in(PORTS, chunks)[0]
-    assert [str(event) for event in taken_in(PORTS, ticked)[0]] == [str(event) for event in told]
+    reported = taken_in(PORTS, chunks)[0]
+    assert [str(event) for event in taken_in(PORTS, ticked)[0]] == [str(event) for event in reported]
     missed = [event.code for event in taken_in(PORTS, chunks + late)[0] if isinstance(event, Notice)]
     assert "nav_quantity_lost" in missed
-    assert not [event for event in told if isinstance(event, Notice)]
+    assert not [event for event in reported if isinstance(event, Notice)]
 
 
-def test_a_set_clock_of_this_computer_is_told_and_moves_pings_and_navigation_together() -> None:
+def test_a_set_clock_of_this_computer_is_reported_and_moves_pings_and_navigation_together() -> None:
     chunks = [
         chunk._replace(stamp=chunk.stamp._replace(utc_ns=chunk.stamp.utc_ns + 3_600_000_000_000 * (k >= 150)))
         for k, chunk in enumerate(traffic(100))
@@ -171,10 +171,10 @@ def test_sides_are_those_of_the_mounting(sides: str, n_port: int | None, n_starb
 
 def test_a_configured_sound_speed_rescales_the_ranges() -> None:
     chunks = list(traffic(3))
-    (told, *_), (slower, *_) = (pings_of(taken_in(text, chunks)[0]) for text in (PORTS, PORTS + "sonar: {sound_speed_mps: 1425}\n"))
-    assert told.port is not None
+    (reported, *_), (slower, *_) = (pings_of(taken_in(text, chunks)[0]) for text in (PORTS, PORTS + "sonar: {sound_speed_mps: 1425}\n"))
+    assert reported.port is not None
     assert slower.port is not None
-    assert slower.port.spacing_m == pytest.approx(0.95 * told.port.spacing_m)
+    assert slower.port.spacing_m == pytest.approx(0.95 * reported.port.spacing_m)
     assert slower.sound_speed_mps == 1425.0
 
 

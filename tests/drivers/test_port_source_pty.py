@@ -108,7 +108,7 @@ def messages_of(events: list[SourceEvent], ping_bytes: PingBytes) -> list[tuple[
 
 
 class Devices(threading.Thread):
-    """Both devices, at ports in a folder; they begin when told to."""
+    """Start both devices at ports in a folder; they begin on request."""
 
     def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
         super().__init__(name="devices", daemon=True)

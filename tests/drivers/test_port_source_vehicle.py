@@ -1,4 +1,4 @@
-"""A vehicle at a port: heard for navigation, told of contacts, commanded while it lets us, and left in order. The wires are in memory."""
+"""Check a vehicle at a port: navigation, contact reports, commands while granted, and release. The wires are in memory."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Bench:
     def is_heard(self) -> bool:
         return self.vehicle.authority != "down"
 
-    def has_told(self, n_reports: int) -> Callable[[], bool]:
+    def has_reported(self, n_reports: int) -> Callable[[], bool]:
         return lambda: self.controller.counters["vehicle.reports"] >= n_reports
 
 
@@ -197,7 +197,7 @@ def test_every_vehicle_that_a_configuration_may_name_has_its_dialect_and_a_secti
 
 
 @each_dialect
-def test_the_vehicle_is_heard_and_told_and_every_word_is_recorded(text: str, make: Callable[[], FakeController[Any]]) -> None:
+def test_the_vehicle_is_heard_and_informed_and_every_word_is_recorded(text: str, make: Callable[[], FakeController[Any]]) -> None:
     bench = Bench(text, make())
     assert isinstance(bench.source, LiveSource)
 
@@ -207,7 +207,7 @@ def test_the_vehicle_is_heard_and_told_and_every_word_is_recorded(text: str, mak
     bench.run(
         bench.is_heard,
         lambda: bench.vehicle.report(contact(1)),
-        bench.has_told(1),
+        bench.has_reported(1),
         lambda: bench.vehicle.report_health("fault", "the sonar is silent"),
         hears_of_it,
     )
@@ -256,7 +256,7 @@ def test_a_vehicle_that_does_not_want_to_keeps_its_own_plan(text: str, make: Cal
     assert bench.controller.command is None
 
 
-def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_told_and_once_only() -> None:
+def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_reported_and_once_only() -> None:
     bench = Bench(CAN, FakeCan())
 
     def plug(there: bool) -> Callable[[], None]:
@@ -265,12 +265,12 @@ def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_told_and_once_on
     bench.run(
         bench.is_heard,
         lambda: bench.vehicle.report(contact(1)),
-        bench.has_told(1),
+        bench.has_reported(1),
         plug(False),
         lambda: bench.vehicle.authority == "down",
         lambda: bench.vehicle.report(contact(2)),
         plug(True),
-        bench.has_told(2),
+        bench.has_reported(2),
     )
     assert [report.number for report in bench.controller.take_reports()] == [1, 2]
     assert "port v is up" not in bench.source.faults()
@@ -311,7 +311,7 @@ def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
         (IMC.replace("imc: {acknowledges: true}", "sonar: {}"), "a device 'imc' is no sonar"),
         (
             "vehicle: {fence_deg: [[43, 5], [43.01, 5.01], [43.01, 5], [43, 5.01]]}\n" + IMC,
-            "fence_deg is no area; give its corners in order",
+            "fence_deg encloses no area; give its corners in order",
         ),
     ],
 )

@@ -50,7 +50,7 @@ def taken_in(text: str, *streams: list[Chunk]) -> tuple[list[SourceEvent], PortI
     return [event for chunk in chunks for event in intake.feed(*chunk)] + intake.finish(), intake
 
 
-def told(events: list[SourceEvent]) -> list[str]:
+def reported(events: list[SourceEvent]) -> list[str]:
     return [event.code for event in events if isinstance(event, Notice) and event.code.startswith("utc")]
 
 
@@ -73,7 +73,7 @@ def test_pings_and_navigation_are_in_the_utc_of_zda_however_wrong_this_computers
     fixes = [Chunk("gnss", fix(s + 0.5 + AHEAD_S, 43.0, 5.0), stamp(s + 0.6)) for s in range(38)]
     streams = [host_steps(stream, 20.0, -7000.0) for stream in (gnss, fixes, pings_at(TIMES_S))]
     events, intake = taken_in(ZDA, *streams)
-    assert told(events) == ["utc_taken"], "that this computer's clock was set in the middle is of no importance"
+    assert reported(events) == ["utc_taken"], "that this computer's clock was set in the middle is of no importance"
     assert all(event.for_the_record for event in events if isinstance(event, Notice) and event.code == "utc_taken")
     ahead_s = ahead_of(events, TIMES_S)
     assert all(is_close(value, 0.0, 0.02) for value in ahead_s[:9])
@@ -84,10 +84,10 @@ def test_pings_and_navigation_are_in_the_utc_of_zda_however_wrong_this_computers
 
 
 @pytest.mark.parametrize("silence", [b"", sentence("GPZDA,101530.00,,,,00,00"), fix(0.0, 43.0, 5.0)])
-def test_without_zda_this_computers_utc_stands_and_a_person_is_told(silence: bytes) -> None:
+def test_without_zda_this_computers_utc_stands_and_a_person_is_informed(silence: bytes) -> None:
     gnss = [Chunk("gnss", silence, stamp(float(s))) for s in range(39)]
     events, _ = taken_in(ZDA, gnss, pings_at(TIMES_S))
-    assert told(events) == ["utc_lost"]
+    assert reported(events) == ["utc_lost"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "utc_lost"]
     assert re.search(r"'gnss' gave no ZDA with its date for 10 s: UTC is this computer's own until it does. Check that", text)
     assert all(is_close(value, 0.0, 0.02) for value in ahead_of(events, TIMES_S))
@@ -97,7 +97,7 @@ def test_when_zda_ends_utc_goes_on_without_a_step_until_it_is_back() -> None:
     gnss = [zda_at(float(s)) for s in range(39) if s < 8 or s > 25]
     streams = [host_steps(stream, 15.0, 500.0) for stream in (gnss, pings_at(TIMES_S))]
     events, _ = taken_in(ZDA, *streams)
-    assert told(events) == ["utc_taken", "utc_lost", "utc_back"]
+    assert reported(events) == ["utc_taken", "utc_lost", "utc_back"]
     assert all(is_close(value, AHEAD_S, 0.02) for value in ahead_of(events, TIMES_S)[15:])
 
 
@@ -106,15 +106,15 @@ def test_when_zda_ends_utc_goes_on_without_a_step_until_it_is_back() -> None:
 def test_one_wrong_zda_changes_nothing(wrong: int, by_s: float) -> None:
     gnss = [zda_at(float(s), AHEAD_S + by_s * (s == wrong)) for s in range(39)]
     events, _ = taken_in(ZDA, gnss, pings_at(TIMES_S[::10]))
-    assert told(events) == ["utc_taken"]
+    assert reported(events) == ["utc_taken"]
     ahead_s = ahead_of(events, TIMES_S[::10])
     assert all(is_close(value, AHEAD_S, 0.02) for value in ahead_s[5:])
 
 
-def test_a_unit_whose_utc_steps_for_good_is_followed_and_told() -> None:
+def test_a_unit_whose_utc_steps_for_good_is_followed_and_reported() -> None:
     gnss = [zda_at(float(s), AHEAD_S - 18.0 * (s >= 20)) for s in range(39)]
     events, _ = taken_in(ZDA, gnss, pings_at(TIMES_S))
-    assert told(events) == ["utc_taken", "utc_stepped"]
+    assert reported(events) == ["utc_taken", "utc_stepped"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "utc_stepped"]
     assert "UTC of port 'gnss' stepped by -18.0" in text
     assert is_close(ahead_of(events, TIMES_S)[-1], AHEAD_S - 18.0, 0.02)
@@ -126,7 +126,7 @@ def test_pulses_that_zda_names_give_utc_to_the_microsecond() -> None:
     gnss = [Chunk("gnss", zda(UTC_S + s + AHEAD_S), stamp(s + 0.1 + 0.05 * (k % 5))) for k, s in enumerate(begins_s)]
     depth = Chunk("gnss", sentence("SDDPT,7.5,0.0"), stamp(36.5))
     events, intake = taken_in(PPS, [pulse_at(s) for s in begins_s], [*gnss, depth])
-    assert told(events) == ["utc_taken"]
+    assert reported(events) == ["utc_taken"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "utc_taken"]
     assert text == "UTC is that of the ZDA and pulses of 'gnss' from now on, +3600.250 s from this computer's own"
     (sample,) = [event for event in events if isinstance(event, NavSample)]
@@ -136,7 +136,7 @@ def test_pulses_that_zda_names_give_utc_to_the_microsecond() -> None:
 
 def test_zda_without_pulses_is_not_taken_for_one_with() -> None:
     events, intake = taken_in(PPS, [zda_at(float(s)) for s in range(39)], [Chunk("gnss.pulse", b"short", stamp(1.0))])
-    assert told(events) == ["utc_lost"]
+    assert reported(events) == ["utc_lost"]
     assert any("gave no ZDA that names a pulse" in event.text for event in events if isinstance(event, Notice))
     assert intake.counters["utc.pulse.label_not_full_second"] + intake.counters["utc.pulse.label_without_pulse"] == 38
 
@@ -154,7 +154,7 @@ def test_a_pulse_has_a_port_of_its_own() -> None:
     [
         ("device: nmea0183", "device: pd6", "navigation.gives_utc is for a device 'nmea0183'"),
         ("gives_utc: true, ", "", "add gives_utc: true"),
-        ("pps:///dev/pps0", "serial:///dev/ttyS1?baud=9600", "ports[1].navigation.pulse_link .*no source of pulses"),
+        ("pps:///dev/pps0", "serial:///dev/ttyS1?baud=9600", "ports[1].navigation.pulse_link .*not a source of pulses"),
         ("serial:///dev/ttyS0?baud=9600", "pps:///dev/pps0", "ports[1].link .*a device 'nmea0183' cannot be there"),
         (SONAR, "{name: b, link: 'tcp://10.0.0.2:1', device: nmea0183, navigation: {gives_utc: true}}", "b and gnss both have"),
     ],

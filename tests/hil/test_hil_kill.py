@@ -1,4 +1,4 @@
-"""The real service between fake devices, killed: what it had heard and what it had announced is on disk."""
+"""Check that a killed service between fake devices has its input and its announced contacts on disk."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_line_of_the_journal_that_was_cut_off_holds_nothing() -> None:
         (a_kill(missing=(LINE,)), "not in contacts.jsonl: contact C00012"),
     ],
 )
-def test_whatever_is_lost_is_said_and_told_by_the_exit_code(
+def test_whatever_is_lost_is_reported_and_sets_the_exit_code(
     kill: KillOutcome, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(soak, "killed", lambda n_kills, seed, folder: iter([a_kill(), kill]))

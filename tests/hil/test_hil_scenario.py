@@ -104,7 +104,7 @@ def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_a
         (SOUND.replace("{device: ping_protocol}", "{link: serial}"), "missing required field `device` - at `devices"),
     ],
 )
-def test_what_is_missing_is_told_with_the_file_the_key_and_what_to_write(tmp_path: Path, text: str, words: str) -> None:
+def test_what_is_missing_is_reported_with_the_file_the_key_and_what_to_write(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text, "utf-8")
     with pytest.raises(UsageError) as refusal:
@@ -114,13 +114,13 @@ def test_what_is_missing_is_told_with_the_file_the_key_and_what_to_write(tmp_pat
     assert str(SCENARIOS / "clean.yaml") in str(refusal.value)
 
 
-def test_what_is_told_to_write_makes_a_scenario(tmp_path: Path) -> None:
+def test_the_advice_on_what_to_write_makes_a_scenario(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("scene: demo", "utf-8")
     with pytest.raises(UsageError) as refusal:
         read_scenario(str(path))
-    told = [line for line in str(refusal.value).splitlines() if line.startswith("  ")]
-    assert parse_scenario("\n".join(["scene: demo", *(line.strip() for line in told)]), "here").run_s == 10.0
+    reported = [line for line in str(refusal.value).splitlines() if line.startswith("  ")]
+    assert parse_scenario("\n".join(["scene: demo", *(line.strip() for line in reported)]), "here").run_s == 10.0
 
 
 @pytest.mark.parametrize("name", ["folder", "folder.yaml"])
@@ -140,7 +140,7 @@ def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -
     ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]
     assert ends == ({"is": "exit_code"} if scenario.kill is None else {"is": "exit_code", "code": -9})
     links = {"serial": "serial:///dev/p?baud=9600", "slcan": "slcan:///dev/p?bitrate=250000", "tcp": "tcp://a:1", "udp": "udp://a:1"}
-    uris = {device: links[told.link] for device, told in scenario.devices.items()}
+    uris = {device: links[reported.link] for device, reported in scenario.devices.items()}
     assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
 
 
@@ -173,7 +173,7 @@ service:
     - {name: vehicle, link: '{vehicle}', device: imc}
 expectations:
   - {test: it ends, expected: {is: exit_code}}
-  - {test: it is told, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
+  - {test: contacts are reported, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
 """
 
 

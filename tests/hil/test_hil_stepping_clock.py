@@ -15,7 +15,7 @@ from tests.manual_clock import ManualClock
 
 
 @pytest.mark.parametrize("by_s", [3600.0, -12.5])
-def test_utc_steps_at_the_instant_that_is_told_and_monotonic_time_does_not(by_s: float) -> None:
+def test_utc_steps_at_the_configured_instant_and_monotonic_time_does_not(by_s: float) -> None:
     under = ManualClock(1000.0)
     clock = SteppingClock(under, by_s)
     under.advance_to(1005.0)

@@ -1,4 +1,4 @@
-"""Verdicts on runs with a vehicle: what it was told, where it was sent and what it passed there; no evidence is never a pass."""
+"""Check verdicts on runs with a vehicle: reports, destinations and passes; missing evidence is never a pass."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def command(latitude_deg: float = 43.05, longitude_deg: float = 5.05) -> Report:
         ([Line(1.0, "notice port_up: contact")], [contact(1.0)], False),
     ],
 )
-def test_contacts_are_told_in_time(lines: list[Line], reports: list[Report], holds: bool) -> None:
+def test_contacts_are_reported_in_time(lines: list[Line], reports: list[Report], holds: bool) -> None:
     assert told_in_time(TOLD, lines, reports)[2] is holds
 
 

@@ -1,1 +1,1 @@
-"""From what a vehicle sends to records: pure, and once per byte, whether or not anyone talks to it."""
+"""Decode a vehicle's bytes to records: pure, and once per byte, whether or not anyone talks to it."""

@@ -10,14 +10,14 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from drivers.framing import Grammar, StampedFramer
 from drivers.vehicle.ascii_fields import Table
-from drivers.vehicle.dialect import ReportedState, Said, fix_of
+from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 
 
 class AsciiDecoder(ABC):
-    """One vehicle's sentences, as records of its table; a subclass knows which of them say where it is.
+    """Decode one vehicle's sentences to records of its table; a subclass derives the vehicle's state from them.
 
-    counters: NAME.messages, .bytes_skipped and .refused.REASON of the framer, .malformed (checksum right, fields impossible) and .ignored
-    (kinds not known here).
+    counters: NAME.messages, .bytes_skipped and .refused.REASON of the framer, .malformed (checksum right, fields
+    impossible) and .ignored (kinds not known here).
     """
 
     def __init__(self, grammar: Grammar[str], table: Table, port: str) -> None:
@@ -33,27 +33,27 @@ class AsciiDecoder(ABC):
     def counters(self) -> Counter[str]:
         return self._framer.counters + self._own
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Said]:
-        """See `VehicleDecoder.feed`."""
-        return [self._said(body, received) for body, received, _ in self._framer.feed(data, stamp)]
+    def feed(self, data: bytes, stamp: Stamp) -> list[VehicleMessage]:
+        """Decode a chunk; see `VehicleDecoder.feed`."""
+        return [self._message(body, received) for body, received, _ in self._framer.feed(data, stamp)]
 
-    def _said(self, body: str, received: Stamp) -> Said:
+    def _message(self, body: str, received: Stamp) -> VehicleMessage:
         try:
             record = self._table.parse(body)
         except (ValueError, OverflowError):
             self._own[f"{self._name}.malformed"] += 1
-            return Said(None, received)
+            return VehicleMessage(None, received)
         if record is None:
             self._own[f"{self._name}.ignored"] += 1
-            return Said(None, received)
+            return VehicleMessage(None, received)
         state = self._state(record, received)
-        return Said(record, received, state, () if state is None else (fix_of(self._port, state),))
+        return VehicleMessage(record, received, state, () if state is None else (fix_of(self._port, state),))
 
     @abstractmethod
     def _state(self, record: Any, received: Stamp) -> ReportedState | None:
-        """Where the vehicle is by a record of the table, None if it does not say."""
+        """Return the vehicle's state by a record of the table, None if it has none."""
 
 
 def above_zero(value: float) -> float:
-    """Units tell zero where they measured nothing."""
+    """Return NaN for zero, which units report where they measured nothing."""
     return value if value > 0.0 else NAN

@@ -1,4 +1,4 @@
-"""Sentences of a Bluefin's vehicle computer to records, and to where the vehicle is."""
+"""Decode sentences of a Bluefin's vehicle computer to records and the vehicle's state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _VELOCITY_VALID_NS: Final = 2_000_000_000  # velocities come about once a second
 
 
 class BluefinDecoder(AsciiDecoder):
-    """Decode what a Bluefin says."""
+    """Decode a Bluefin's sentences."""
 
     def __init__(self, settings: BluefinSettings, port: str) -> None:
         super().__init__(BluefinGrammar(), table_of(settings), port)

@@ -14,7 +14,7 @@ from drivers.navigation.n2k_messages import identifier_of
 from drivers.navigation.nav_decoder import NavFix
 from drivers.vehicle.can_messages import StateMessage, number_and_address
 from drivers.vehicle.can_receiver import CanReceiver
-from drivers.vehicle.dialect import ReportedState, Said, fix_of
+from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 
 _NAME: Final = "vehicle_can"
 _FIX_VALID_S: Final = 1.0
@@ -26,10 +26,10 @@ _QUANTITIES: Final[tuple[_Quantity, ...]] = ("heading_rad", "pitch_rad", "roll_r
 
 
 class CanDecoder:
-    """Decode what a vehicle's controller and the units on its bus say.
+    """Decode a vehicle's controller and the units on its bus.
 
-    Where NMEA 2000 units say where the vehicle is, a state comes with every position of theirs, its other quantities up to 1 s old;
-    the depth stays the controller's, and fixes are the units' alone.
+    Where NMEA 2000 units report the position, a state comes with every position of theirs, its other quantities up
+    to 1 s old; the depth stays the controller's, and fixes are the units' alone.
 
     counters: those of CanReceiver. bus_counters: those of N2kBus, and n2k.not_extended (frames).
     """
@@ -52,25 +52,25 @@ class CanDecoder:
     def bus_counters(self) -> Counter[str]:
         return self._bus.counters + self._not_extended
 
-    def feed(self, data: CanFrame, stamp: Stamp) -> list[Said]:
-        """See `VehicleDecoder.feed`."""
+    def feed(self, data: CanFrame, stamp: Stamp) -> list[VehicleMessage]:
+        """Decode a frame; see `VehicleDecoder.feed`."""
         fixes: tuple[NavFix, ...] = ()
         if data.extended:
             fixes = tuple(self._bus.feed(data.can_id, data.data, stamp))
             if self._units and number_and_address(data.can_id) is None and identifier_of(data.can_id).source in self._units:
                 states = [state for fix in fixes for state in self._states(fix)]
-                return [Said(None, stamp, None, fixes), *(Said(None, stamp, state) for state in states)]
+                return [VehicleMessage(None, stamp, None, fixes), *(VehicleMessage(None, stamp, state) for state in states)]
         else:
             self._not_extended["n2k.not_extended"] += 1
         received = self._receiver.add(data, stamp.mono_ns * _S_PER_NS)
         if received is None:
-            return [Said(None, stamp, None, fixes, of_vehicle=False)] if fixes else []
+            return [VehicleMessage(None, stamp, None, fixes, of_vehicle=False)] if fixes else []
         if not isinstance(received.record, StateMessage):
-            return [Said(received.record, stamp, None, fixes)]
+            return [VehicleMessage(received.record, stamp, None, fixes)]
         state = _state(received.record, stamp)
-        if self._units:  # which say the rest; none of them says a depth
-            return [Said(received.record, stamp, ReportedState(stamp, depth_m=state.depth_m), fixes)]
-        return [Said(received.record, stamp, state, (fix_of(self._port, state), *fixes))]
+        if self._units:  # which report the rest; none of them reports a depth
+            return [VehicleMessage(received.record, stamp, ReportedState(stamp, depth_m=state.depth_m), fixes)]
+        return [VehicleMessage(received.record, stamp, state, (fix_of(self._port, state), *fixes))]
 
     def _states(self, fix: NavFix) -> list[ReportedState]:
         mono_ns = fix.received.mono_ns

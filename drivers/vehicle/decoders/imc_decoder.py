@@ -1,4 +1,4 @@
-"""IMC packets to messages, and to where the vehicle is."""
+"""Decode IMC packets to messages and the vehicle's state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.dialect import ReportedState, Said, fix_of
+from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, decode
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
@@ -20,8 +20,8 @@ VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on t
 _MAX_OFFSET_M: Final = 1e5
 
 
-class ImcSaid(NamedTuple):
-    """A message and the header it came with. time_s: UTC seconds since 1970 by the sender's clock."""
+class ImcReceived(NamedTuple):
+    """Hold a message and its header. time_s: UTC seconds since 1970 by the sender's clock."""
 
     message: ImcMessage
     source: int
@@ -30,11 +30,12 @@ class ImcSaid(NamedTuple):
 
 
 class ImcDecoder:
-    """Decode what an IMC vehicle, and others on its network, say.
+    """Decode an IMC vehicle, and others on its network.
 
-    Fixes are those of the vehicle that is configured, or of the first source that says it is one.
+    Fixes are those of the vehicle that is configured, or of the first source that announces itself as one.
 
-    counters: those of the framer, imc.other_messages (kinds not known here), imc.other_source (the payload's own), imc.refused.payload.
+    counters: those of the framer, imc.other_messages (kinds not known here), imc.other_source (the payload's own),
+    imc.refused.payload.
     """
 
     def __init__(self, settings: ImcSettings, port: str) -> None:
@@ -49,29 +50,29 @@ class ImcDecoder:
     def counters(self) -> Counter[str]:
         return self._framer.counters
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[Said]:
-        """See `VehicleDecoder.feed`."""
-        return [self._said(packet, received) for packet, received, _ in self._framer.feed(data, stamp)]
+    def feed(self, data: bytes, stamp: Stamp) -> list[VehicleMessage]:
+        """Decode a chunk; see `VehicleDecoder.feed`."""
+        return [self._message(packet, received) for packet, received, _ in self._framer.feed(data, stamp)]
 
-    def _said(self, packet: ImcPacket, received: Stamp) -> Said:
+    def _message(self, packet: ImcPacket, received: Stamp) -> VehicleMessage:
         if packet.source == self._own_id:
             self.counters["imc.other_source"] += 1  # what we sent ourselves, on a wire that many hear
-            return Said(None, received)
+            return VehicleMessage(None, received)
         if packet.number not in LAYOUTS:
             self.counters["imc.other_messages"] += 1
-            return Said(None, received)
+            return VehicleMessage(None, received)
         try:
             message = decode(packet.number, packet.payload, packet.order)
         except ValueError:
             self.counters["imc.refused.payload"] += 1
-            return Said(None, received)
+            return VehicleMessage(None, received)
         if self._vehicle is None and is_vehicle(message):
             self._vehicle = packet.source
-        record = ImcSaid(message, packet.source, packet.destination, packet.time_s)
+        record = ImcReceived(message, packet.source, packet.destination, packet.time_s)
         if not isinstance(message, imc.EstimatedState):
-            return Said(record, received)
+            return VehicleMessage(record, received)
         state = _state_of(message, received)
-        return Said(record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle else ())
+        return VehicleMessage(record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle else ())
 
 
 def is_vehicle(message: ImcMessage) -> bool:
@@ -80,7 +81,7 @@ def is_vehicle(message: ImcMessage) -> bool:
 
 
 def _state_of(message: imc.EstimatedState, received: Stamp) -> ReportedState:
-    """Position is lat, lon, height displaced by x, y, z; what cannot be is NaN."""
+    """Return the state. The position is lat, lon, height displaced by x, y, z; impossible values are NaN."""
     latitude_deg, longitude_deg = NAN, NAN
     offsets_m = (message.y, message.x, -message.z)
     place = (message.lat, message.lon, message.height)

@@ -1,4 +1,4 @@
-"""Sentences of an Iver under Remote Helm to records, and to where the vehicle is."""
+"""Decode sentences of an Iver under Remote Helm to records and the vehicle's state."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _COMPASS_VALID_NS: Final = 2_000_000_000  # pitch and roll come in sentences of 
 
 
 class IverDecoder(AsciiDecoder):
-    """Decode what an Iver says."""
+    """Decode an Iver's sentences."""
 
     def __init__(self, settings: IverSettings, port: str) -> None:
         super().__init__(IverGrammar(), table_of(settings), port)

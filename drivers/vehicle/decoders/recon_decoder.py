@@ -1,4 +1,4 @@
-"""RECON frames of a REMUS to records, and to where the vehicle is."""
+"""Decode RECON frames of a REMUS to records and the vehicle's state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.vehicle.recon_sentences import ReconGrammar, ReconState, table_of
 
 
 class ReconDecoder(AsciiDecoder):
-    """Decode what a REMUS says by RECON."""
+    """Decode a REMUS's RECON frames."""
 
     def __init__(self, settings: ReconSettings, port: str) -> None:
         super().__init__(ReconGrammar(), table_of(settings), port)

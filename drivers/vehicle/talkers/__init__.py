@@ -1,1 +1,1 @@
-"""What the payload says to a vehicle, and what it makes of the records that the vehicle's decoder hands on."""
+"""Encode the payload's messages to a vehicle, and interpret the records of the vehicle's decoder."""

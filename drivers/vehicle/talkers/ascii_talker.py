@@ -1,4 +1,4 @@
-"""What the talkers of sentences have in common: the word of the vehicle on control, paced reports, and its floor."""
+"""Share what the talkers of sentences have in common: the state of control, paced reports, and the sea floor."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from drivers.vehicle.dialect import (
     Granted,
     PayloadHealth,
     ReportedState,
-    Said,
     Steer,
     VehicleEvent,
+    VehicleMessage,
     Vertical,
     Withheld,
 )
@@ -31,10 +31,10 @@ _HEALTH_TEXT: Final = 60  # characters
 
 
 class AsciiTalker(ABC):
-    """One vehicle's sentences; a subclass knows what they mean. `Talker[bytes]` once it has the missing methods.
+    """Talk to one vehicle by sentences; a subclass interprets them. `Talker[bytes]` once it has the missing methods.
 
-    Control is told of only as it changes, and granted only when it was asked for. counters: NAME.command_without_grant and .command_unfit
-    (not sent).
+    Control is reported only as it changes, and granted only when it was requested. counters: NAME.command_without_grant
+    and .command_unfit (not sent).
     """
 
     silent_after_s: float = 5.0
@@ -65,9 +65,9 @@ class AsciiTalker(ABC):
         self._later.clear()
         self._forget()
 
-    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
+    def hear(self, messages: Sequence[VehicleMessage], stamp: Stamp) -> list[VehicleEvent]:
         events, self._later = self._later, []
-        for record, received, state, *_ in said:
+        for record, received, state, *_ in messages:
             if record is not None:
                 # By this computer's clock, as commands are, and not by that of a unit which gives UTC.
                 utc_ns = received.mono_ns + stamp.utc_ns - stamp.mono_ns
@@ -106,7 +106,7 @@ class AsciiTalker(ABC):
         return [Granted(reason)]
 
     def _withhold(self, reason: str) -> list[VehicleEvent]:
-        """Control is refused or over; it has to be asked for again."""
+        """Note that control is refused or over; it has to be requested again."""
         if not self._wanted:
             return []
         self._wanted = self._granted = False
@@ -121,52 +121,52 @@ class AsciiTalker(ABC):
 
     @abstractmethod
     def _greet(self, now_s: float) -> None:
-        """The wire has been opened."""
+        """Note that the wire has been opened."""
 
     @abstractmethod
     def _forget(self) -> None:
-        """The wire is gone, with everything that waited for it."""
+        """Note that the wire is lost, with everything that waited for it."""
 
     @abstractmethod
     def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
-        """What a record of the table means. state: where the vehicle is, if the record says so."""
+        """Interpret a record of the table. state: where the vehicle is, if the record says so."""
 
     @abstractmethod
     def _ask(self, now_s: float) -> None:
-        """Control is wanted."""
+        """Request control."""
 
     @abstractmethod
     def _steer(self, steer: Steer, now_s: float) -> None:
-        """A command of finite numbers, while granted."""
+        """Send a command of finite numbers, while granted."""
 
     @abstractmethod
     def _stop_commanding(self) -> None:
-        """No command that was not sent yet may be sent any more."""
+        """Drop the command that was not sent yet."""
 
     @abstractmethod
     def _let_go(self, wanted: bool, now_s: float) -> None:
-        """Give control back. wanted: it was asked for until now."""
+        """Release control. wanted: it was requested until now."""
 
     @abstractmethod
     def _outgoing(self, now_s: float) -> list[bytes]: ...
 
 
 class PacedReports:
-    """Reports for a vehicle that acknowledges none, so spread that a slow line stays free for commands."""
+    """Pace reports for a vehicle that acknowledges none, so that a slow line stays free for commands."""
 
     def __init__(self) -> None:
         self._waiting: dict[int, ContactReport] = {}  # by the number of the contact
         self._next_s = -math.inf
 
     def add(self, report: ContactReport) -> None:
-        """It takes the place of one of the same contact."""
+        """Queue a report; it replaces one of the same contact."""
         self._waiting[report.number] = report
 
     def clear(self) -> None:
         self._waiting.clear()
 
     def take(self, now_s: float) -> ContactReport | None:
-        """The oldest report, if it is time for one."""
+        """Return the oldest report, if one is due."""
         if not self._waiting or now_s < self._next_s:
             return None
         self._next_s = now_s + _REPORT_EVERY_S
@@ -174,9 +174,9 @@ class PacedReports:
 
 
 class FloorBelow:
-    """The sea floor under the vehicle, for vehicles that hold depths alone: its depth plus its altitude, the least of the last 3 s.
+    """Track the sea floor under the vehicle, for vehicles that hold depths alone.
 
-    The least, so that one echo too long leads nobody into the ground.
+    It is depth plus altitude, the minimum of the last 3 s, so that one echo too long leads nobody into the ground.
     """
 
     def __init__(self) -> None:
@@ -186,13 +186,13 @@ class FloorBelow:
         self._heard.clear()
 
     def heard(self, depth_m: float, altitude_m: float, now_s: float) -> None:
-        """Both as the vehicle told them; NaN if it did not."""
+        """Take both as the vehicle reported them; NaN if it did not."""
         if math.isfinite(depth_m + altitude_m):
             self._heard.append((now_s, depth_m + altitude_m))
         self._drop_old(now_s)
 
     def depth_m(self, vertical: Vertical, now_s: float) -> float:
-        """The depth to command, 0 at least; NaN for an altitude over a floor that is not known."""
+        """Return the depth to command, not below 0; NaN for an altitude over an unknown floor."""
         if vertical.reference == "depth":
             return max(vertical.value_m, 0.0)
         self._drop_old(now_s)

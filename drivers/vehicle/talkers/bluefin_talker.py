@@ -1,9 +1,9 @@
-"""Bluefin's standard payload interface to its vehicle computer (Huxley): NMEA 0183 sentences on TCP port 29500.
+"""Talk to a Bluefin's vehicle computer (Huxley) by its standard payload interface: NMEA 0183 on TCP port 29500.
 
-The vehicle is the server. A payload asks for sentences by `$BPLOG`, tells once a second that it lives by `$BPSTS`, steers by `$BPRMB` while
-it may, and ends that by `$BPRCE`. The vehicle answers each sentence by `$BFACK`; until then no other follows, and after 5 s the same one
-is said again, three times in all. Times are those of the vehicle's own clock as its last sentence had it, or this computer's until it
-told one. Source: Goby3, frontseat/bluefin (LGPL).
+The vehicle is the server. A payload requests sentences by `$BPLOG`, signals once a second that it lives by `$BPSTS`,
+steers by `$BPRMB` while it may, and ends that by `$BPRCE`. The vehicle answers each sentence by `$BFACK`; until then no
+other follows, and after 5 s the same one is sent again, three times in all. Times are those of the vehicle's own clock
+as its last sentence had it, or this computer's until it sent one. Source: Goby3, frontseat/bluefin (LGPL).
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ from drivers.vehicle.talkers.ascii_talker import AsciiTalker
 RESEND_S: Final = 5.0
 ATTEMPTS: Final = 3
 _HEARTBEAT_S: Final = 1.0
-_COMMAND_VALID_S: Final = 2.0  # one that could not be said by then is old
+_COMMAND_VALID_S: Final = 2.0  # one that could not be sent by then is old
 _PENDING_FOR_S: Final = 60.0
-_TIME_STEP_S: Final = 0.01  # between the times of two sentences, so that an answer in hundredths still tells which it is for
+_TIME_STEP_S: Final = 0.01  # between the times of two sentences, so that an answer in hundredths still identifies its sentence
 _ASKED_FOR: Final = ("ACK", "NVG", "NVR", "CTL", "MIS", "MSC", "SHT", "MBS", "MBE")  # ACK first, for the others to be answered
 _WORDS_ON_CONTROL: Final = ("ACK", "CTL", "MIS")  # which may have been lost
 _INVALID, _, _DONE, _PENDING = "0123"
@@ -57,31 +57,35 @@ _RUNNING: Final = "running"
 
 @dataclass(slots=True, eq=False)
 class _Item:
-    """A sentence on its way: waiting, or said and awaiting its answer. ticket: of a contact. expires_s: not said any more from then on."""
+    """Hold a sentence on its way: waiting, or sent and awaiting its answer.
+
+    ticket: of a contact. expires_s: not sent after it.
+    """
 
     key: Hashable
     record: Any
     ticket: int | None = None
     expires_s: float = math.inf
     line: bytes = b""
-    n_said: int = 0
-    said_s: float = 0.0
+    n_sent: int = 0
+    sent_s: float = 0.0
     pending: bool = False
 
 
 class BluefinTalker(AsciiTalker):
-    """Talks to a Bluefin by its standard payload interface.
+    """Talk to a Bluefin by its standard payload interface.
 
-    Counts also bluefin.resent, .unanswered (given up after three times), .unexpected_answer, .refused_NAME (what the vehicle did not take).
+    Counts also bluefin.resent, .unanswered (given up after three times), .unexpected_answer, .refused_NAME (what the
+    vehicle did not take).
     """
 
     def __init__(self, settings: BluefinSettings) -> None:
-        told = Capability.CONTACT if settings.contact_sentence else Capability(0)
+        optional = Capability.CONTACT if settings.contact_sentence else Capability(0)
         always = Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | Capability.ACKNOWLEDGED
-        super().__init__("bluefin", table_of(settings), always | told)
+        super().__init__("bluefin", table_of(settings), always | optional)
         self._settings = settings
         self._waiting: dict[Hashable, _Item] = {}
-        self._said: list[_Item] = []
+        self._sent: list[_Item] = []
         self._clock: tuple[float, float] | None = None  # monotonic time, and time of day then
         self._last_time_s = -DAY_S
         self._permitted = False
@@ -100,13 +104,13 @@ class BluefinTalker(AsciiTalker):
         self._ask_for(*_ASKED_FOR)
 
     def _ask_for(self, *names: str) -> None:
-        """Before anything else, since a vehicle that started anew tells and answers nothing."""
+        """Greet before anything else, since a vehicle that started anew sends and answers nothing."""
         first = [_Item(("LOG", name), BluefinLog(name)) for name in names]
         self._waiting = {**{item.key: item for item in first}, **self._waiting}
 
     def _forget(self) -> None:
         self._waiting.clear()
-        self._said.clear()
+        self._sent.clear()
         self._permitted = self._commanded = False
         self._takes_contacts = None
 
@@ -125,7 +129,7 @@ class BluefinTalker(AsciiTalker):
             case BluefinShutdown():
                 yield from self._permit(False, "the vehicle shuts its payloads down")
             case BluefinControl(control="0"):
-                yield from self._permit(False, "the vehicle does not let the payload command (BFCTL 0)")
+                yield from self._permit(False, "the vehicle does not grant control (BFCTL 0)")
             case BluefinControl() if self._settings.granted_by == "BFCTL":
                 yield from self._permit(True, "the vehicle lets the payload command (BFCTL 1)")
             case BluefinMission() if _RUNNING not in record.status.lower():
@@ -142,7 +146,7 @@ class BluefinTalker(AsciiTalker):
         if permitted:
             return self._grant(reason)
         self._waiting.pop("RCE", None)  # what it does now is its own, and not to be ended
-        self._said = [item for item in self._said if item.key != "RCE"]
+        self._sent = [item for item in self._sent if item.key != "RCE"]
         return self._withhold(reason) if self._granted else []  # what was not granted yet may still be
 
     def _ask(self, now_s: float) -> None:
@@ -157,10 +161,10 @@ class BluefinTalker(AsciiTalker):
         self._put(_Item("RMB", order, expires_s=now_s + _COMMAND_VALID_S))
 
     def _stop_commanding(self) -> None:
-        """The vehicle may still hold what it was told last; unless it took control back itself, it is told to stop that as well."""
+        """Stop the last command, which the vehicle may still hold, unless it took control back itself."""
         self._waiting.pop("RMB", None)
-        commanded = self._commanded or any(item.key == "RMB" for item in self._said)
-        self._said = [item for item in self._said if item.key != "RMB"]
+        commanded = self._commanded or any(item.key == "RMB" for item in self._sent)
+        self._sent = [item for item in self._sent if item.key != "RMB"]
         self._commanded = False
         if commanded and self._permitted:
             self._put(_Item("RCE", BluefinCancel(NAN)))
@@ -169,7 +173,7 @@ class BluefinTalker(AsciiTalker):
         self._stop_commanding()
 
     def _put(self, item: _Item) -> None:
-        """Into the queue, or in the place of what waits there under its key."""
+        """Queue a sentence, in place of one that waits under its key."""
         self._waiting[item.key] = item
 
     def _outgoing(self, now_s: float) -> list[bytes]:
@@ -183,64 +187,64 @@ class BluefinTalker(AsciiTalker):
             self._greet(now_s)
             if end_of_control is not None:
                 self._put(end_of_control)
-        lines = self._said_again(now_s)
+        lines = self._resend(now_s)
         while (item := self._next(now_s)) is not None:
             del self._waiting[item.key]
-            lines.append(self._say(item, now_s))
+            lines.append(self._send(item, now_s))
         return lines
 
     def _next(self, now_s: float) -> _Item | None:
-        """What may be said now: one at a time, but the end of control at once."""
+        """Return what may be sent now: one at a time, but the end of control at once."""
         urgent = self._waiting.get("RCE")
         if urgent is not None and self._clock is not None:
             return urgent
-        if any(not item.pending for item in self._said):
+        if any(not item.pending for item in self._sent):
             return None
         for key in [key for key, item in self._waiting.items() if now_s >= item.expires_s]:
             del self._waiting[key]
         return next((item for item in self._waiting.values() if self._clock is not None or isinstance(item.record, BluefinLog)), None)
 
-    def _say(self, item: _Item, now_s: float) -> bytes:
+    def _send(self, item: _Item, now_s: float) -> bytes:
         if not isinstance(item.record, BluefinLog):
             item.record = item.record._replace(time_of_day_s=self._time_of_day_s(now_s))
         item.line = sentence(self._table.body_of(item.record))
-        item.n_said, item.said_s, item.pending = 1, now_s, False
-        self._said.append(item)
+        item.n_sent, item.sent_s, item.pending = 1, now_s, False
+        self._sent.append(item)
         return item.line
 
-    def _said_again(self, now_s: float) -> list[bytes]:
+    def _resend(self, now_s: float) -> list[bytes]:
         lines = []
-        for item in list(self._said):
+        for item in list(self._sent):
             if item.pending:
-                if now_s - item.said_s >= _PENDING_FOR_S:
-                    self._said.remove(item)
+                if now_s - item.sent_s >= _PENDING_FOR_S:
+                    self._sent.remove(item)
                     self._own["bluefin.unanswered"] += 1
                 continue
-            if now_s - item.said_s < RESEND_S:
+            if now_s - item.sent_s < RESEND_S:
                 continue
-            again = self._waiting.pop("RMB", None) if item.key == "RMB" else item  # an old command is not said again, a new one is
-            if again is None or now_s >= again.expires_s or item.n_said >= ATTEMPTS:
+            again = self._waiting.pop("RMB", None) if item.key == "RMB" else item  # an old command is not sent again, a new one is
+            if again is None or now_s >= again.expires_s or item.n_sent >= ATTEMPTS:
                 self._give_up(item)
                 continue
             self._own["bluefin.resent"] += 1
-            n_said = item.n_said + 1
+            n_sent = item.n_sent + 1
             if again is item:
-                item.said_s = now_s
+                item.sent_s = now_s
                 lines.append(item.line)
             else:
                 self._commanded = True  # it may have taken the one before
-                self._said.remove(item)
-                lines.append(self._say(again, now_s))
-            again.n_said = n_said
+                self._sent.remove(item)
+                lines.append(self._send(again, now_s))
+            again.n_sent = n_sent
         return lines
 
     def _give_up(self, item: _Item) -> None:
-        if item not in self._said:
+        if item not in self._sent:
             return
         name = self._table.body_of(item.record)[:5]
         self._own["bluefin.unanswered"] += 1
-        self._later += self._withhold(f"the vehicle did not answer {name}, said {item.n_said} times; if this lasts, connect anew")
-        self._said = [other for other in self._said if other is not item]
+        self._later += self._withhold(f"the vehicle did not answer {name}, sent {item.n_sent} times; if this lasts, connect anew")
+        self._sent = [other for other in self._sent if other is not item]
         if not isinstance(item.record, BluefinLog):
             self._ask_for(*_ASKED_FOR)
         elif item.record.name == _ASKED_FOR[0]:
@@ -252,10 +256,10 @@ class BluefinTalker(AsciiTalker):
             self._later += [Rejected(other.ticket, self._no_contacts()) for other in refused if other.ticket is not None]
 
     def _no_contacts(self) -> str:
-        return f"the vehicle never answered {self._settings.contact_sentence}, so contacts are not told on this connection"
+        return f"the vehicle never answered {self._settings.contact_sentence}, so contacts are not reported on this connection"
 
     def _answered(self, answer: BluefinAnswer, now_s: float) -> Iterable[VehicleEvent]:
-        item = next((item for item in self._said if _is_for(answer, self._table.body_of(item.record)[:5], item.record)), None)
+        item = next((item for item in self._sent if _is_for(answer, self._table.body_of(item.record)[:5], item.record)), None)
         if item is None:
             self._own["bluefin.unexpected_answer"] += 1
             return
@@ -265,9 +269,9 @@ class BluefinTalker(AsciiTalker):
             self._commanded |= item.key == "RMB"
         if answer.status == _PENDING:
             if not item.pending:
-                item.pending, item.said_s = True, now_s
+                item.pending, item.sent_s = True, now_s
             return
-        self._said.remove(item)
+        self._sent.remove(item)
         if answer.status == _DONE:
             if item.ticket is not None:
                 yield Acknowledged(item.ticket)
@@ -281,7 +285,7 @@ class BluefinTalker(AsciiTalker):
             yield Rejected(item.ticket, reason)
 
     def _time_of_day_s(self, now_s: float) -> float:
-        """By the vehicle's clock, and never that of the sentence before."""
+        """Return the time of day by the vehicle's clock, never that of the sentence before."""
         assert self._clock is not None
         heard_s, then_s = self._clock
         time_s = round((then_s + now_s - heard_s) % DAY_S, 3)
@@ -292,9 +296,12 @@ class BluefinTalker(AsciiTalker):
 
 
 def _is_for(answer: BluefinAnswer, name: str, record: Any) -> bool:
-    """Whether this sentence is answered. Vehicles name it with or without `BP`; what has no time is known by its name alone."""
-    told = answer.name.upper()
-    if told not in (name, name[2:]):
+    """Return whether this sentence is answered.
+
+    Vehicles name it with or without `BP`; what has no time is known by its name alone.
+    """
+    answered_name = answer.name.upper()
+    if answered_name not in (name, name[2:]):
         return False
     if isinstance(record, BluefinLog) or not math.isfinite(answer.of_s):
         return True

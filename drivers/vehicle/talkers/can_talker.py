@@ -1,4 +1,4 @@
-"""Talks to a vehicle's controller on a CAN bus, with the messages of `can_messages`."""
+"""Talk to a vehicle's controller on a CAN bus, with the messages of `can_messages`."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from drivers.vehicle.dialect import (
     PayloadHealth,
     PlaceReached,
     Rejected,
-    Said,
     VehicleEvent,
+    VehicleMessage,
     Withheld,
 )
 
 _NAME: Final = "vehicle_can"
 _SILENT_S: Final = 2.0
-_N_RELEASES: Final = 3  # a release is said so often, so that two lost frames do not matter
+_N_RELEASES: Final = 3  # a release is sent so often, so that two lost frames do not matter
 _TEXT_PERIOD_S: Final = 10.0
 _REPEATS_S: Final = (1.0, 2.0, 4.0, 8.0)  # after the first time a report was sent, the second, ...
 _BETWEEN_REPORTS_S: Final = 0.05  # 13 % of a bus of 250 kbit/s, however many wait
@@ -57,7 +57,10 @@ _S_PER_NS: Final = 1e-9
 
 
 class _Report(msgspec.Struct):
-    """One that is not answered yet. frames: without their sequence number. n_sent: how often; due_s: when it goes out again."""
+    """Hold a report that is not answered yet.
+
+    frames: without their sequence number. n_sent: how often; due_s: when it goes out again.
+    """
 
     message_crc: int
     frames: list[CanFrame]
@@ -66,7 +69,7 @@ class _Report(msgspec.Struct):
 
 
 class _Link(msgspec.Struct):
-    """What one connection knows, and what is to be said on it.
+    """Hold the state of one connection, and what is to be sent on it.
 
     n_at_once: so many statuses go out next, whenever the next is due. waiting: events for the next call of `hear`.
     """
@@ -89,13 +92,14 @@ class _Link(msgspec.Struct):
 
 
 class CanTalker:
-    """`Talker[CanFrame]` of a controller on a CAN bus.
+    """Talk to a controller on a CAN bus, as `Talker[CanFrame]`.
 
-    A grant counts only while the vehicle's status comes, with a counter that goes on, and names the request that is made. A command that
-    the vehicle refuses is taken for the end of the grant.
+    A grant counts only while the vehicle's status comes, with a counter that goes on, and names the request that is
+    made. A command that the vehicle refuses is taken for the end of the grant.
 
-    counters: vehicle_can.refused.stale (a status that is not newer than the last), .commands, .commands_without_grant and
-    .commands_unsayable (dropped), .reports, .reports_repeated, .reports_unsayable, .answers_unknown (to no report that waits).
+    counters: vehicle_can.refused.stale (a status that is not newer than the last), .commands, .commands_without_grant
+    and .commands_unsayable (dropped), .reports, .reports_repeated, .reports_unsayable, .answers_unknown (to no report
+    that waits).
     """
 
     capabilities: Final = (
@@ -128,11 +132,11 @@ class CanTalker:
         self._link = _Link()
         self._is_connected = False
 
-    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
+    def hear(self, messages: Sequence[VehicleMessage], stamp: Stamp) -> list[VehicleEvent]:
         now_s = stamp.mono_ns * _S_PER_NS
         self._notice_silence(now_s)
         events, self._link.waiting = self._link.waiting, []
-        for record, _, state, *_ in said:
+        for record, _, state, *_ in messages:
             if isinstance(record, VehicleStatus):
                 events += self._status(record, now_s)
             elif isinstance(record, ReportAnswer):
@@ -174,7 +178,7 @@ class CanTalker:
         except ValueError as error:
             self._own[f"{_NAME}.reports_unsayable"] += 1
             self._link.reports.pop(ticket, None)
-            self._link.waiting.append(Rejected(ticket, f"not to be said on a CAN bus: {error}"))
+            self._link.waiting.append(Rejected(ticket, f"cannot be encoded on a CAN bus: {error}"))
             return
         crc = int.from_bytes(frames[-1].data[-4:], "little") & _CRC_PART
         self._link.reports[ticket] = _Report(crc, frames, 0, now_s)
@@ -293,7 +297,7 @@ class CanTalker:
         return "revoked" if self._link.was_revoked else "listening"
 
     def _report_frames(self, now_s: float) -> list[CanFrame]:
-        """One report at most: new ones first, then those that have been repeated least."""
+        """Return at most one report: new ones first, then those with the fewest repetitions."""
         due = [report for report in self._link.reports.values() if now_s >= report.due_s]
         if not due or now_s < self._link.report_due_s:
             return []

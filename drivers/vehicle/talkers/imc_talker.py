@@ -1,15 +1,15 @@
-"""A vehicle that speaks IMC, such as one that runs DUNE: contacts and health out, places to go out while it lets us.
+"""Talk to a vehicle by IMC, such as one that runs DUNE: contacts and health always, places to go to while granted.
 
-Take-over: PlanControl START with a plan of one FollowReference manoeuvre that obeys our address; the vehicle answers SUCCESS and, when the
-manoeuvre runs, FollowRefState. Both together are the grant. Places go as Reference, repeated within the manoeuvre's time-out; a Reference
-with MANDONE ends the manoeuvre, and silence does so too. PlanControl STOP is sent only while the vehicle itself says that our plan runs,
-since DUNE stops whatever plan there is.
+Take-over: PlanControl START with a plan of one FollowReference manoeuvre that obeys our address; the vehicle answers
+SUCCESS and, when the manoeuvre runs, FollowRefState. Both together are the grant. Places go as Reference, repeated
+within the manoeuvre's time-out; a Reference with MANDONE ends the manoeuvre, and silence does so too. PlanControl STOP
+is sent only while the vehicle itself says that our plan runs, since DUNE stops whatever plan there is.
 
-A DUNE vehicle does not go back to the plan that ours took the place of. With `own_plan: false` nothing is started: a plan that contains a
-FollowReference for our address invites us, and goes on when we are done.
+A DUNE vehicle does not go back to the plan that ours took the place of. With `own_plan: false` nothing is started: a
+plan that contains a FollowReference for our address invites us, and goes on when we are done.
 
-Contacts go as Target once per revision. A vehicle that knows it is told MineContact (1700) as well, until it answers MineContactTaken
-(1701); `imc_messages` has their layouts.
+Contacts go as Target once per revision. A vehicle that supports it is sent MineContact (1700) as well, until it answers
+MineContactTaken (1701); `imc_messages` has their layouts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.vehicle import imc_messages as imc
-from drivers.vehicle.decoders.imc_decoder import ImcSaid, is_vehicle
+from drivers.vehicle.decoders.imc_decoder import ImcReceived, is_vehicle
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
@@ -36,8 +36,8 @@ from drivers.vehicle.dialect import (
     PlaceReached,
     Rejected,
     ReportedState,
-    Said,
     VehicleEvent,
+    VehicleMessage,
     Withheld,
 )
 from drivers.vehicle.imc_contact import imc_contact_of, target_of
@@ -80,7 +80,7 @@ _HEARTBEAT_S: Final = 1.0
 _HEALTH_S: Final = 5.0
 _START_AGAIN_S: Final = 2.0
 _MAX_STARTS: Final = 3
-_SETTLE_S: Final = 2.0  # after a grant, states told every second may still be those of before
+_SETTLE_S: Final = 2.0  # after a grant, states reported every second may still be those of before
 _STOP_AGAIN_S: Final = 2.0
 _REPORT_AGAIN_S: Final = 2.0
 _REPORT_SELDOM_S: Final = 30.0
@@ -90,7 +90,7 @@ _EARTH_RADIUS_M: Final = 6_371_000.0
 
 
 class _Pending(NamedTuple):
-    """A report that waits for its answer."""
+    """Hold a report that waits for its answer."""
 
     ticket: int
     contact: imc.MineContact
@@ -99,13 +99,13 @@ class _Pending(NamedTuple):
 
 
 class ImcTalker:
-    """`Talker[bytes]` of an IMC vehicle; one packet per item that goes out, so that each fits a datagram.
+    """Talk to an IMC vehicle, as `Talker[bytes]`; one packet per item that goes out, so that each fits a datagram.
 
-    What would let us command is believed only if its packet's time is that of the vehicle's other packets and, with a plan of ours, after
-    the request: a grant that was recorded earlier gives nothing.
+    What would let us command is believed only if its packet's time is that of the vehicle's other packets and, with a
+    plan of ours, after the request: a grant that was recorded earlier gives nothing.
 
-    counters: imc.refused.stale (such packets), imc.other_messages (kinds without a use here), imc.other_source (not the vehicle's),
-    imc.commands_unsaid (without a grant, or of a kind that IMC has not).
+    counters: imc.refused.stale (such packets), imc.other_messages (kinds without a use here), imc.other_source (not the
+    vehicle's), imc.commands_unsaid (without a grant, or of a kind that IMC has not).
     """
 
     def __init__(self, settings: ImcSettings, first_request_id: int = 1) -> None:
@@ -121,8 +121,8 @@ class ImcTalker:
         self._vehicles_clock = SenderClock()
         self._n_starts = 0
         self._start_due_s = 0.0
-        self._succeeded = False  # the vehicle said SUCCESS to the START
-        self._followed_s: float | None = None  # when the vehicle last said that the manoeuvre runs for us; None: it does not
+        self._succeeded = False  # the vehicle answered SUCCESS to the START
+        self._followed_s: float | None = None  # when the vehicle last reported that the manoeuvre runs for us; None: it does not
         self._granted_s = 0.0
         self._seen_plan = self._seen_maneuver = False  # since the grant
         self._stop_due_s = 0.0
@@ -164,11 +164,11 @@ class ImcTalker:
         self._outbox.clear()
         self._position_deg = (NAN, NAN)
 
-    def hear(self, said: Sequence[Said], stamp: Stamp) -> list[VehicleEvent]:
+    def hear(self, messages: Sequence[VehicleMessage], stamp: Stamp) -> list[VehicleEvent]:
         now_s = 1e-9 * stamp.mono_ns
         self._utc_ahead_s = 1e-9 * (stamp.utc_ns - stamp.mono_ns)
         events: list[VehicleEvent] = []
-        for record, received, state, *_ in said:
+        for record, received, state, *_ in messages:
             if record is not None:
                 events += self._taken(record, state, 1e-9 * received.mono_ns)
             events += self._granted(1e-9 * received.mono_ns)
@@ -282,27 +282,27 @@ class ImcTalker:
         self._idle()
         return [Withheld(reason)]
 
-    def _taken(self, said: ImcSaid, state: ReportedState | None, now_s: float) -> list[VehicleEvent]:
-        message = said.message
+    def _taken(self, received: ImcReceived, state: ReportedState | None, now_s: float) -> list[VehicleEvent]:
+        message = received.message
         if isinstance(message, imc.Abort):
             self._idle()
-            return [Withheld(f"Abort from 0x{said.source:04X}")]  # whoever says it, and whether or not we command
+            return [Withheld(f"Abort from 0x{received.source:04X}")]  # whoever sends it, and whether or not we command
         if self._vehicle is None and is_vehicle(message):
-            self._vehicle = said.source
-        if said.source != self._vehicle:
+            self._vehicle = received.source
+        if received.source != self._vehicle:
             self.counters["imc.other_source"] += 1
             return []
         if self._gives_leave(message):
-            doubt = self._doubt(said.time_s, now_s)
+            doubt = self._doubt(received.time_s, now_s)
             if doubt:
                 self.counters["imc.refused.stale"] += 1
                 return [Doubted(doubt)]
         else:
-            self._vehicles_clock.hear(said.time_s, now_s)
-        return self._heard(message, state, now_s, for_us=said.destination in (self._settings.source_id, ANYONE))
+            self._vehicles_clock.hear(received.time_s, now_s)
+        return self._heard(message, state, now_s, for_us=received.destination in (self._settings.source_id, ANYONE))
 
     def _gives_leave(self, message: ImcMessage) -> bool:
-        """Whether this message would let us command, or go on. What ends control is believed from anyone."""
+        """Return whether this message would let us command, or go on. What ends control is believed from anyone."""
         match message:
             case imc.FollowRefState():
                 return message.control_src == self._settings.source_id and message.state != RefState.TIMEOUT
@@ -311,7 +311,7 @@ class ImcTalker:
         return False
 
     def _doubt(self, time_s: float, now_s: float) -> str:
-        """Why a packet that would let us command is not believed, "" if it is."""
+        """Return why a packet that would let us command is rejected, "" if it is accepted."""
         if not self._vehicles_clock.hear(time_s, now_s):
             why = "is not that of the vehicle's other messages"
         elif self._stage == "requested" and self._settings.own_plan and not self._vehicles_clock.is_after(time_s, self._requested_s):
@@ -319,7 +319,7 @@ class ImcTalker:
         else:
             return ""
         return (
-            f"it would let the payload command, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock is set "
+            f"it would grant control, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock is set "
             "and runs, and that nobody sends recorded messages."
         )
 
@@ -334,9 +334,9 @@ class ImcTalker:
             case imc.PlanControl() if for_us:
                 return self._answered(message)
             case imc.PlanControlState():
-                return self._plan_told(message, now_s)
+                return self._heard_plan(message, now_s)
             case imc.VehicleState():
-                return self._mode_told(message, now_s)
+                return self._heard_mode(message, now_s)
             case imc.MineContactTaken() if for_us:
                 return self._report_answered(message)
             case imc.Heartbeat() | imc.Announce():
@@ -363,8 +363,8 @@ class ImcTalker:
         ours = message.control_src == self._settings.source_id
         if not ours or message.state == RefState.TIMEOUT:
             self._followed_s = None
-            told = "the vehicle missed our references" if ours else f"the vehicle follows 0x{message.control_src:04X}"
-            return self._withheld(told) if self._stage == "granted" else []
+            reason = "the vehicle missed our references" if ours else f"the vehicle follows 0x{message.control_src:04X}"
+            return self._withheld(reason) if self._stage == "granted" else []
         self._followed_s = now_s
         if self._stage != "granted":
             return []
@@ -380,11 +380,17 @@ class ImcTalker:
         return [Granted("FollowReference runs for us")]
 
     def _arrival(self, message: imc.FollowRefState) -> list[VehicleEvent]:
-        """DUNE calls a place near from its own tolerance on, 15 m by default; on the way there it is not reached yet."""
-        goal, told = self._goal, message.reference
-        if goal is None or told is None or self._arrived or not told.flags & RefFlag.LOCATION or not message.proximity & Proximity.XY_NEAR:
+        """Report arrival. DUNE calls a place near within its own tolerance, 15 m by default, before it is reached."""
+        goal, reference = self._goal, message.reference
+        if (
+            goal is None
+            or reference is None
+            or self._arrived
+            or not reference.flags & RefFlag.LOCATION
+            or not message.proximity & Proximity.XY_NEAR
+        ):
             return []
-        offsets_rad = (told.lat - math.radians(goal.latitude_deg), told.lon - math.radians(goal.longitude_deg))
+        offsets_rad = (reference.lat - math.radians(goal.latitude_deg), reference.lon - math.radians(goal.longitude_deg))
         if not all(abs(offset) < _SAME_PLACE_RAD for offset in offsets_rad):
             return []  # of the place before
         distance_m = self._distance_m(goal)
@@ -395,35 +401,38 @@ class ImcTalker:
         return [PlaceReached()]
 
     def _distance_m(self, goal: GoTo) -> float:
-        """On a sphere, for some tens of metres; NaN if the vehicle's position is not known."""
+        """Return the distance on a sphere, for some tens of metres; NaN if the vehicle's position is not known."""
         latitude_deg, longitude_deg = self._position_deg
         north_rad = math.radians(goal.latitude_deg - latitude_deg)
         east_rad = math.radians(math.remainder(goal.longitude_deg - longitude_deg, 360.0)) * math.cos(math.radians(latitude_deg))
         return _EARTH_RADIUS_M * math.hypot(north_rad, east_rad)
 
-    def _plan_told(self, message: imc.PlanControlState, now_s: float) -> list[VehicleEvent]:
+    def _heard_plan(self, message: imc.PlanControlState, now_s: float) -> list[VehicleEvent]:
         running = message.state in (PlanState.INITIALIZING, PlanState.EXECUTING)
         ours = running and (message.plan_id == PLAN_ID or not self._settings.own_plan)
         unwanted = self._open and self._stage == "idle" and self._settings.own_plan
         if ours and unwanted and now_s >= self._stop_due_s:
-            self._stop("the payload does not ask for control", now_s)  # left from a release that was lost, or from an earlier run
+            self._stop("the payload does not request control", now_s)  # left from a release that was lost, or from an earlier run
         if ours:
             self._seen_plan = True
             return []
         return self._contradicted(f"plan {message.plan_id} runs" if running else "the plan has ended", self._seen_plan, now_s)
 
-    def _mode_told(self, message: imc.VehicleState, now_s: float) -> list[VehicleEvent]:
+    def _heard_mode(self, message: imc.VehicleState, now_s: float) -> list[VehicleEvent]:
         mode = message.op_mode
         if mode in (OpMode.ERROR, OpMode.EXTERNAL, OpMode.BOOT):
             return self._withheld(f"the vehicle is {_MODES[mode]}{message.last_error and f': {message.last_error}'}")
         if mode == OpMode.MANEUVER and message.maneuver_type == _FOLLOW_REFERENCE:
             self._seen_maneuver = True
             return []
-        told = _MODES.get(mode, f"in manoeuvre {message.maneuver_type}")
-        return self._contradicted(f"the vehicle is {told}", self._seen_maneuver, now_s)
+        activity = _MODES.get(mode, f"in manoeuvre {message.maneuver_type}")
+        return self._contradicted(f"the vehicle is {activity}", self._seen_maneuver, now_s)
 
     def _contradicted(self, reason: str, seen_otherwise: bool, now_s: float) -> list[VehicleEvent]:
-        """The vehicle tells of something else than our manoeuvre, perhaps of before it. seen_otherwise: it told of it since the grant."""
+        """Take a report that contradicts our manoeuvre, perhaps from before it.
+
+        seen_otherwise: our manoeuvre was reported since the grant.
+        """
         if self._followed_s is not None and now_s - self._followed_s >= _SETTLE_S:
             self._followed_s = None
         old_news = not seen_otherwise and now_s - self._granted_s < _SETTLE_S

@@ -1,8 +1,8 @@
-"""Iver Remote Helm of OceanServer/L3Harris: NMEA 0183 sentences on a serial line, 19200 baud.
+"""Talk to an Iver by Remote Helm of OceanServer/L3Harris: NMEA 0183 sentences on a serial line, 19200 baud.
 
-The vehicle is polled by `$OSD`; `$OSI` tells its state and `$C` its compass, `$OMS` steers it. There is no handshake: the vehicle's mode
-says whether it obeys, and a command is void after the time that it carries, so control is given back by saying nothing. Only depths
-can be commanded; an altitude becomes the depth of the sea floor below less the altitude.
+The vehicle is polled by `$OSD`; `$OSI` reports its state and `$C` its compass, `$OMS` steers it. There is no handshake:
+the vehicle's mode says whether it obeys, and a command is void after the time that it carries, so control is given back
+by saying nothing. Only depths can be commanded; an altitude becomes the depth of the sea floor below less the altitude.
 """
 
 from __future__ import annotations
@@ -38,11 +38,14 @@ _OBEYING: Final = frozenset("NAW")
 
 
 class IverTalker(AsciiTalker):
-    """Talks to an Iver under Remote Helm. Counts also iver.command_without_floor: altitudes that no depth could be made of."""
+    """Talk to an Iver under Remote Helm.
+
+    Counts also iver.command_without_floor: altitudes that no depth could be made of.
+    """
 
     def __init__(self, settings: IverSettings) -> None:
-        told = Capability.CONTACT | Capability.HEALTH if settings.contact_sentence else Capability(0)
-        super().__init__("iver", table_of(settings), Capability.NAVIGATION | Capability.STEERING | told)
+        optional = Capability.CONTACT | Capability.HEALTH if settings.contact_sentence else Capability(0)
+        super().__init__("iver", table_of(settings), Capability.NAVIGATION | Capability.STEERING | optional)
         self.command_period_s = min(1.0, settings.command_timeout_s / 4)
         self._settings = settings
         self._reports = PacedReports()
@@ -94,17 +97,17 @@ class IverTalker(AsciiTalker):
         self._order = None
 
     def _outgoing(self, now_s: float) -> list[bytes]:
-        said: list[Any] = []
+        records: list[Any] = []
         if self._order is not None:
-            said.append(self._order)
+            records.append(self._order)
             self._order = None
         if now_s >= self._poll_s:
             self._poll_s = now_s + self._settings.poll_s
-            said.append(IverPoll())
+            records.append(IverPoll())
         if self._settings.contact_sentence and now_s >= self._health_s:
             self._health_s = now_s + _HEALTH_EVERY_S
-            said.append(IverHealth(self._health_text()))
+            records.append(IverHealth(self._health_text()))
         report = self._reports.take(now_s)
         if report is not None:
-            said.append(IverContact(report))
-        return [line_of(self._table, record) for record in said]
+            records.append(IverContact(report))
+        return [line_of(self._table, record) for record in records]

@@ -1,8 +1,8 @@
-"""RECON, by which a payload steers a REMUS: text frames by UDP port 23456 both ways, or a serial line.
+"""Talk to a REMUS by RECON: text frames by UDP port 23456 both ways, or a serial line.
 
-`#S` tells the state, with a time of day in UTC. `#E,1` engages an override and `#E,0` ends it; `#C` sets its goals and `#V`,
-whose text is free and tells health here, keeps the connection alive while there are none. Only depths are commanded; an altitude becomes
-the depth of the sea floor below less the altitude.
+`#S` reports the state, with a time of day in UTC. `#E,1` engages an override and `#E,0` ends it; `#C` sets its goals
+and `#V`, whose text is free and reports health here, keeps the connection alive while there are none. Only depths are
+commanded; an altitude becomes the depth of the sea floor below less the altitude.
 """
 
 from __future__ import annotations
@@ -42,18 +42,19 @@ _ENGAGE_FOR_S: Final = 10.0
 
 
 class ReconTalker(AsciiTalker):
-    """Talks to a REMUS by RECON. Counts also recon.command_without_floor: altitudes that no depth could be made of.
+    """Talk to a REMUS by RECON. Counts also recon.command_without_floor: altitudes that no depth could be made of.
 
-    An override that is active while it was not asked for, as one left by a payload that died or whose end was lost, is ended.
+    An override that is active while it was not requested, as one left by a payload that died or whose end was lost, is
+    ended.
     """
 
     def __init__(self, settings: ReconSettings) -> None:
-        told = Capability.CONTACT if settings.contact_type else Capability(0)
-        super().__init__("recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | told)
+        optional = Capability.CONTACT if settings.contact_type else Capability(0)
+        super().__init__("recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | optional)
         self._reports_wanted = bool(settings.contact_type)
         self._reports = PacedReports()
         self._floor = FloorBelow()
-        self._orders: list[Any] = []  # to be said next, in this order
+        self._orders: list[Any] = []  # to be sent next, in this order
         self._asked_s = self._engage_s = self._alive_s = self._disengage_s = 0.0
 
     def report(self, report: ContactReport, ticket: int, now_s: float) -> None:
@@ -124,21 +125,21 @@ class ReconTalker(AsciiTalker):
     def _outgoing(self, now_s: float) -> list[bytes]:
         if self._wanted and not self._granted and now_s - self._asked_s >= _ENGAGE_FOR_S:
             self._later += self._end_of_control(f"no override within {_ENGAGE_FOR_S:.0f} s", now_s)
-        said, self._orders = self._orders, []
+        records, self._orders = self._orders, []
         if self._wanted and not self._granted and now_s >= self._engage_s:
             self._engage_s = now_s + _ENGAGE_EVERY_S
-            said += [ReconQuery("Depth"), ReconEngage("1")]  # a REMUS has been seen to heed nothing before it was asked something
+            records += [ReconQuery("Depth"), ReconEngage("1")]  # a REMUS has been seen to heed nothing before it was asked something
         if now_s >= self._alive_s:
             self._alive_s = now_s + _KEEP_ALIVE_S
-            said.append(ReconAlive(self._health_text()))
+            records.append(ReconAlive(self._health_text()))
         report = self._reports.take(now_s)
         if report is not None:
-            said.append(ReconContact(report))
-        return [frame(self._table.body_of(record)) for record in said]
+            records.append(ReconContact(report))
+        return [frame(self._table.body_of(record)) for record in records]
 
 
 def _why_not(mode: int) -> str:
-    """Why no override may be had in this mode; empty if it may."""
+    """Return why this mode allows no override; empty if it does."""
     if mode & _SHORE_POWER:
         return "the vehicle is on shore power"
     if mode & _NOT_ALLOWED:

@@ -1,4 +1,4 @@
-"""Runs a link and remembers what it told."""
+"""Run a link and record its reports."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ class Watch(Generic[T]):
     def __init__(self) -> None:
         self.items: list[T] = []
         self.stamps: list[Stamp] = []
-        self.told: list[tuple[LinkState, str]] = []
+        self.reports: list[tuple[LinkState, str]] = []
 
     @property
     def states(self) -> list[LinkState]:
-        return [state for state, _ in self.told]
+        return [state for state, _ in self.reports]
 
     @property
     def reason(self) -> str:
-        return self.told[-1][1]
+        return self.reports[-1][1]
 
     def on_data(self, item: T, stamp: Stamp) -> None:
         self.items.append(item)
         self.stamps.append(stamp)
 
     def on_state(self, state: LinkState, reason: str) -> None:
-        self.told.append((state, reason))
+        self.reports.append((state, reason))
 
 
 def watched_bytes(uri: str) -> tuple[Link[bytes], Watch[bytes]]:

@@ -95,7 +95,7 @@ def test_an_adapter_that_lost_power_behind_its_port_is_opened_again(tmp_path: Pa
     asyncio.run(scenario())
 
 
-def test_a_wrong_bit_rate_and_a_dead_adapter_are_told_apart(tmp_path: Path) -> None:
+def test_a_wrong_bit_rate_and_a_dead_adapter_are_distinguished(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with plugged_adapter(tmp_path, "&silent_s=0.1", bitrate=500000) as (port, adapter, link, watch):
             await adapter.send(POSITION)
@@ -108,7 +108,7 @@ def test_a_wrong_bit_rate_and_a_dead_adapter_are_told_apart(tmp_path: Path) -> N
     asyncio.run(scenario())
 
 
-def test_bytes_that_are_no_frames_are_told_as_such(tmp_path: Path) -> None:
+def test_bytes_that_are_no_frames_are_reported_as_such(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "tty", 115200)
         port.plug()
@@ -117,7 +117,7 @@ def test_bytes_that_are_no_frames_are_told_as_such(tmp_path: Path) -> None:
             while link.state != "silent":
                 await port.send(b"\x00\xfc\x80\r")
                 await asyncio.sleep(0.01)
-            assert "What comes is no frame and no answer: check that the adapter speaks slcan" in watch.reason
+            assert "What arrives is neither a frame nor an answer: check that the adapter speaks slcan" in watch.reason
         assert not watch.items
         port.unplug()
 
@@ -160,7 +160,7 @@ def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
 
 
 class DyingBus:
-    """A bus on a descriptor; every byte written to `far` makes it give the next thing planned, an error or a message."""
+    """Fake a bus on a descriptor; every byte written to `far` makes it give the next planned item, an error or a message."""
 
     def __init__(self, plan: list[can.Message | Exception]) -> None:
         self.near, self.far = socket.socketpair()
@@ -199,7 +199,7 @@ class DyingBus:
         (can.Message(is_error_frame=True, arbitration_id=0x40), "switched itself off after too many errors"),
     ],
 )
-def test_a_bus_that_dies_is_told_at_once_and_opened_again(end: can.Message | Exception, words: str) -> None:
+def test_a_bus_that_dies_is_reported_at_once_and_opened_again(end: can.Message | Exception, words: str) -> None:
     async def scenario() -> None:
         plans: list[list[Any]] = [
             [can.Message(arbitration_id=1), can.Message(is_error_frame=True, arbitration_id=0x4)],
@@ -215,7 +215,7 @@ def test_a_bus_that_dies_is_told_at_once_and_opened_again(end: can.Message | Exc
         async with running(link):
             await until(lambda: [frame.can_id for frame in watch.items][-1:] == [2])
             assert watch.states == ["up", "down", "up"]
-            assert words in watch.told[1][1]
+            assert words in watch.reports[1][1]
             assert not link.write(POSITION)
             assert link.counters["can.error_frames"] >= 1
         assert link.counters["link.lost"] == 1
@@ -223,11 +223,11 @@ def test_a_bus_that_dies_is_told_at_once_and_opened_again(end: can.Message | Exc
     asyncio.run(scenario())
 
 
-def test_an_interface_that_is_not_there_is_told() -> None:
+def test_an_interface_that_is_not_there_is_reported() -> None:
     async def scenario() -> None:
         link, watch = watched_can("socketcan://absent0")
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             assert watch.states == ["down"]
             assert "no such CAN interface" in watch.reason or "no SocketCAN" in watch.reason
 

@@ -119,7 +119,7 @@ def test_a_wire_that_brings_much_at_once_is_never_made_to_wait() -> None:
     run_in_loop_time(scenario)
 
 
-def test_a_hang_up_is_told_within_the_time_of_gathering_and_no_byte_before_it_is_lost() -> None:
+def test_a_hang_up_is_reported_within_the_time_of_gathering_and_no_byte_before_it_is_lost() -> None:
     async def scenario(loop: LoopTime) -> None:
         async with wired() as far:
             await far.send(b"a", b"b", apart_s=GATHER_S / 4)

@@ -52,7 +52,7 @@ def test_the_examples_in_messages_are_right(uri: str) -> None:
     ("uri", "words"),
     [
         ("", "empty"),
-        ("/dev/ttyUSB0", "what kind of link; known: serial:///"),
+        ("/dev/ttyUSB0", "the kind of link is missing; known: serial:///"),
         ("seriell:///dev/ttyUSB0", "unknown kind of link 'seriell'; known: serial:///"),
         ("serial:///dev/ttyUSB0", "baud is missing; add ?baud="),
         ("serial:///dev/ttyUSB0?baud=", "not a whole number"),
@@ -60,7 +60,7 @@ def test_the_examples_in_messages_are_right(uri: str) -> None:
         ("serial:///dev/ttyUSB0?baud=٩٦٠٠", "not a whole number"),
         ("serial:///dev/ttyUSB0?baud=96000", "baud=96000 is not a standard rate; near it are 38400, 57600, 115200"),
         ("serial:///dev/ttyUSB0?baud=9600&baud=4800", "given twice"),
-        ("serial:///dev/ttyUSB0?baud=9600&parity=even", "'parity' is no option of serial; it has baud, silent_s"),
+        ("serial:///dev/ttyUSB0?baud=9600&parity=even", "'parity' is not an option of serial; known options: baud, silent_s"),
         ("serial:///dev/ttyUSB0?921600", "not a URI"),
         ("serial://dev/ttyUSB0?baud=9600", "'dev' is read as a host; a path has three slashes"),
         ("serial:///?baud=9600", "device is missing"),
@@ -76,7 +76,7 @@ def test_the_examples_in_messages_are_right(uri: str) -> None:
         ("slcan:///dev/ttyACM0?bitrate=300000", "near it are 100000, 125000, 250000"),
         ("socketcan://", "not the name of a CAN interface"),
         ("socketcan:///can0", "'/can0' has no meaning here"),
-        ("socketcan://can0?bitrate=250000", "'bitrate' is no option of socketcan"),
+        ("socketcan://can0?bitrate=250000", "'bitrate' is not an option of socketcan"),
         ("socketcan://can0-with-a-very-long-name", "not the name of a CAN interface"),
         ("udp://:5000", "':5000' is not an address; write e.g. 0.0.0.0:5000"),
         ("udp://0.0.0.0", "without a port"),
@@ -89,7 +89,7 @@ def test_the_examples_in_messages_are_right(uri: str) -> None:
         ("tcp://192.168.2.92:51200/stream", "'/stream' has no meaning here"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place_and_a_way_out(uri: str, words: str) -> None:
+def test_what_is_wrong_is_reported_with_its_place_and_a_way_out(uri: str, words: str) -> None:
     with pytest.raises(UsageError) as raised:
         parse_link_uri(uri, "sonar.link")
     assert words in str(raised.value)
@@ -103,10 +103,10 @@ def _with_insert(uri: str, inserted: str, at: int) -> str:
 @given(st.text() | st.builds(_with_insert, st.sampled_from(EXAMPLES), st.text(max_size=8), st.integers(0, 40)))
 def test_nothing_but_a_usage_error_comes_of_any_text(text: str) -> None:
     try:
-        told = parse_link_uri(text, "sonar.link").place
+        reports = parse_link_uri(text, "sonar.link").place
     except UsageError as error:
-        told = str(error)
-    assert told.startswith(("sonar.link ", *(uri.partition("//")[0] for uri in EXAMPLES)))
+        reports = str(error)
+    assert reports.startswith(("sonar.link ", *(uri.partition("//")[0] for uri in EXAMPLES)))
 
 
 def test_every_rate_is_one_that_linux_knows() -> None:

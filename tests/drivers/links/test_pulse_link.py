@@ -1,4 +1,4 @@
-"""Pulses as the kernel tells them, from a kernel that is made up: there is none to be had on a bench."""
+"""Check pulses as the kernel stamps them, with a fake kernel: a bench has no source of pulses."""
 
 from __future__ import annotations
 
@@ -91,16 +91,16 @@ def test_edges_survive_packing_and_other_bytes_are_none() -> None:
     assert unpack_edge(b"") is unpack_edge(b"1234567") is unpack_edge(bytes(9)) is None
 
 
-def test_what_is_no_source_of_pulses_is_told(tmp_path: Path) -> None:
-    async def told(path: Path) -> str:
+def test_what_is_no_source_of_pulses_is_reported(tmp_path: Path) -> None:
+    async def reports(path: Path) -> str:
         link, watch = watched_bytes(f"pps://{path}")
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             return watch.reason
 
-    assert "no such device. ls /sys/class/pps" in asyncio.run(told(tmp_path / "pps0"))
+    assert "no such device. ls /sys/class/pps" in asyncio.run(reports(tmp_path / "pps0"))
     (tmp_path / "file").write_bytes(b"")
-    assert "no source of pulses" in asyncio.run(told(tmp_path / "file"))
+    assert "not a source of pulses" in asyncio.run(reports(tmp_path / "file"))
 
 
 def test_a_pulse_is_no_bus() -> None:

@@ -69,12 +69,12 @@ def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Path) ->
     asyncio.run(scenario())
 
 
-def test_an_unplugged_device_is_told_at_once_and_served_again_when_it_is_back(tmp_path: Path) -> None:
+def test_an_unplugged_device_is_reported_at_once_and_served_again_when_it_is_back(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "tty", BAUD)
         link, watch = link_at(port.path)
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             assert "no such device" in watch.reason
             for n in range(3):
                 port.plug()
@@ -96,7 +96,7 @@ def test_an_unplugged_device_is_told_at_once_and_served_again_when_it_is_back(tm
     asyncio.run(scenario())
 
 
-def test_an_unplugged_device_is_told_once_and_again_only_if_what_comes_back_cannot_be_opened(tmp_path: Path) -> None:
+def test_an_unplugged_device_is_reported_once_and_again_only_if_what_comes_back_cannot_be_opened(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with plugged(tmp_path) as (port, link, watch):
             port.unplug()
@@ -104,7 +104,7 @@ def test_an_unplugged_device_is_told_once_and_again_only_if_what_comes_back_cann
             await asyncio.sleep(0.2)
             assert watch.states == ["up", "down"]
             port.path.write_bytes(b"no port")
-            await until(lambda: len(watch.told) == 3)
+            await until(lambda: len(watch.reports) == 3)
             assert "cannot be used as a serial port" in watch.reason
             port.path.unlink()
             port.plug()
@@ -117,7 +117,7 @@ def test_a_link_without_its_device_looks_for_it_50_times_a_second_and_tries_noth
     async def scenario(loop: LoopTime) -> None:
         link, watch = link_at(tmp_path / "absent")
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             n_before = loop.n_wake_ups
             await asyncio.sleep(10.0)
             # To be woken takes a turn for the timer and one for the task.
@@ -127,7 +127,7 @@ def test_a_link_without_its_device_looks_for_it_50_times_a_second_and_tries_noth
     run_in_loop_time(scenario)
 
 
-def test_a_cable_that_fails_without_a_word_is_told_as_silent(tmp_path: Path) -> None:
+def test_a_cable_that_fails_without_a_word_is_reported_as_silent(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with plugged(tmp_path, "&silent_s=0.05") as (port, link, watch):
             port.stalled = True
@@ -139,7 +139,7 @@ def test_a_cable_that_fails_without_a_word_is_told_as_silent(tmp_path: Path) -> 
             port.stalled = False
             await port.send(b"again")
             await until(lambda: watch.items)
-        assert watch.states[:3] == ["up", "silent", "up"], "told once however long it lasts"
+        assert watch.states[:3] == ["up", "silent", "up"], "reported once however long it lasts"
         assert link.counters["link.opened"] == 1
 
     asyncio.run(scenario())
@@ -285,7 +285,7 @@ def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.L
     assert len([record for record in caplog.records if "a receiver failed" in record.message]) == 1
 
 
-def test_a_port_in_use_is_told_with_a_way_to_find_who_uses_it(tmp_path: Path) -> None:
+def test_a_port_in_use_is_reported_with_a_way_to_find_who_uses_it(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "tty", BAUD)
         port.plug()
@@ -293,37 +293,37 @@ def test_a_port_in_use_is_told_with_a_way_to_find_who_uses_it(tmp_path: Path) ->
         fcntl.flock(other, fcntl.LOCK_EX)
         link, watch = link_at(port.path)
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             assert watch.states == ["down"]
             assert watch.reason == f"{port.path}: in use by another program. Stop that one: fuser -v {port.path} shows which it is."
             os.close(other)
             await until(lambda: link.state == "up")
             second, second_watch = link_at(port.path)
             async with running(second):
-                await until(lambda: second_watch.told)
+                await until(lambda: second_watch.reports)
                 assert "in use" in second_watch.reason
         port.unplug()
 
     asyncio.run(scenario())
 
 
-def told_for(path: Path) -> str:
+def reason_for(path: Path) -> str:
     """What a link says first about a path."""
 
     async def scenario() -> str:
         link, watch = link_at(path)
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             return watch.reason
 
     return asyncio.run(scenario())
 
 
-def test_a_path_that_is_not_a_serial_port_is_told(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_serial_port_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a port")
-    assert "cannot be used as a serial port" in told_for(tmp_path / "file")
-    assert "cannot be used as a serial port" in told_for(tmp_path)
-    assert "no such device" in told_for(tmp_path / "absent")
+    assert "cannot be used as a serial port" in reason_for(tmp_path / "file")
+    assert "cannot be used as a serial port" in reason_for(tmp_path)
+    assert "no such device" in reason_for(tmp_path / "absent")
 
 
 @pytest.mark.parametrize(
@@ -335,18 +335,18 @@ def test_a_path_that_is_not_a_serial_port_is_told(tmp_path: Path) -> None:
         (ValueError("Failed to set custom baud rate"), "cannot be used"),
     ],
 )
-def test_whatever_opening_a_port_raises_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception, words: str) -> None:
+def test_whatever_opening_a_port_raises_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception, words: str) -> None:
     def fail(self: serial.Serial) -> None:
         raise error
 
     monkeypatch.setattr(serial.Serial, "open", fail)
-    assert words in told_for(tmp_path / "tty")
+    assert words in reason_for(tmp_path / "tty")
 
 
-def test_a_rate_that_the_port_silently_does_not_take_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rate_that_the_port_silently_does_not_take_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = os.openpty()
     monkeypatch.setattr(serial.Serial, "_reconfigure_port", lambda self, force_update=False: None)  # leaves the rate as it is
-    assert f"does not take {BAUD} baud" in told_for(Path(os.ttyname(slave)))
+    assert f"does not take {BAUD} baud" in reason_for(Path(os.ttyname(slave)))
     os.close(master)
     os.close(slave)
 

@@ -129,7 +129,7 @@ def test_a_frame_that_lost_a_character_is_not_taken_for_another() -> None:
     assert parsed(b"T9F801038406DAB1CC0B9DA06\r")[0] == []
 
 
-def test_answers_and_refusals_of_the_adapter_are_told_apart_from_frames() -> None:
+def test_answers_and_refusals_of_the_adapter_are_distinguished_from_frames() -> None:
     found, counters = parsed(b"\r\r\az\rZ\rV1013\rNF4KE\rF80\r\ar1232\rR000001230\r" + encode(POSITION))
     assert found == [POSITION]
     assert counters == {"slcan.answers": 7, "slcan.refusals": 2, "slcan.remote": 2, "slcan.frames": 1}

@@ -31,7 +31,7 @@ def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:
 
 
 @pytest.mark.parametrize("reset", [False, True])
-def test_a_lost_connection_is_told_and_made_again(reset: bool) -> None:
+def test_a_lost_connection_is_reported_and_made_again(reset: bool) -> None:
     async def scenario() -> None:
         server = FakeTcpServer()
         await server.start()
@@ -64,7 +64,7 @@ def test_a_connection_that_died_without_a_word_is_made_anew() -> None:
             server.stalled = True
             await server.send(b"lost")
             await until(lambda: server.counters["tcp.connections"] >= 3)
-            assert any("taken for dead" in reason for _, reason in watch.told)
+            assert any("taken for dead" in reason for _, reason in watch.reports)
             server.stalled = False
             while not watch.items:
                 await server.send(b"heard")
@@ -98,13 +98,13 @@ def first_reason(uri: str) -> str:
     async def scenario() -> str:
         link, watch = watched_bytes(uri)
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             return watch.reason
 
     return asyncio.run(scenario())
 
 
-def test_who_is_not_there_is_told() -> None:
+def test_who_is_not_there_is_reported() -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
@@ -114,7 +114,7 @@ def test_who_is_not_there_is_told() -> None:
     assert "cannot be reached" in first_reason("tcp://255.255.255.255:5000")
 
 
-def test_a_host_that_nobody_knows_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_that_nobody_knows_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "host 'a..b' is unknown" in first_reason("tcp://a..b:5000")
 
     known = socket.getaddrinfo

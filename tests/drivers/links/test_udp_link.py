@@ -81,11 +81,11 @@ def test_a_datagram_too_long_to_send_is_refused() -> None:
     asyncio.run(scenario())
 
 
-def test_ports_and_addresses_that_cannot_be_had_are_told() -> None:
+def test_ports_and_addresses_that_cannot_be_used_are_reported() -> None:
     async def first_reason(uri: str) -> str:
         link, watch = watched_bytes(uri)
         async with running(link):
-            await until(lambda: watch.told)
+            await until(lambda: watch.reports)
             return watch.reason
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:

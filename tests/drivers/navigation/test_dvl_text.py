@@ -141,7 +141,7 @@ def test_implausible_lines_are_refused_and_counted(line: bytes) -> None:
     assert unit.counters["pd6.implausible"] == 1
 
 
-def test_a_wrz_tells_velocity_altitude_and_how_old_it_is() -> None:
+def test_a_wrz_gives_velocity_altitude_and_how_old_it_is() -> None:
     [fix] = fed(wl.WaterLinkedUnit("dvl"), [WRZ])
     assert fix.speed_mps == pytest.approx(math.hypot(0.12, 0.4))
     assert fix.drift_rad == pytest.approx(math.atan2(-0.4, 0.12))
@@ -150,7 +150,7 @@ def test_a_wrz_tells_velocity_altitude_and_how_old_it_is() -> None:
     assert fix.age_s == pytest.approx(7e-6)
 
 
-def test_a_wrz_without_lock_tells_nothing() -> None:
+def test_a_wrz_without_lock_gives_nothing() -> None:
     unit = wl.WaterLinkedUnit("dvl")
     lost = wl.Velocity(0.0, 0.0, 0.0, False, -1.0, 0.0, (0.0,) * 9, 1_700_000_000_000_000, 1_700_000_000_150_000, 100.0, 0)
     [fix] = fed(unit, [wl.message_of(lost)])
@@ -161,7 +161,7 @@ def test_a_wrz_without_lock_tells_nothing() -> None:
     assert unit.counters["water_linked.no_bottom_lock"] == 1
 
 
-def test_wru_is_known_but_tells_no_navigation() -> None:
+def test_wru_is_known_but_gives_no_navigation() -> None:
     unit = wl.WaterLinkedUnit("dvl")
     assert fed(unit, [WRU]) == []
     assert unit.counters["water_linked.ignored"] == 1

@@ -75,7 +75,7 @@ def test_another_decoder_sees_the_same_numbers(made: n2k.Record) -> None:
             assert their_value == pytest.approx(value, rel=1e-6, abs=1e-7)
 
 
-def test_the_identifier_tells_group_and_source() -> None:
+def test_the_identifier_gives_group_and_source() -> None:
     assert n2k.identifier_of(0x09F80103) == (2, 129025, 255, 3)
     assert n2k.identifier_of(0x18EAFF09) == (6, 59904, 255, 9)
     assert n2k.identifier_of(0x1DEF0123) == (7, 126720, 1, 0x23)
@@ -113,7 +113,7 @@ def test_too_short_messages_are_refused(made: n2k.Record) -> None:
 
 
 @pytest.mark.parametrize(
-    ("made", "told"),
+    ("made", "reported"),
     [
         (n2k.Heading(1.0, 1.2, NAN, NAN, 0.0), {"heading_rad": 1.2}),
         (n2k.Heading(1.0, 6.2, 0.01, 0.1, 1.0), {"heading_rad": 6.31 - 2 * math.pi}),
@@ -129,12 +129,12 @@ def test_too_short_messages_are_refused(made: n2k.Record) -> None:
         (n2k.SystemTime(1.0, 0.0, 19_675.0, 80_000.25), {"time_utc_s": 1_700_000_000.25}),
     ],
 )
-def test_messages_tell(made: n2k.Record, told: dict[str, float]) -> None:
+def test_messages_give_fields(made: n2k.Record, reported: dict[str, float]) -> None:
     [fix] = sent(N2kBus("can"), made)
     names = ("time_utc_s", *NavFix.__struct_fields__[7:])
     found = {name: getattr(fix, name) for name in names if isinstance(getattr(fix, name), float) and not math.isnan(getattr(fix, name))}
-    assert found == pytest.approx(told, rel=1e-9)
-    assert fix.valid == bool(told)
+    assert found == pytest.approx(reported, rel=1e-9)
+    assert fix.valid == bool(reported)
 
 
 def test_a_magnetic_heading_needs_a_variation() -> None:
@@ -156,7 +156,7 @@ def test_a_unit_that_sends_a_heading_is_not_heard_again_through_its_yaw() -> Non
 
 
 @pytest.mark.parametrize("method", [0.0, 7.0, 8.0, NAN])
-def test_a_receiver_without_a_fix_tells_no_place_in_its_other_messages_either(method: float) -> None:
+def test_a_receiver_without_a_fix_gives_no_place_in_its_other_messages_either(method: float) -> None:
     bus = N2kBus("can")
     place = n2k.RapidPosition(48.0, 11.0)
     assert sent(bus, place)[0].valid

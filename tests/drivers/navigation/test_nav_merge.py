@@ -36,8 +36,8 @@ def place(east_m: float, north_m: float) -> dict[str, float]:
     return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
 
 
-def fix(source: str, seconds: float, **told: Any) -> NavFix:
-    return NavFix(source=source, received=at(seconds), **told)
+def fix(source: str, seconds: float, **reported: Any) -> NavFix:
+    return NavFix(source=source, received=at(seconds), **reported)
 
 
 def merge(recover_s: float = 5.0, **units: NavUnitSettings) -> NavMerge:
@@ -116,9 +116,9 @@ def test_one_unit_goes_through_as_it_is() -> None:
 @pytest.mark.parametrize(("field", "offset_deg"), [("heading", 10.0), ("pitch", -3.0), ("roll", 180.0)])
 def test_signs_come_before_offsets(field: str, sign: int, offset_deg: float) -> None:
     unit = NavUnitSettings(**{f"{field}_sign": sign, f"{field}_offset_deg": offset_deg})  # type: ignore[arg-type]  # by name
-    told = {"heading_rad": 0.3, "pitch_rad": 0.2, "roll_rad": 0.1}
-    [sample], _ = run(merge(u=unit), [fix("u", 0.0, **told)])
-    for name, value in told.items():
+    reported = {"heading_rad": 0.3, "pitch_rad": 0.2, "roll_rad": 0.1}
+    [sample], _ = run(merge(u=unit), [fix("u", 0.0, **reported)])
+    for name, value in reported.items():
         expected = sign * value + math.radians(offset_deg) if name == f"{field}_rad" else value
         expected = expected % (2 * math.pi) if name == "heading_rad" else expected
         assert getattr(sample, name) == pytest.approx(expected)
@@ -131,8 +131,8 @@ def test_a_lever_arm_is_taken_off_with_heading_and_attitude() -> None:
     roll_matrix = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
     north, east, down = yaw_matrix @ pitch_matrix @ roll_matrix @ np.array(arm)
     assert arm_north_east_down(arm, heading, pitch, roll) == pytest.approx((north, east, down))
-    told = {"heading_rad": heading, "pitch_rad": pitch, "roll_rad": roll, "depth_m": 10.0, "altitude_m": 5.0, **place(0.0, 0.0)}
-    samples, _ = run(merge(u=NavUnitSettings(lever_arm_m=arm)), [fix("u", 0.0, **told)])
+    reported = {"heading_rad": heading, "pitch_rad": pitch, "roll_rad": roll, "depth_m": 10.0, "altitude_m": 5.0, **place(0.0, 0.0)}
+    samples, _ = run(merge(u=NavUnitSettings(lever_arm_m=arm)), [fix("u", 0.0, **reported)])
     assert track(samples)[0][1:] == pytest.approx((-east, -north), abs=1e-6)
     assert samples[0].depth_m == pytest.approx(10.0 - down)
     assert samples[0].altitude_m == pytest.approx(5.0 + down)
@@ -150,8 +150,8 @@ def test_steps_on_the_ellipsoid_are_those_of_the_local_frame(
 
 def test_impossible_values_are_refused_and_counted() -> None:
     merged = merge(u=NavUnitSettings())
-    told = {"heading_rad": 9.0, "pitch_rad": 2.0, "roll_rad": 0.0, "depth_m": 1e6, "altitude_m": -1.0, "speed_mps": 99.0}
-    samples, _ = run(merged, [fix("u", 0.0, latitude_deg=0.0, longitude_deg=0.0, **told)])
+    reported = {"heading_rad": 9.0, "pitch_rad": 2.0, "roll_rad": 0.0, "depth_m": 1e6, "altitude_m": -1.0, "speed_mps": 99.0}
+    samples, _ = run(merged, [fix("u", 0.0, latitude_deg=0.0, longitude_deg=0.0, **reported)])
     assert samples == []
     assert merged.counters == {f"nav.impossible.{quantity}.u": 1 for quantity in QUANTITIES}
 
@@ -181,8 +181,8 @@ def test_a_better_unit_that_starts_soon_after_another_serves_at_once(first_s: fl
     samples, notices = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
     changed_s = next(seconds(sample) for sample in samples if sample.heading_rad == 1.0)
     assert changed_s == pytest.approx(taken_s, abs=0.11)
-    told = [notice for notice in notices if notice.text.startswith("heading is taken from 'good'")]
-    assert len(told) == (taken_s > first_s), "that units start one after the other is no news"
+    reported = [notice for notice in notices if notice.text.startswith("heading is taken from 'good'")]
+    assert len(reported) == (taken_s > first_s), "that units start one after the other is no news"
     assert {sample.heading_rad for sample in samples if seconds(sample) > changed_s + 0.01 and seconds(sample) < first_s + 9.0} == {1.0}
 
 
@@ -201,7 +201,7 @@ def test_a_loose_contact_does_not_make_units_alternate() -> None:
     assert len(notices) == 1
 
 
-def test_a_lost_quantity_is_told_once_and_its_return_too() -> None:
+def test_a_lost_quantity_is_reported_once_and_its_return_too() -> None:
     merged = merge(u=NavUnitSettings())
     events = [*merged.feed(fix("u", 0.0, depth_m=1.0))]
     for t in range(1, 10):
@@ -332,7 +332,7 @@ def test_a_wrong_first_position_and_two_places_in_turn_do_not_silence_a_unit() -
     assert east <= {0, 1100}
 
 
-def test_the_sigma_of_reckoned_positions_grows_and_steps_are_told() -> None:
+def test_the_sigma_of_reckoned_positions_grows_and_steps_are_reported() -> None:
     merged = merge(gps=GPS, dvl=NavUnitSettings(delivers=("heading", "speed"), heading_sigma_deg=5.0))
     merged.feed(fix("gps", 0.0, position_sigma_m=1.0, **place(0.0, 0.0)))
     sigma, notices = [], []
@@ -356,7 +356,7 @@ def test_without_heading_or_speed_no_position_is_made_up(silent: str) -> None:
     assert {"nav_dead_reckoning", "nav_quantity_lost", "nav_position_lost"} == {notice.code for notice in notices}
 
 
-def test_silence_of_everything_is_told_by_time_alone() -> None:
+def test_silence_of_everything_is_reported_by_time_alone() -> None:
     merged = merge(ins=NavUnitSettings())
     merged.feed(fix("ins", 0.0, **place(0.0, 0.0)))
     events = [event for t in range(1, 20) for event in merged.advance(at(float(t)))]
@@ -373,7 +373,7 @@ def test_silence_of_everything_is_told_by_time_alone() -> None:
         ("position", place(0.0, 0.0), place(60.0, 0.0)),
     ],
 )
-def test_units_that_disagree_are_told_once(quantity: Quantity, one: dict[str, float], other: dict[str, float]) -> None:
+def test_units_that_disagree_are_reported_once(quantity: Quantity, one: dict[str, float], other: dict[str, float]) -> None:
     merged = merge(a=NavUnitSettings(priority=1), b=NavUnitSettings(priority=2))
     fixes = [fix("a", t * 0.1, **one) for t in range(50)] + [fix("b", t * 0.1 + 0.01, **other) for t in range(50)]
     _, notices = run(merged, fixes)
@@ -383,7 +383,7 @@ def test_units_that_disagree_are_told_once(quantity: Quantity, one: dict[str, fl
     assert merged.counters[f"nav.disagree.{quantity}.b"] == 50
 
 
-def test_units_that_agree_within_their_errors_are_not_told() -> None:
+def test_units_that_agree_within_their_errors_are_not_reported() -> None:
     merged = merge(a=NavUnitSettings(priority=1), b=NavUnitSettings(priority=2))
     fixes = [fix("a", t * 0.1, heading_rad=6.27, depth_m=10.0, **place(0.0, 0.0)) for t in range(50)]
     fixes += [fix("b", t * 0.1 + 0.01, heading_rad=0.02, depth_m=10.5, **place(4.0, 4.0)) for t in range(50)]
@@ -422,7 +422,7 @@ def test_the_units_clock_takes_the_links_delays_off() -> None:
     assert np.std(arrived_s - sent_s) > 0.02
 
 
-def test_a_units_clock_that_is_set_is_told_and_moves_no_sample() -> None:
+def test_a_units_clock_that_is_set_is_reported_and_moves_no_sample() -> None:
     fixes = [fix("ins", t * 0.1, time_utc_s=5e8 + t * 0.1 + (3600.0 if t >= 100 else 0.0), heading_rad=1.0) for t in range(200)]
     merged = merge(ins=NavUnitSettings(use_unit_time=True))
     samples, notices = run(merged, fixes)
@@ -436,7 +436,7 @@ def test_units_of_one_bus_share_its_settings_unless_they_have_their_own() -> Non
     assert settings.unit("other.35") is None
 
 
-def test_units_without_settings_are_told_once_and_not_used() -> None:
+def test_units_without_settings_are_reported_once_and_not_used() -> None:
     merged = merge(u=NavUnitSettings())
     samples, notices = run(merged, [fix(f"x.{t % 100}", t * 0.1, heading_rad=1.0) for t in range(500)])
     assert samples == []
@@ -446,7 +446,7 @@ def test_units_without_settings_are_told_once_and_not_used() -> None:
 
 ANY_NUMBER = st.one_of(st.floats(-7.0, 7.0), st.floats(allow_nan=False))
 ANY_FIX = st.builds(
-    lambda source, received, utc_s, told: NavFix(source=source, received=received, time_utc_s=utc_s, **told),
+    lambda source, received, utc_s, reported: NavFix(source=source, received=received, time_utc_s=utc_s, **reported),
     st.sampled_from(["gps", "dvl", "ins", "who"]),
     st.builds(Stamp, st.integers(0, 10**11), st.integers(0, 2 * 10**18)),
     st.one_of(st.none(), st.floats(0, 2e9)),

@@ -1,4 +1,4 @@
-"""Every navigation protocol has a decoder by name, and all of them keep the seam."""
+"""Check that every navigation protocol has a decoder by name, and that all of them keep the interface."""
 
 from __future__ import annotations
 

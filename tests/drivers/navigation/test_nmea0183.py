@@ -103,7 +103,7 @@ def read(data: bytes, stamp: Stamp = T0) -> list[NavFix]:
     return unit.feed(data, stamp) + unit.finish()
 
 
-def told(fix: NavFix) -> dict[str, Any]:
+def fields_of(fix: NavFix) -> dict[str, Any]:
     """What a fix says of the vehicle, without what it does not say."""
     fields = {name: getattr(fix, name) for name in fix.__struct_fields__[3:]}
     return {
@@ -147,7 +147,7 @@ def test_another_reader_sees_the_same_numbers(record: Record) -> None:
     if isinstance(record, PixseAttitudeSigma | PixsePositionSigma | PixseSpeedSigma):
         return
     if isinstance(record, Pashr) and math.isnan(record.time_of_day_s):
-        return  # it tells the kinds of PASHR apart by the first character of the time
+        return  # it distinguishes the kinds of PASHR by the first character of the time
     message = pynmeagps.NMEAReader.parse(sentence(body_of(record)))
     degrees = {name: math.degrees(value) for name, value in record._asdict().items() if name.endswith("_rad")}
     mine = record._asdict() | degrees
@@ -192,9 +192,9 @@ def test_recorded_phins_sentences_are_written_as_they_were(line: bytes) -> None:
     assert sentence(body_of(record)) == line + b"\r\n"
 
 
-def test_a_gga_tells_place_and_time() -> None:
+def test_a_gga_gives_place_and_time() -> None:
     [fix] = read(closed(GGA), Stamp(0, 1_699_964_000_000_000_000))  # 12:13:20 on 2023-11-14
-    assert told(fix) == pytest.approx(
+    assert fields_of(fix) == pytest.approx(
         {"time_utc_s": 1_699_920_000 + 12 * 3600 + 35 * 60 + 19.25, "latitude_deg": 48.1173, "longitude_deg": -11 - 31 / 60}, rel=1e-11
     )
     assert fix.valid
@@ -202,7 +202,7 @@ def test_a_gga_tells_place_and_time() -> None:
 
 
 @pytest.mark.parametrize("quality", [b"0", b"7", b"8", b""])
-def test_a_gga_without_a_measured_place_tells_none(quality: bytes) -> None:
+def test_a_gga_without_a_measured_place_gives_none(quality: bytes) -> None:
     [fix] = read(closed(GGA.replace(b",1,08", b"," + quality + b",08")))
     assert not fix.valid
     assert math.isnan(fix.latitude_deg)
@@ -213,7 +213,7 @@ def test_estimated_places_say_so() -> None:
     assert read(sentence("GPRMC,081836,A,3751.65,S,14507.36,E,2.0,180.0,130998,,,E"))[0].estimated
 
 
-def test_an_rmc_tells_speed_course_and_the_date_that_other_sentences_lack() -> None:
+def test_an_rmc_gives_speed_course_and_the_date_that_other_sentences_lack() -> None:
     rmc, gga = read(
         sentence("GPRMC,235958,A,3751.65,S,14507.36,E,2.0,180.0,130998,011.3,E") + sentence("GPGGA,000001,3751.65,S,14507.36,E,1,,,,M,,M,,")
     )
@@ -243,15 +243,15 @@ def test_a_time_of_day_is_put_on_the_day_nearest_to_this_computers_clock(host_s:
         ("SDDBT,41.01,f,,M,,F", {"altitude_m": 12.499848}),
         ("SDDPT,0.0,0.0,", {}),
         ("PRDID,-1.5,2.5,90.0", {"pitch_rad": math.radians(-1.5), "roll_rad": math.radians(2.5), "heading_rad": math.pi / 2}),
-        ("GPZDA,000010.5,15,11,2023,00,00", {"time_utc_s": 1_700_006_410.5, "tells_utc": True}),
+        ("GPZDA,000010.5,15,11,2023,00,00", {"time_utc_s": 1_700_006_410.5, "is_time_message": True}),
         ("GPZDA,000010.5,,,,00,", {"time_utc_s": 1_700_006_410.5}),
         ("GPGLL,6005.071,N,02332.346,E,,A,D", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
         ("GPGLL,6005.071,N,02332.346,E,,V,N", {}),
     ],
 )
-def test_sentences_tell(body: str, expected: dict[str, float]) -> None:
+def test_sentences_give_fields(body: str, expected: dict[str, float]) -> None:
     [fix] = read(sentence(body), Stamp(0, 1_700_006_400_000_000_000))
-    assert told(fix) == pytest.approx(expected, rel=1e-11)
+    assert fields_of(fix) == pytest.approx(expected, rel=1e-11)
     assert fix.valid == bool(expected)
 
 
@@ -361,9 +361,9 @@ def test_every_intact_sentence_is_read_whatever_is_around_it(data: st.DataObject
 @given(data=st.data())
 def test_chunks_make_no_difference(data: st.DataObject) -> None:
     stream = b"".join(piece for piece, _ in data.draw(pieces(STREAM, b"$!*\r\n,\xff")))
-    whole = [told(fix) for fix in fed(NmeaUnit("n"), [stream])]
-    assert [told(fix) for fix in fed(NmeaUnit("n"), data.draw(chunks_of(stream)))] == whole
-    assert [told(fix) for fix in fed(NmeaUnit("n"), [stream[i : i + 1] for i in range(len(stream))])] == whole
+    whole = [fields_of(fix) for fix in fed(NmeaUnit("n"), [stream])]
+    assert [fields_of(fix) for fix in fed(NmeaUnit("n"), data.draw(chunks_of(stream)))] == whole
+    assert [fields_of(fix) for fix in fed(NmeaUnit("n"), [stream[i : i + 1] for i in range(len(stream))])] == whole
 
 
 @given(

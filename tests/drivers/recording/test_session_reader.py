@@ -117,7 +117,7 @@ def test_no_damage_makes_up_data_or_a_traceback(
     assert session.notices or read == chunks[: len(read)]
 
 
-def test_a_damaged_chunk_costs_that_chunk_and_is_told(
+def test_a_damaged_chunk_costs_that_chunk_and_is_reported(
     tmp_path: Path, long_file: tuple[bytes, list[Recorded], list[tuple[int, int]]]
 ) -> None:
     data, chunks, durable = long_file
@@ -130,7 +130,7 @@ def test_a_damaged_chunk_costs_that_chunk_and_is_told(
     assert [notice.code for notice in session.notices] == ["session_chunk_damaged", "session_messages_missing"]
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     chunks = traffic(1, 200)
     write_session(tmp_path, chunks, per_flush=9, file_bytes=4000)
     (tmp_path / file_name(1)).unlink()

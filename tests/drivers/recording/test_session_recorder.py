@@ -109,7 +109,7 @@ def test_a_reserve_of_the_disk_is_kept(tmp_path: Path) -> None:
     assert "kept for others" in notice.text
 
 
-def test_a_disk_that_is_full_from_the_start_is_told(tmp_path: Path) -> None:
+def test_a_disk_that_is_full_from_the_start_is_reported(tmp_path: Path) -> None:
     recorder = SessionRecorder(tmp_path, description(), free_bytes=lambda folder: 0)
     recorder.record("gps", "in", Stamp(1, 1), b"abc")
     recorder.close()
@@ -174,17 +174,17 @@ def test_a_killed_process_leaves_all_that_it_called_recorded(tmp_path: Path, n_s
         [sys.executable, "-c", RECORD_FOR_EVER, str(tmp_path), str(Path(__file__).resolve().parents[3])], stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
-    n_told = 0
+    n_reported = 0
     for n_lines, line in enumerate(process.stdout):
-        n_told = int(line)
+        n_reported = int(line)
         if n_lines >= n_seen:
             break
     process.send_signal(signal.SIGKILL)
-    n_told = max([n_told, *(int(line) for line in process.stdout.read().splitlines())])
+    n_reported = max([n_reported, *(int(line) for line in process.stdout.read().splitlines())])
     process.stdout.close()
     process.wait()
     read = list(session := Session(tmp_path))
-    assert len(read) >= n_told
+    assert len(read) >= n_reported
     assert read == traffic(1, 5_000)[: len(read)]
     assert not session.counters["session.messages_missing"]
     assert file_name(0) in {path.name for path in session.sizes_bytes}

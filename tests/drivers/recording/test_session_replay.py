@@ -18,7 +18,7 @@ from tests.drivers.recording.session_samples import description, traffic, write_
 
 
 class WholeStory:
-    """An intake that tells everything it was fed: bytes, how they were cut up, and stamps."""
+    """Fake an intake that records everything it was fed: bytes, how they were cut up, and stamps."""
 
     def __init__(self) -> None:
         self.counters: Counter[str] = Counter()
@@ -45,7 +45,7 @@ def test_a_replay_feeds_the_same_bytes_with_the_same_stamps(tmp_path: Path) -> N
         assert log.bytes_read == sum(log.sizes_bytes.values())
 
 
-def test_a_cut_off_session_is_replayed_to_its_end_and_told(tmp_path: Path) -> None:
+def test_a_cut_off_session_is_replayed_to_its_end_and_reported(tmp_path: Path) -> None:
     write_session(tmp_path, chunks := traffic(4, 100), per_flush=20)
     path = tmp_path / file_name(0)
     path.write_bytes(path.read_bytes()[:4000])
@@ -70,7 +70,7 @@ def test_a_configuration_of_another_version_is_refused_in_words(tmp_path: Path) 
         recorded_config(session)
 
 
-def test_sessions_are_told_from_other_files(tmp_path: Path) -> None:
+def test_sessions_are_distinguished_from_other_files(tmp_path: Path) -> None:
     assert not is_session(tmp_path)
     assert not is_session(tmp_path / "nowhere")
     (tmp_path / "log.xtf").write_bytes(b"\x7b" * 1024)

@@ -105,9 +105,9 @@ def test_no_value_may_end_the_command() -> None:
 
 def test_settings_become_one_command_per_ping() -> None:
     (wire,) = commands(SonarSettings(range_m=60.0, gain=12))
-    told = decode_command(wire)
-    assert told is not None
-    assert (told.range_m, told.gain_db) == (60, 12)
+    reported = decode_command(wire)
+    assert reported is not None
+    assert (reported.range_m, reported.gain_db) == (60, 12)
     assert commands(SonarSettings(range_m=60.0, enabled=False)) == ()
 
 

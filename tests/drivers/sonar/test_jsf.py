@@ -102,9 +102,9 @@ def header(**changes: Any) -> SideScanHeader:
 
 
 def side(channel: int, values: Any = (100, 200, 300), *, subsystem: int = 21, **changes: Any) -> bytes:
-    told = header(**changes)
-    envelope = told.data_format == DataFormat.ENVELOPE
-    data = SideScanData(told, np.array(values, dtype=np.uint16) if envelope else np.array(values, dtype=np.int16))
+    reported = header(**changes)
+    envelope = reported.data_format == DataFormat.ENVELOPE
+    data = SideScanData(reported, np.array(values, dtype=np.uint16) if envelope else np.array(values, dtype=np.int16))
     return encode_data(data, subsystem, channel)
 
 
@@ -125,11 +125,11 @@ def test_every_field_stands_where_the_description_has_it() -> None:
     body[34:36], wanted["data_format"] = bytes(2), 0
     body[16:18], wanted["msb"] = b"\x21\xa0", 0xA021  # no high bits of the number of samples, so that it stays small
     body[114:116], wanted["samples_low"] = b"\x05\x00", 5
-    told = decode_data(bytes(body) + np.arange(5, dtype="<u2").tobytes())
-    assert told is not None
-    assert told.header._asdict() == wanted
-    assert told.values.tolist() == [0, 1, 2, 3, 4]
-    message = read(encode_data(told, subsystem=20, channel=1, sequence=9))
+    reported = decode_data(bytes(body) + np.arange(5, dtype="<u2").tobytes())
+    assert reported is not None
+    assert reported.header._asdict() == wanted
+    assert reported.values.tolist() == [0, 1, 2, 3, 4]
+    message = read(encode_data(reported, subsystem=20, channel=1, sequence=9))
     assert (message.message_type, message.subsystem, message.channel, message.sequence) == (80, 20, 1, 9)
     assert message.body == bytes(body) + np.arange(5, dtype="<u2").tobytes()
 
@@ -145,9 +145,9 @@ def test_high_bits_are_joined_to_the_low_ones() -> None:
     assert SideScanHeader(interval_ns=10, lsb_1=0x1180).sample_interval_s == pytest.approx(10.5e-9)
     many = np.zeros(70_000, dtype=np.uint16)
     assert decode_data(read(side(0, many)).body[:-1]) is None
-    told_many = decode_data(read(side(0, many)).body)
-    assert told_many is not None
-    assert told_many.header.n_samples == 70_000
+    reported_many = decode_data(read(side(0, many)).body)
+    assert reported_many is not None
+    assert reported_many.header.n_samples == 70_000
 
 
 def test_both_sides_are_one_frame_in_metres_and_seconds() -> None:
@@ -175,8 +175,8 @@ def test_analytic_samples_become_their_modulus(values: list[tuple[int, int]]) ->
     assert frame.port.samples.tolist() == pytest.approx([0.5 * math.hypot(*pair) for pair in values])
 
 
-def test_only_what_is_valid_is_told() -> None:
-    told = {
+def test_only_what_is_valid_is_reported() -> None:
+    reported = {
         "longitude": round(-8.7051 * 600_000),
         "latitude": round(41.1852 * 600_000),
         "heading_cdeg": 27_050,
@@ -187,7 +187,7 @@ def test_only_what_is_valid_is_told() -> None:
         "speed_dkn": 35,
     }
     everything = 0x7FFF
-    (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **told))
+    (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **reported))
     navigation = frame.navigation
     assert navigation is not None
     assert navigation.time_s == frame.device_time_s
@@ -198,18 +198,18 @@ def test_only_what_is_valid_is_told() -> None:
     assert math.degrees(navigation.roll_rad) == pytest.approx(-9.9976, abs=1e-3)
     assert (navigation.depth_m, navigation.altitude_m, frame.altitude_m) == (12.5, 7.25, 7.25)
     assert navigation.speed_mps == pytest.approx(3.5 * 1852.0 / 3600.0)
-    (frame,) = frames_of(JsfDecoder(), side(0, validity=Validity.DEPTH, **told))
+    (frame,) = frames_of(JsfDecoder(), side(0, validity=Validity.DEPTH, **reported))
     assert frame.navigation is not None
     assert frame.navigation.depth_m == 12.5
     others = [frame.navigation.latitude_deg, frame.navigation.heading_rad, frame.navigation.roll_rad, frame.navigation.speed_mps]
     assert all(map(math.isnan, [*others, frame.altitude_m]))
     for change in ({"units": PositionUnits.DECIMETRES}, {"latitude": 91 * 600_000}):
-        (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **told | change))
+        (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **reported | change))
         assert frame.navigation is not None
         assert math.isnan(frame.navigation.latitude_deg + frame.navigation.longitude_deg)
 
 
-def test_a_position_repeated_until_the_next_fix_is_told_once() -> None:
+def test_a_position_repeated_until_the_next_fix_is_reported_once() -> None:
     """Ten pings a second with a receiver of one fix a second; then the vehicle lies still."""
     decoder = JsfDecoder()
     north = [1000 + 10 * min(ping // 10, 3) for ping in range(80)]
@@ -224,9 +224,9 @@ def test_a_position_repeated_until_the_next_fix_is_told_once() -> None:
         )
         for ping in range(80)
     ]
-    told = [frame.number for frame in frames_of(decoder, *stream) if frame.navigation and math.isfinite(frame.navigation.latitude_deg)]
-    assert told == [0, 10, 20, 30, 43, 56, 69]
-    assert decoder.counters["jsf.repeated_position"] == 80 - len(told)
+    reported = [frame.number for frame in frames_of(decoder, *stream) if frame.navigation and math.isfinite(frame.navigation.latitude_deg)]
+    assert reported == [0, 10, 20, 30, 43, 56, 69]
+    assert decoder.counters["jsf.repeated_position"] == 80 - len(reported)
 
 
 def test_small_changes_of_sound_speed_keep_the_sample_layout() -> None:
@@ -278,8 +278,8 @@ def test_a_number_of_samples_that_the_size_denies_is_refused() -> None:
 
 
 def test_commands_say_what_was_meant() -> None:
-    told = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40, subsystem=20))]
-    assert [(m.message_type, m.command, m.subsystem, int.from_bytes(m.body, "little")) for m in told] == [
+    reported = [read(command) for command in commands(SonarSettings(range_m=75.0, gain=40, subsystem=20))]
+    assert [(m.message_type, m.command, m.subsystem, int.from_bytes(m.body, "little")) for m in reported] == [
         (PING_RANGE, Command.SET, 20, 75_000),
         (PING_GAIN, Command.SET, 20, 40),
         (PING_ENABLE, Command.SET, 20, 1),
@@ -299,7 +299,7 @@ def test_the_reply_to_a_request_for_the_clock_gives_its_time() -> None:
         assert reply.utc_s is None
 
 
-def test_refused_commands_are_told_and_other_messages_counted() -> None:
+def test_refused_commands_are_reported_and_other_messages_counted() -> None:
     decoder = JsfDecoder()
     (reply,) = replies_of(decoder, to_wire(JsfMessage(PING_RANGE, bytes(4), Command.ERROR)) + to_wire(JsfMessage(2020, bytes(44))))
     assert (reply.request, reply.accepted, reply.utc_s) == (PING_RANGE, False, None)

@@ -43,12 +43,12 @@ def test_sides_with_one_number_are_one_transmission() -> None:
     assert counters == {}
 
 
-def test_heads_that_count_for_themselves_are_told_by_time() -> None:
+def test_heads_that_count_for_themselves_are_paired_by_time() -> None:
     frames, _ = paired([side(port, n + (0 if port else 40), n * PERIOD_S + 0.001 * port) for n in range(3) for port in (False, True)])
     assert [sides for _, sides in frames] == ["PS"] * 3
 
 
-def test_heads_without_a_common_clock_are_told_by_number() -> None:
+def test_heads_without_a_common_clock_are_paired_by_number() -> None:
     frames, _ = paired([side(port, n, n * PERIOD_S + 900.0 * port) for n in range(3) for port in (False, True)])
     assert frames == [(0, "PS"), (1, "PS"), (2, "PS")]
 

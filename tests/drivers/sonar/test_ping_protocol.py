@@ -68,18 +68,18 @@ def test_published_request_both_ways() -> None:
 
 def test_published_profile_both_ways() -> None:
     assert encode(profile(channel_number=1)) == PROFILE
-    told = decode(read(PROFILE))
-    assert isinstance(told, OsMonoProfile)
-    assert told[:8] == (7, 0, 50_000, 123_456, 450_000, 3, 14_820, 1)
-    assert told[8:14] == pytest.approx((1e-4, 12.5, -10.0, -90.0, 90.0, 45.0))
-    assert told.pwr_results.tolist() == [0, 21845, 43690, 65535]
+    reported = decode(read(PROFILE))
+    assert isinstance(reported, OsMonoProfile)
+    assert reported[:8] == (7, 0, 50_000, 123_456, 450_000, 3, 14_820, 1)
+    assert reported[8:14] == pytest.approx((1e-4, 12.5, -10.0, -90.0, 90.0, 45.0))
+    assert reported.pwr_results.tolist() == [0, 21845, 43690, 65535]
 
 
 @pytest.mark.parametrize("payload", PAYLOADS, ids=lambda payload: type(payload).__name__)
 def test_what_is_encoded_is_decoded_again(payload: Payload) -> None:
-    told = decode(read(encode(payload, source=3, destination=4)))
-    assert type(told) is type(payload)
-    assert tuple(told or ()) == tuple(pytest.approx(value) if isinstance(value, float) else value for value in payload)
+    reported = decode(read(encode(payload, source=3, destination=4)))
+    assert type(reported) is type(payload)
+    assert tuple(reported or ()) == tuple(pytest.approx(value) if isinstance(value, float) else value for value in payload)
     assert read(encode(payload, source=3, destination=4))[2:] == (3, 4)
 
 
@@ -123,9 +123,9 @@ def test_profiles_agree_with_the_reference_library(results: list[int], numbers: 
     real_names = ("pulse_duration_sec", "analog_gain", "max_pwr_db", "min_pwr_db", "transducer_heading_deg", "vehicle_heading_deg")
     assert tuple(getattr(theirs, name) for name in real_names) == ours[8:14]
     assert bytes(theirs.pack_msg_data()) == wire
-    told = decode(read(wire))
-    assert isinstance(told, OsMonoProfile)
-    assert told[:14] == ours[:14]
+    reported = decode(read(wire))
+    assert isinstance(reported, OsMonoProfile)
+    assert reported[:14] == ours[:14]
 
 
 @pytest.mark.parametrize("payload", PAYLOADS, ids=lambda payload: type(payload).__name__)

@@ -12,7 +12,7 @@ from tests.drivers.sonar.sonar_frames import NOW
 
 
 def test_an_unknown_sonar_is_refused_with_those_that_are_known() -> None:
-    with pytest.raises(UsageError, match=r"no driver for a sonar 'klein'\. Known: ping_protocol, jsf, sportscan"):
+    with pytest.raises(UsageError, match=r"unknown sonar 'klein'\. Known: ping_protocol, jsf, sportscan"):
         sonar_named("klein")
 
 

@@ -108,8 +108,8 @@ class Loop:
 
     @property
     def granted(self) -> bool:
-        told = [event for event in self.events if isinstance(event, Granted | Withheld)]
-        return bool(told) and isinstance(told[-1], Granted)
+        reported = [event for event in self.events if isinstance(event, Granted | Withheld)]
+        return bool(reported) and isinstance(reported[-1], Granted)
 
     def of(self, kind: type[Any]) -> list[Any]:
         return [event for event in self.events if isinstance(event, kind)]
@@ -153,7 +153,7 @@ def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
 
 
 def play(dialect: Conversation, steps: list[tuple[str, Any]]) -> tuple[list[tuple[bool, bytes]], list[VehicleEvent]]:
-    """What it sends, each with whether control was granted then, as told by its events and given back by us; and its events."""
+    """Return what it sends, each with whether control was granted then, by its events and our releases; and its events."""
     now_s, granted = 100.0, False
     sent: list[tuple[bool, bytes]] = []
     events: list[VehicleEvent] = []

@@ -15,7 +15,7 @@ def at(seconds: float) -> Stamp:
 
 
 def bounds(signal: Signal) -> tuple[int, int]:
-    """Least and largest number on the wire."""
+    """Return the minimum and maximum number on the wire."""
     scale = 1.0 if signal.scale is None else signal.scale
     return round(signal.low / scale), round(signal.high / scale)
 

@@ -96,7 +96,7 @@ def test_a_lossy_wire_is_not_flooded_and_never_deadlocks(name: str, lost: list[b
     for _ in range(8):  # the loss of an answer costs a Bluefin 5 s
         loop.dialect.request(loop.now_s)
         loop.run(10.0)
-    assert loop.granted, "once the wire is good again control is had"
+    assert loop.granted, "once the wire is good again control is granted"
     assert loop.vehicle.in_control
     per_second = Counter(int(now_s) for now_s, _ in loop.sent)
     assert max(per_second.values()) < 25
@@ -104,7 +104,7 @@ def test_a_lossy_wire_is_not_flooded_and_never_deadlocks(name: str, lost: list[b
 
 
 @every_dialect
-def test_the_vehicle_flies_what_it_is_told_and_its_own_plan_after_release(name: str) -> None:
+def test_the_vehicle_flies_what_is_commanded_and_its_own_plan_after_release(name: str) -> None:
     loop = in_control(name)
     flown = loop.vehicle.command
     assert flown is not None
@@ -120,7 +120,7 @@ def test_the_vehicle_flies_what_it_is_told_and_its_own_plan_after_release(name: 
 
 
 @every_dialect
-def test_control_that_is_taken_back_stops_all_commands_and_is_had_again_when_asked_for(name: str) -> None:
+def test_control_that_is_taken_back_stops_all_commands_and_is_granted_again_when_asked_for(name: str) -> None:
     loop = in_control(name)
     loop.vehicle.revoke(loop.now_s)
     loop.run(2.0)
@@ -172,7 +172,7 @@ def test_after_a_reboot_of_the_vehicle_all_goes_on_when_asked_again(name: str) -
 
 
 @every_dialect
-def test_a_contact_is_told_within_a_second_also_in_control(name: str) -> None:
+def test_a_contact_is_reported_within_a_second_also_in_control(name: str) -> None:
     loop = in_control(name)
     loop.dialect.report(REPORT, 5, loop.now_s)
     loop.run(0.5)
@@ -180,7 +180,7 @@ def test_a_contact_is_told_within_a_second_also_in_control(name: str) -> None:
 
 
 @every_dialect
-def test_health_is_told(name: str) -> None:
+def test_health_is_reported(name: str) -> None:
     loop = Loop(name).run(2.0)
     loop.dialect.report_health(PayloadHealth("failure", "no sonar, *no* pings"), loop.now_s)
     loop.run(3.0)
@@ -188,7 +188,7 @@ def test_health_is_told(name: str) -> None:
 
 
 @every_dialect
-def test_the_vehicle_tells_where_it_is(name: str) -> None:
+def test_the_vehicle_reports_where_it_is(name: str) -> None:
     state = Loop(name).run(3.0).of(ReportedState)[-1]
     assert state.latitude_deg == pytest.approx(POSE.latitude_deg, abs=1e-6)
     assert state.longitude_deg == pytest.approx(POSE.longitude_deg, abs=1e-6)
@@ -197,7 +197,7 @@ def test_the_vehicle_tells_where_it_is(name: str) -> None:
 
 
 @every_dialect
-def test_commands_that_cannot_be_said_are_counted_and_not_sent(name: str) -> None:
+def test_commands_that_cannot_be_sent_are_counted_and_not_sent(name: str) -> None:
     loop = Loop(name).run(2.0)
     loop.dialect.command(STEER, loop.now_s)
     assert loop.dialect.counters[f"{name}.command_without_grant"] == 1

@@ -1,4 +1,4 @@
-"""Who commands is told from the whole history by an oracle that only reads it; no order of events ends where control cannot be had."""
+"""Compare who commands with an oracle on the whole history; no order of events makes control unobtainable."""
 
 from __future__ import annotations
 
@@ -201,12 +201,12 @@ def test_a_grant_that_nobody_asked_for_is_given_back_and_used_for_nothing() -> N
     authority.heard(0.0)
     authority.granted("please", 0.0)
     assert authority.state == "listening"
-    assert authority.step(False, 0.1) == GiveBack("control was not asked for")
+    assert authority.step(False, 0.1) == GiveBack("control was not requested")
     assert authority.step(False, 0.2) is None
     authority.granted("please", 0.3)
     assert authority.step(False, 0.4) is None  # an answer to what was said before, perhaps
     authority.heard(1.2)
-    assert authority.step(False, 1.2) == GiveBack("control was not asked for")
+    assert authority.step(False, 1.2) == GiveBack("control was not requested")
 
 
 def test_an_unanswered_request_is_withdrawn_and_made_again() -> None:

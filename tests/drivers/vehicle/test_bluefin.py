@@ -15,7 +15,7 @@ from tests.drivers.vehicle.ascii_loop import REPORT, STEER, Loop, in_control, st
 from tests.sim_replay.conversation import Conversation
 
 
-def said(dialect: Conversation, now_s: float) -> list[str]:
+def sent(dialect: Conversation, now_s: float) -> list[str]:
     return [line.decode().split("*")[0] for line in dialect.take_outgoing(now_s)]
 
 
@@ -33,7 +33,7 @@ def greeted(settings: BluefinSettings | None = None) -> Conversation:
     """After the greeting and the first heartbeat."""
     dialect = Conversation(settings or BluefinSettings())
     dialect.connected(0.0)
-    while lines := said(dialect, 0.0):
+    while lines := sent(dialect, 0.0):
         answer(dialect, lines[0], 0.0)
     return dialect
 
@@ -42,7 +42,7 @@ def granted() -> Conversation:
     dialect = greeted()
     dialect.request(0.0)
     assert [type(event) for event in hear(dialect, "BFCTL,101010.000,1", 0.0)] == [Granted]
-    while lines := said(dialect, 0.0):
+    while lines := sent(dialect, 0.0):
         answer(dialect, lines[0], 0.0)
     return dialect
 
@@ -50,19 +50,19 @@ def granted() -> Conversation:
 def test_answers_are_asked_for_first_and_one_sentence_goes_at_a_time() -> None:
     dialect = Conversation(BluefinSettings())
     dialect.connected(0.0)
-    assert said(dialect, 0.0) == ["$BPLOG,ACK,ON"]
-    assert said(dialect, 0.1) == []
+    assert sent(dialect, 0.0) == ["$BPLOG,ACK,ON"]
+    assert sent(dialect, 0.1) == []
     answer(dialect, "$BPLOG,ACK,ON", 0.2)
-    assert said(dialect, 0.2) == ["$BPLOG,NVG,ON"]
+    assert sent(dialect, 0.2) == ["$BPLOG,NVG,ON"]
 
 
-def test_an_unanswered_sentence_is_said_again_after_5_s_three_times_in_all_then_control_is_given_up() -> None:
+def test_an_unanswered_sentence_is_sent_again_after_5_s_three_times_in_all_then_control_is_given_up() -> None:
     dialect = granted()
     dialect.report(REPORT, 7, 0.5)
     lines: list[tuple[float, str]] = []
     events: list[VehicleEvent] = []
     for i in range(5, 165):
-        lines += [(0.1 * i, line) for line in said(dialect, 0.1 * i)]
+        lines += [(0.1 * i, line) for line in sent(dialect, 0.1 * i)]
         events += hear(dialect, "BFNVR,101010.000,1.0,0.0,0.0", 0.1 * i)
     contacts = [(now_s, line) for now_s, line in lines if line.startswith("$BPMCM")]
     assert [now_s for now_s, _ in contacts] == pytest.approx([0.5, 5.5, 10.5], abs=0.11)
@@ -70,7 +70,7 @@ def test_an_unanswered_sentence_is_said_again_after_5_s_three_times_in_all_then_
     assert [type(event) for event in events] == [Withheld, Rejected]
 
 
-def test_a_vehicle_that_has_fallen_silent_is_told_that_control_ends_and_greeted_anew() -> None:
+def test_a_vehicle_that_has_fallen_silent_is_notified_that_control_ends_and_greeted_anew() -> None:
     loop = in_control("bluefin")
     loop.lost = lambda line: True
     n_sent = len(loop.sent)
@@ -89,7 +89,7 @@ def test_no_answer_to_one_kind_of_sentence_while_others_come_takes_control_away_
     loop.dialect.report(REPORT, 7, loop.now_s)
     loop.dialect.report(structs.replace(REPORT, number=18), 8, loop.now_s)
     loop.run(3.0 * RESEND_S + 1.0)
-    assert "BPMCM, said 3 times" in loop.of(Withheld)[0].reason
+    assert "BPMCM, sent 3 times" in loop.of(Withheld)[0].reason
     assert [event.ticket for event in loop.of(Rejected)] == [7, 8]
     loop.lost = lambda line: False
     loop.run(3.0)
@@ -101,31 +101,31 @@ def test_times_have_three_decimals_and_follow_the_clock_of_the_vehicle() -> None
     dialect = granted()
     hear(dialect, "BFNVR,235959.900,1.0,0.0,0.0", 50.0)
     dialect.command(STEER, 50.5)
-    lines = said(dialect, 50.5)
-    while new := [line for known in lines[-1:] for line in (answer(dialect, known, 50.5), said(dialect, 50.5))[1]]:
+    lines = sent(dialect, 50.5)
+    while new := [line for known in lines[-1:] for line in (answer(dialect, known, 50.5), sent(dialect, 50.5))[1]]:
         lines += new
     times = [line.split(",")[1] for line in lines]
     assert all(re.fullmatch(r"\d{6}\.\d{3}", time) for time in times)
     assert times[0] == "000000.400"
-    assert len(set(times)) == len(times), "no two sentences share a time, so that answers tell them apart"
+    assert len(set(times)) == len(times), "no two sentences share a time, so that answers identify them"
 
 
-def test_a_command_is_said_as_heading_depth_or_altitude_and_speed() -> None:
+def test_a_command_is_sent_as_heading_depth_or_altitude_and_speed() -> None:
     loop = in_control("bluefin")
     [*_, (_, line)] = loop.commands()
     assert re.fullmatch(rb"\$BPRMB,\d{6}\.\d{3},123\.00,7\.50,0,1\.50,1,0\*[0-9A-F]{2}\r\n", line)
 
 
-def test_an_old_command_is_never_said_again() -> None:
+def test_an_old_command_is_never_sent_again() -> None:
     dialect = granted()
     dialect.command(STEER, 1.0)
-    [first] = [line for line in said(dialect, 1.0) if "RMB" in line]
+    [first] = [line for line in sent(dialect, 1.0) if "RMB" in line]
     dialect.command(STEER._replace(speed_mps=2.0), 4.0)
     dialect.command(STEER._replace(speed_mps=1.0), 5.9)
     for second in range(1, 5):
         hear(dialect, "BFNVR,101010.000,1.0,0.0,0.0", 1.0 + second)
-        assert not any("RMB" in line for line in said(dialect, 1.0 + second))
-    [again] = [line for line in said(dialect, 6.1) if "RMB" in line]
+        assert not any("RMB" in line for line in sent(dialect, 1.0 + second))
+    [again] = [line for line in sent(dialect, 6.1) if "RMB" in line]
     assert again != first
     assert ",1.00,1,0" in again
 
@@ -133,14 +133,14 @@ def test_an_old_command_is_never_said_again() -> None:
 def test_what_waited_too_long_is_not_commanded_any_more() -> None:
     dialect = granted()
     dialect.report(REPORT, 7, 0.5)
-    [contact] = [line for line in said(dialect, 0.5) if "MCM" in line]
+    [contact] = [line for line in sent(dialect, 0.5) if "MCM" in line]
     dialect.command(STEER, 0.6)
-    assert said(dialect, 3.0) == []
+    assert sent(dialect, 3.0) == []
     answer(dialect, contact, 3.0)
-    assert not any("RMB" in line for line in said(dialect, 3.0))
+    assert not any("RMB" in line for line in sent(dialect, 3.0))
 
 
-def test_release_is_said_at_once_also_while_an_answer_is_awaited() -> None:
+def test_release_is_sent_at_once_also_while_an_answer_is_awaited() -> None:
     loop = in_control("bluefin")
     loop.lost = lambda line: line.startswith(b"$BPMCM")
     loop.dialect.report(REPORT, 7, loop.now_s)
@@ -156,7 +156,7 @@ def test_release_is_said_at_once_also_while_an_answer_is_awaited() -> None:
 def test_what_the_payload_did_not_begin_it_does_not_end() -> None:
     dialect = granted()
     dialect.release("nothing was commanded", 1.0)
-    assert not any("RCE" in line for line in said(dialect, 1.0))
+    assert not any("RCE" in line for line in sent(dialect, 1.0))
     loop = in_control("bluefin")
     loop.vehicle.revoke(loop.now_s)
     loop.run(1.0)
@@ -165,7 +165,7 @@ def test_what_the_payload_did_not_begin_it_does_not_end() -> None:
     assert not any(line.startswith(b"$BPRCE") for _, line in loop.sent)
 
 
-def test_once_the_vehicle_has_taken_control_back_the_end_of_control_is_not_said_again() -> None:
+def test_once_the_vehicle_has_taken_control_back_the_end_of_control_is_not_sent_again() -> None:
     loop = in_control("bluefin")
     loop.lost = lambda line: line.startswith(b"$BPRCE")
     loop.dialect.release("stop", loop.now_s)
@@ -175,28 +175,28 @@ def test_once_the_vehicle_has_taken_control_back_the_end_of_control_is_not_said_
     assert sum(line.startswith(b"$BPRCE") for _, line in loop.sent) == 1
 
 
-@pytest.mark.parametrize(("status", "told"), [(0, Rejected), (2, Acknowledged)])
-def test_the_answer_to_a_contact_is_told(status: int, told: type) -> None:
+@pytest.mark.parametrize(("status", "reported"), [(0, Rejected), (2, Acknowledged)])
+def test_the_answer_to_a_contact_is_reported(status: int, reported: type) -> None:
     dialect = greeted()
     dialect.report(REPORT, 7, 0.5)
-    [line] = said(dialect, 0.5)
+    [line] = sent(dialect, 0.5)
     assert hear(dialect, "BFACK,101010.000,MCM,000000.000,0,2,,", 0.6) == [], "an answer to another one"
     assert answer(dialect, line, 0.6, status=3) == [], "pending"
     events = answer(dialect, line, 0.9, status=status, text="no such")
-    assert [type(event) for event in events] == [told]
+    assert [type(event) for event in events] == [reported]
     assert isinstance(events[0], Acknowledged | Rejected)
     assert events[0].ticket == 7
     assert answer(dialect, line, 1.0, status=status) == [], "answered already"
 
 
-def test_a_refused_command_is_told_as_control_withheld() -> None:
+def test_a_refused_command_is_reported_as_control_withheld() -> None:
     dialect = granted()
     dialect.command(STEER, 0.5)
-    [line] = said(dialect, 0.5)
+    [line] = sent(dialect, 0.5)
     [event] = answer(dialect, line, 0.6, status=1, text="not while docking")
     assert isinstance(event, Withheld)
     assert "not while docking" in event.reason
-    assert not any("RCE" in line for line in said(dialect, 0.6)), "it took nothing that had to be ended"
+    assert not any("RCE" in line for line in sent(dialect, 0.6)), "it took nothing that had to be ended"
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_control_begins_and_ends_by_the_words_that_the_settings_name(by: str, gr
     for other in sorted(words - {grant}):
         assert hear(dialect, other, 0.1) == []
     assert [type(event) for event in hear(dialect, grant, 0.2)] == [Granted]
-    assert hear(dialect, grant, 0.3) == [], "told once"
+    assert hear(dialect, grant, 0.3) == [], "reported once"
     assert [type(event) for event in hear(dialect, end, 0.4)] == [Withheld]
 
 
@@ -227,10 +227,10 @@ def test_a_grant_before_the_request_counts_once_it_is_asked_for() -> None:
     assert next(type(event) for event in hear(dialect, "BFNVR,101010.000,1.0,0.0,0.0", 0.3)) is Granted
 
 
-def test_without_a_sentence_for_contacts_none_is_told() -> None:
+def test_without_a_sentence_for_contacts_none_is_reported() -> None:
     dialect = greeted(BluefinSettings(contact_sentence=""))
     dialect.report(REPORT, 7, 0.5)
-    assert said(dialect, 0.5) == []
+    assert sent(dialect, 0.5) == []
 
 
 def test_a_contact_known_better_meanwhile_takes_the_place_of_the_one_that_waits() -> None:

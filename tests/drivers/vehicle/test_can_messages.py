@@ -90,17 +90,17 @@ def test_the_dbc_file_writes_and_reads_every_bit_as_we_do(record: can.Record, se
         assert theirs.frame_id == frame.can_id
         raw = theirs.decode(frame.data, decode_choices=False, scaling=False)
         assert theirs.encode(raw, scaling=False, padding=True, strict=False) == frame.data
-        told = theirs.decode(frame.data, decode_choices=False)
-        assert theirs.encode(told, padding=True, strict=False) == frame.data, "as quantities, too"
+        reported = theirs.decode(frame.data, decode_choices=False)
+        assert theirs.encode(reported, padding=True, strict=False) == frame.data, "as quantities, too"
         for placed in message.placed:
             name = placed.signal.name
-            if name in told and not math.isnan(values[name]):
-                assert told[name] == values[name]
-                assert placed.signal.low <= told[name] <= placed.signal.high * (1.0 + 1e-12)
-            elif name in told:
+            if name in reported and not math.isnan(values[name]):
+                assert reported[name] == values[name]
+                assert placed.signal.low <= reported[name] <= placed.signal.high * (1.0 + 1e-12)
+            elif name in reported:
                 assert str(theirs.decode(frame.data)[name]) == "not available"
-            told.pop(name, None)
-        assert set(told) <= {"part", "sequence", "crc"}
+            reported.pop(name, None)
+        assert set(reported) <= {"part", "sequence", "crc"}
 
 
 def test_the_dbc_file_is_that_of_the_table() -> None:
@@ -204,11 +204,11 @@ def test_a_report_is_read_back() -> None:
     assert report.belief == pytest.approx(REPORT.belief)
     for name in REPORT.__struct_fields__:
         if name not in ("session", "belief"):
-            told, meant = getattr(report, name), getattr(REPORT, name)
-            assert told == meant or told == pytest.approx(meant, abs=1e-6, rel=0.0, nan_ok=True)
+            reported, meant = getattr(report, name), getattr(REPORT, name)
+            assert reported == meant or reported == pytest.approx(meant, abs=1e-6, rel=0.0, nan_ok=True)
 
 
-def test_sizes_and_errors_too_large_are_told_as_the_largest() -> None:
+def test_sizes_and_errors_too_large_are_reported_as_the_largest() -> None:
     message = report_message(msgspec.structs.replace(REPORT, sigma_m=2000.0, length_m=math.inf, depth_m=-0.2, n_views=900), 1)
     sent(message)
     assert (message.sigma_m, message.length_m, message.depth_m, message.n_views) == (655.0, 65.53, 0.0, 255)
@@ -259,12 +259,12 @@ def test_a_command_that_leaves_something_open_is_none(command: Command, place: i
     fields = [placed.signal.name for placed in message.placed if placed.signal.scale is not None]
     without = message.make(**whole._asdict() | {fields[place % len(fields)]: NAN})
     assert isinstance(without, can.GoToMessage | can.SteerMessage)
-    with pytest.raises(ValueError, match="everything"):
+    with pytest.raises(ValueError, match="all fields"):
         command_of(without)
 
 
 @given(st.text(alphabet=st.characters(exclude_characters="\0", exclude_categories=["Cs"])))
-def test_a_text_is_told_as_far_as_it_fits(text: str) -> None:
-    told = text_of(text_message(text))
-    assert text.startswith(told)
-    assert told == text or 40 < len(told.encode()) <= 44
+def test_a_text_is_reported_as_far_as_it_fits(text: str) -> None:
+    reported = text_of(text_message(text))
+    assert text.startswith(reported)
+    assert reported == text or 40 < len(reported.encode()) <= 44

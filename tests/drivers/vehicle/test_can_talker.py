@@ -113,7 +113,7 @@ def commands_in(sent: list[Record]) -> list[Record]:
     return [record for record in sent if isinstance(record, GoToMessage | SteerMessage)]
 
 
-def test_it_greets_with_a_release_said_three_times() -> None:
+def test_it_greets_with_a_release_sent_three_times() -> None:
     sent = [record for record in Bench().take(0.0) if isinstance(record, PayloadStatus)]
     assert [DEMANDS[status.demand] for status in sent] == ["release"] * 3
     assert len({status.counter for status in sent}) == 3
@@ -137,10 +137,10 @@ def test_control_is_asked_for_with_a_number_that_the_vehicle_has_not_answered_be
     assert bench.status(0, 1, 0.1, reason=3) == [], "that is an answer to somebody before us"
     assert bench.status(1, status.request_number, 0.2) == [], "it considers"
     assert [type(event) for event in bench.status(2, status.request_number, 0.3)] == [Granted]
-    assert bench.status(2, status.request_number, 0.4) == [], "told once"
+    assert bench.status(2, status.request_number, 0.4) == [], "reported once"
 
 
-def test_a_refusal_is_told_and_the_next_request_has_another_number() -> None:
+def test_a_refusal_is_reported_and_the_next_request_has_another_number() -> None:
     bench = Bench()
     bench.dialect.request(0.0)
     number = bench.demand(0.0).request_number
@@ -150,12 +150,12 @@ def test_a_refusal_is_told_and_the_next_request_has_another_number() -> None:
     assert bench.demand(1.0).request_number != number
 
 
-@pytest.mark.parametrize(("reason", "told"), [(2, "taken back"), (8, "shutting down"), (200, "reason 200")])
-def test_a_grant_that_is_taken_back_ends_commands_at_once(reason: int, told: str) -> None:
+@pytest.mark.parametrize(("reason", "reported"), [(2, "taken back"), (8, "shutting down"), (200, "reason 200")])
+def test_a_grant_that_is_taken_back_ends_commands_at_once(reason: int, reported: str) -> None:
     bench = Bench()
     number = bench.granted()
     bench.dialect.command(PLACE, 0.1)
-    assert bench.status(0, number, 0.1, reason=reason) == [Withheld(told)]
+    assert bench.status(0, number, 0.1, reason=reason) == [Withheld(reported)]
     assert commands_in(bench.take(0.1)) == []
     bench.dialect.command(PLACE, 0.2)
     assert commands_in(bench.take(0.2)) == []
@@ -186,7 +186,7 @@ def test_a_gateway_that_repeats_its_last_frame_for_ever_is_no_sign_of_life() -> 
     assert bench.dialect.counters["vehicle_can.refused.stale"] > 10
 
 
-def test_a_late_grant_does_not_undo_what_was_said_after_it() -> None:
+def test_a_late_grant_does_not_undo_what_was_sent_after_it() -> None:
     bench = Bench()
     bench.dialect.request(0.0)
     number = bench.demand(0.0).request_number
@@ -213,7 +213,7 @@ def test_a_command_names_its_grant_its_validity_and_whether_it_is_new() -> None:
     assert numbers[1:] == [0, 1, 2, 2]
 
 
-def test_a_command_is_said_once_each_time_it_is_given() -> None:
+def test_a_command_is_sent_once_each_time_it_is_given() -> None:
     bench = Bench()
     bench.granted()
     bench.dialect.command(PLACE, 0.1)
@@ -231,7 +231,7 @@ def test_the_command_given_last_is_the_one_that_is_sent() -> None:
 @pytest.mark.parametrize(
     "command", [PLACE._replace(latitude_deg=95.0), COURSE._replace(speed_mps=math.inf), PLACE._replace(speed_mps=-1.0)]
 )
-def test_a_command_that_cannot_be_said_is_dropped(command: GoTo | Steer) -> None:
+def test_a_command_that_cannot_be_sent_is_dropped(command: GoTo | Steer) -> None:
     bench = Bench()
     bench.granted()
     bench.dialect.command(command, 0.1)
@@ -239,7 +239,7 @@ def test_a_command_that_cannot_be_said_is_dropped(command: GoTo | Steer) -> None
     assert bench.dialect.counters["vehicle_can.commands_unsayable"] == 1
 
 
-def test_release_drops_the_command_and_is_said_at_once() -> None:
+def test_release_drops_the_command_and_is_sent_at_once() -> None:
     bench = Bench()
     bench.granted()
     bench.dialect.command(PLACE, 0.1)
@@ -292,11 +292,11 @@ def answer_crc(dialect: Conversation, now_s: float) -> int:
     raise AssertionError("no report was sent")
 
 
-@pytest.mark.parametrize(("answer", "told"), [(1, "not wanted"), (77, "answer 77")])
-def test_a_refused_report_is_not_said_again(answer: int, told: str) -> None:
+@pytest.mark.parametrize(("answer", "reported"), [(1, "not wanted"), (77, "answer 77")])
+def test_a_refused_report_is_not_sent_again(answer: int, reported: str) -> None:
     bench = Bench()
     bench.dialect.report(REPORT, 7, 1.0)
-    assert bench.say(ReportAnswer(7, answer_crc(bench.dialect, 1.0), answer), 1.0) == [Rejected(7, told)]
+    assert bench.say(ReportAnswer(7, answer_crc(bench.dialect, 1.0), answer), 1.0) == [Rejected(7, reported)]
 
 
 def test_many_reports_go_out_one_after_the_other_the_new_ones_first() -> None:
@@ -313,7 +313,7 @@ def test_many_reports_go_out_one_after_the_other_the_new_ones_first() -> None:
     assert sent[:31] == [*range(1, 31), 99]
 
 
-def test_a_report_that_cannot_be_said_is_rejected() -> None:
+def test_a_report_that_cannot_be_sent_is_rejected() -> None:
     bench = Bench()
     bench.dialect.report(msgspec.structs.replace(REPORT, latitude_deg=91.0), 7, 0.0)
     [event] = bench.status(0, 0, 0.0)
@@ -322,7 +322,7 @@ def test_a_report_that_cannot_be_said_is_rejected() -> None:
     assert "latitude_deg" in event.reason
 
 
-def test_health_is_told_when_it_changes_and_every_now_and_then() -> None:
+def test_health_is_reported_when_it_changes_and_every_now_and_then() -> None:
     bench = Bench()
     bench.take(0.0)
     bench.dialect.report_health(PayloadHealth("fault", "sonar silent"), 0.1)
@@ -346,7 +346,7 @@ def test_a_lost_wire_forgets_control_and_reports() -> None:
     assert {type(record) for record in sent} == {PayloadStatus, HealthText}
 
 
-def test_the_vehicles_state_is_told_whole() -> None:
+def test_the_vehicles_state_is_reported_whole() -> None:
     state = StateMessage(54.0, 1.25, 10.0, 1.5, 3.5, -0.1, 5.25, 0.2)
     [event] = Bench().say(state, 2.0)
     assert isinstance(event, ReportedState)
@@ -354,28 +354,28 @@ def test_the_vehicles_state_is_told_whole() -> None:
     assert event[1:] == pytest.approx((54.0, 10.0, 1.25, -0.1, 0.2, 3.5, 5.25, 1.5))
 
 
-def test_nmea_2000_units_can_tell_the_vehicles_state() -> None:
+def test_nmea_2000_units_can_report_the_vehicles_state() -> None:
     bench = Bench(CanSettings(nmea2000_addresses=(12,)))
 
-    def told(record: n2k.Record, now_s: float, source: int = 12) -> list[VehicleEvent]:
+    def reported(record: n2k.Record, now_s: float, source: int = 12) -> list[VehicleEvent]:
         pgn, data = n2k.encode(record)
         return bench.dialect.hear(CanFrame(n2k.can_id_of(n2k.Identifier(2, pgn, n2k.GLOBAL, source)), data), at(now_s))
 
-    assert told(n2k.Heading(NAN, 1.25, NAN, NAN, 0.0), 1.0) == []
-    assert told(n2k.WaterDepth(NAN, 5.25, 0.0, NAN), 1.1) == []
-    assert told(n2k.RapidPosition(54.0, 10.0), 1.2, source=13) == [], "a unit that was not named"
-    [event] = told(n2k.RapidPosition(54.0, 10.0), 1.2)
+    assert reported(n2k.Heading(NAN, 1.25, NAN, NAN, 0.0), 1.0) == []
+    assert reported(n2k.WaterDepth(NAN, 5.25, 0.0, NAN), 1.1) == []
+    assert reported(n2k.RapidPosition(54.0, 10.0), 1.2, source=13) == [], "a unit that was not named"
+    [event] = reported(n2k.RapidPosition(54.0, 10.0), 1.2)
     assert isinstance(event, ReportedState)
     assert (event.heading_rad, event.altitude_m) == pytest.approx((1.25, 5.25))
     assert math.isnan(event.depth_m)
-    [event] = told(n2k.RapidPosition(54.0, 10.0), 2.05)
+    [event] = reported(n2k.RapidPosition(54.0, 10.0), 2.05)
     assert isinstance(event, ReportedState)
     assert math.isnan(event.heading_rad), "too old by now"
     assert event.altitude_m == pytest.approx(5.25)
     [event] = bench.say(StateMessage(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 7.0, 0.0), 2.1)
     assert isinstance(event, ReportedState)
-    told_by_controller = {name for name, value in event._asdict().items() if isinstance(value, float) and not math.isnan(value)}
-    assert told_by_controller == {"depth_m"}, "one of both tells each quantity"
+    reported_by_controller = {name for name, value in event._asdict().items() if isinstance(value, float) and not math.isnan(value)}
+    assert reported_by_controller == {"depth_m"}, "one of both reports each quantity"
 
 
 @given(

@@ -62,7 +62,7 @@ def inside(points_m: NDArray[np.float64], corners_m: tuple[Metres, ...]) -> NDAr
 
 
 def nearest_m(points_m: NDArray[np.float64], corners_m: tuple[Metres, ...]) -> float:
-    """Least distance of any of the points to the fence, by walking along both."""
+    """Return the minimum distance of any of the points to the fence, by walking along both."""
     ring = np.array([*corners_m, corners_m[0]])
     walk = np.concatenate([a + np.linspace(0.0, 1.0, 201)[:, np.newaxis] * (b - a) for a, b in pairwise(ring)])
     return float(np.sqrt(((points_m[:, np.newaxis] - walk[np.newaxis]) ** 2).sum(axis=2).min()))
@@ -79,7 +79,7 @@ def test_clearance_of_a_way_is_that_of_walking_it(corners_m: tuple[Metres, ...],
     got_m = fence.clearance_m(fence.point(*place_deg(start_m, home_deg)), fence.point(*place_deg(end_m, home_deg)))
     points_m = walked(start_m, end_m)
     wanted_m = nearest_m(points_m, corners_m)
-    assume(wanted_m > 1.5)  # nearer, the two walks are too coarse to tell
+    assume(wanted_m > 1.5)  # nearer, the two walks are too coarse to decide
     assert got_m == (pytest.approx(wanted_m, abs=1.0) if inside(points_m, corners_m).all() else -math.inf)
 
 
@@ -220,12 +220,12 @@ def test_without_a_fence_nothing_is_let_through() -> None:
         ((-90_000.0, 0.0), (90_000.0, 0.0), (0.0, 90_000.0)),  # too wide
     ],
 )
-def test_a_fence_that_is_no_area_is_told_to_the_user(corners_m: tuple[Metres, ...]) -> None:
+def test_a_fence_that_is_no_area_is_reported_to_the_user(corners_m: tuple[Metres, ...]) -> None:
     with pytest.raises(UsageError, match="fence_deg"):
         Guard(config(corners_m))
 
 
-def test_a_fence_around_the_world_is_told_to_the_user() -> None:
+def test_a_fence_around_the_world_is_reported_to_the_user() -> None:
     with pytest.raises(UsageError, match="50 km"):
         Fence([(0.0, 0.0), (0.0, 120.0), (0.0, -120.0)])
 

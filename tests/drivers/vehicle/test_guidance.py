@@ -48,19 +48,19 @@ def sail(
     places_deg = tuple(moved(*origin_deg, *place) for place in places_m)
     track = WaypointTrack(places_deg, radius_m=3.0, cut_radius_m=TURN_RADIUS_M)
     line_of_sight = LineOfSight(turn_radius_m=TURN_RADIUS_M, speed_mps=SPEED_MPS)
-    position_deg = told_deg = moved(*origin_deg, *start_m)
+    position_deg = reported_deg = moved(*origin_deg, *start_m)
     track.join(position_deg, 1)
     line_of_sight.start()
     moments: list[Moment] = []
-    told_s = 0.0
+    reported_s = 0.0
     for step in range(int(max_s / STEP_S)):
         now_s = step * STEP_S
         if step % position_every == 0:
-            told_deg, told_s = position_deg, now_s
-        track.advance(told_deg)
+            reported_deg, reported_s = position_deg, now_s
+        track.advance(reported_deg)
         if track.finished:
             return moments, True
-        command_rad = line_of_sight.heading_rad(track, told_deg, told_s, heading_rad, now_s)
+        command_rad = line_of_sight.heading_rad(track, reported_deg, reported_s, heading_rad, now_s)
         moments.append(Moment(track.index, *track.off_track(position_deg), command_rad, heading_rad))
         fastest_radps = 1.5 * SPEED_MPS / TURN_RADIUS_M
         turn_radps = min(max(math.remainder(command_rad - heading_rad, TURN), -fastest_radps), fastest_radps)

@@ -112,16 +112,16 @@ def test_what_is_written_is_read_again_in_either_byte_order(message: ImcMessage,
     assert imc.in_limits(number_of(type(message)), len(payload))
 
 
-def told_by_imcpy(message: ImcMessage) -> Any:
+def reported_by_imcpy(message: ImcMessage) -> Any:
     """The same message as an object of imcpy."""
     other = getattr(import_module("imcpy"), type(message).__name__)()
     for name in message.__struct_fields__:
         value = getattr(message, name)
         if isinstance(value, tuple):
             for inner in value:
-                getattr(other, name).append(told_by_imcpy(inner))
+                getattr(other, name).append(reported_by_imcpy(inner))
         elif isinstance(value, msgspec.Struct):
-            setattr(other, name, told_by_imcpy(value))  # type: ignore[arg-type]  # of a message, only messages are inside
+            setattr(other, name, reported_by_imcpy(value))  # type: ignore[arg-type]  # of a message, only messages are inside
         elif value is not None:
             setattr(other, name, value)
     return other
@@ -131,7 +131,7 @@ def told_by_imcpy(message: ImcMessage) -> Any:
 @given(message=st.sampled_from(ANY_KIND).flatmap(lambda kind: made(kind, 2)))
 def test_imcpy_writes_and_reads_the_same(message: ImcMessage) -> None:
     imcpy = import_module("imcpy")
-    other = told_by_imcpy(message)
+    other = reported_by_imcpy(message)
     other.src, other.src_ent, other.dst, other.dst_ent, other.timestamp = 0x6000, 5, 0x1E, 255, TIME_S
     wired = packed(message, 0x6000, entity=5, to=0x1E, time_s=TIME_S)
     assert wired == imcpy.Packet.serialize(other)
@@ -210,15 +210,15 @@ def test_a_report_goes_through_the_message_whole() -> None:
     report = a_report()
     contact = imc_contact_of(report)
     assert decode(1700, encode(contact, ">"), ">") is not None
-    told = report_from_imc(contact)
-    assert told.belief == {name: report.belief.get(name, 0.0) for name in CLASSES}
+    reported = report_from_imc(contact)
+    assert reported.belief == {name: report.belief.get(name, 0.0) for name in CLASSES}
     for name in report.__struct_fields__:
         if name != "belief":
-            assert getattr(told, name) == pytest.approx(getattr(report, name), abs=1e-12, nan_ok=True), name
+            assert getattr(reported, name) == pytest.approx(getattr(report, name), abs=1e-12, nan_ok=True), name
     assert len(encode(contact)) == 97
 
 
-def test_no_report_is_too_large_to_be_told() -> None:
+def test_no_report_is_too_large_to_be_reported() -> None:
     wired = encode(imc_contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf)))
     assert encode(decode(1700, wired)) == wired
 

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the p
 GOAL = GoTo(41.185, -8.706, Vertical("altitude", 5.0), 1.5, 3.0)
 DEADLINE_S = 20.0
 
-# Knows nothing of this package. Tells on its output what it took, as JSON, once it has control back.
+# Uses nothing of this package. Reports on its output what it took, as JSON, once it has control back.
 PEER = r"""
 import json, socket
 import imcpy
@@ -69,17 +69,17 @@ while True:
         answer = imcpy.PlanControl()
         answer.type, answer.op, answer.request_id, answer.plan_id = 1, message.op, message.request_id, message.plan_id
         say(answer, us, host)
-        told = imcpy.FollowRefState()
-        told.control_src, told.control_ent, told.state, told.proximity = follow.control_src, follow.control_ent, 1, 1
-        say(told, us, host)
+        state = imcpy.FollowRefState()
+        state.control_src, state.control_ent, state.state, state.proximity = follow.control_src, follow.control_ent, 1, 1
+        say(state, us, host)
     elif name == "Reference":
         if message.flags & 0x80:
             taken.append([name, "done"])
             break
         taken.append([name, message.flags, message.lat, message.lon, message.speed.value, message.z.value, message.z.z_units])
-        told = imcpy.FollowRefState()
-        told.control_src, told.control_ent, told.state, told.proximity, told.reference = us, 255, 3, 6, message
-        say(told, us, host)
+        state = imcpy.FollowRefState()
+        state.control_src, state.control_ent, state.state, state.proximity, state.reference = us, 255, 3, 6, message
+        say(state, us, host)
     elif name == "Target":
         taken.append([name, message.label, message.lat, message.lon, message.z, message.z_units])
     elif name == "EntityState":
@@ -105,7 +105,7 @@ def a_report() -> ContactReport:
     )
 
 
-def test_an_imcpy_vehicle_is_taken_over_told_and_left() -> None:
+def test_an_imcpy_vehicle_is_taken_over_commanded_and_left() -> None:
     peer = subprocess.Popen([sys.executable, "-c", PEER], stdout=subprocess.PIPE, text=True)
     try:
         assert peer.stdout is not None
@@ -130,7 +130,7 @@ def test_an_imcpy_vehicle_is_taken_over_told_and_left() -> None:
 
 
 def talk_to(wire: socket.socket) -> list[VehicleEvent]:
-    """Over the wire: ask for control, tell, go to the goal, and give control back once there."""
+    """Over the wire: request control, report, go to the goal, and release control there."""
     dialect = Conversation(ImcSettings())
     dialect.connected(time.monotonic())
     dialect.request(time.monotonic())

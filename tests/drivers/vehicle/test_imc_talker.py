@@ -62,22 +62,22 @@ class Talk:
         self.dialect = Conversation(settings)
         self.now_s = now_s
         self.dialect.connected(now_s)
-        self.said()
+        self.sent()
 
     def packets(self) -> list[ImcPacket]:
         framer = Framer(ImcGrammar())
         return [framed.message for item in self.dialect.take_outgoing(self.now_s) for framed in framer.feed(item)]
 
-    def said(self) -> list[ImcMessage]:
+    def sent(self) -> list[ImcMessage]:
         return [decode(packet.number, packet.payload) for packet in self.packets()]
 
-    def said_of(self, kind: type[Any], for_s: float = 0.0) -> list[Any]:
+    def sent_of(self, kind: type[Any], for_s: float = 0.0) -> list[Any]:
         """All of a kind within the next seconds, nothing being heard."""
         until_s = self.now_s + for_s
-        found = [message for message in self.said() if type(message) is kind]
+        found = [message for message in self.sent() if type(message) is kind]
         while self.now_s < until_s - 1e-6:
             self.now_s += 0.1
-            found += [message for message in self.said() if type(message) is kind]
+            found += [message for message in self.sent() if type(message) is kind]
         return found
 
     def hear(self, *messages: ImcMessage, source: int = VEHICLE, to: int = ANYONE, age_s: float = 0.0) -> list[VehicleEvent]:
@@ -89,7 +89,7 @@ class Talk:
     def take_over(self) -> int:
         """Until the grant; returns the number of the request."""
         self.dialect.request(self.now_s)
-        (start,) = self.said_of(imc.PlanControl)
+        (start,) = self.sent_of(imc.PlanControl)
         assert self.hear(succeeded(start.request_id)) == []
         assert [type(event) for event in self.hear(follow_state())] == [Granted]
         return int(start.request_id)
@@ -144,7 +144,7 @@ def test_take_over_flight_and_return() -> None:
     assert talk.hear(succeeded(start.request_id)) == []
     assert talk.hear(follow_state()) == [Granted("FollowReference runs for us")]
     talk.dialect.command(GOAL, talk.now_s)
-    (reference,) = talk.said_of(imc.Reference)
+    (reference,) = talk.sent_of(imc.Reference)
     assert reference == imc.Reference(
         RefFlag.LOCATION | RefFlag.SPEED | RefFlag.Z,
         imc.DesiredSpeed(1.5),
@@ -154,19 +154,19 @@ def test_take_over_flight_and_return() -> None:
     )
     assert talk.hear(follow_state(GOAL, RefState.GOTO)) == []
     assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR | Proximity.Z_NEAR)) == [PlaceReached()]
-    assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR)) == [], "told once"
+    assert talk.hear(follow_state(GOAL, RefState.LOITER, Proximity.XY_NEAR)) == [], "reported once"
 
     talk.dialect.command(GOAL, talk.now_s)
     talk.dialect.release("done", talk.now_s)
-    assert talk.said() == [imc.Reference(RefFlag.MANDONE)], "the command not yet sent is dropped"
-    assert talk.said_of(imc.Reference, 3.0) == []
+    assert talk.sent() == [imc.Reference(RefFlag.MANDONE)], "the command not yet sent is dropped"
+    assert talk.sent_of(imc.Reference, 3.0) == []
 
 
 @pytest.mark.parametrize("first", ["answer", "state"])
 def test_the_grant_takes_the_answer_and_the_manoeuvre(first: str) -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    (start,) = talk.said_of(imc.PlanControl)
+    (start,) = talk.sent_of(imc.PlanControl)
     both = (succeeded(start.request_id), follow_state())
     events = talk.hear(*(both if first == "answer" else both[::-1]))
     assert [type(event) for event in events] == [Granted]
@@ -188,17 +188,17 @@ def test_the_grant_takes_the_answer_and_the_manoeuvre(first: str) -> None:
 def test_less_is_no_grant(messages: list[ImcMessage]) -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    assert [start.request_id for start in talk.said_of(imc.PlanControl)] == [1]
+    assert [start.request_id for start in talk.sent_of(imc.PlanControl)] == [1]
     assert talk.hear(*messages) == []
     talk.dialect.command(GOAL, talk.now_s)
-    assert talk.said_of(imc.Reference, 1.0) == []
+    assert talk.sent_of(imc.Reference, 1.0) == []
     assert talk.dialect.counters["imc.commands_unsaid"] == 1
 
 
 def test_answers_of_others_and_to_others_do_not_count() -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    talk.said()
+    talk.sent()
     assert talk.hear(succeeded(1), follow_state(), source=OTHER) == []
     assert talk.hear(succeeded(1), follow_state(), source=US) == []
     assert talk.dialect.counters["imc.other_source"] == 4
@@ -206,10 +206,10 @@ def test_answers_of_others_and_to_others_do_not_count() -> None:
     assert [type(event) for event in talk.hear(succeeded(1), to=US)] == [Granted]
 
 
-def test_a_request_is_said_again_but_not_for_ever() -> None:
+def test_a_request_is_sent_again_but_not_for_ever() -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    starts = talk.said_of(imc.PlanControl, 20.0)
+    starts = talk.sent_of(imc.PlanControl, 20.0)
     assert len(starts) == 3
     assert {start.request_id for start in starts} == {1}
 
@@ -217,9 +217,9 @@ def test_a_request_is_said_again_but_not_for_ever() -> None:
 def test_a_vehicle_that_calibrates_first_is_waited_for() -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    talk.said()
+    talk.sent()
     talk.hear(imc.PlanControl(PlanType.IN_PROGRESS, PlanOp.START, 1, PLAN_ID))
-    assert talk.said_of(imc.PlanControl, 8.0) == []
+    assert talk.sent_of(imc.PlanControl, 8.0) == []
     assert [type(event) for event in talk.hear(succeeded(1), follow_state())] == [Granted]
 
 
@@ -253,9 +253,9 @@ def test_control_that_is_taken_back(last: ImcMessage, reason: str) -> None:
     (event,) = talk.hear(last)
     assert isinstance(event, Withheld)
     assert reason in event.reason
-    assert talk.said_of(imc.Reference, 3.0) == [], "what was not sent yet is dropped"
+    assert talk.sent_of(imc.Reference, 3.0) == [], "what was not sent yet is dropped"
     talk.dialect.release("too late", talk.now_s)
-    assert talk.said_of(imc.PlanControl, 3.0) == talk.said_of(imc.Reference) == []
+    assert talk.sent_of(imc.PlanControl, 3.0) == talk.sent_of(imc.Reference) == []
 
 
 def test_an_abort_counts_whoever_says_it() -> None:
@@ -266,7 +266,7 @@ def test_an_abort_counts_whoever_says_it() -> None:
     assert talk.hear(imc.Abort(), source=OTHER, to=VEHICLE) == withheld, "it is not to be asked for now either"
 
 
-def test_states_told_before_the_take_over_do_not_end_it() -> None:
+def test_states_reported_before_the_take_over_do_not_end_it() -> None:
     talk = Talk()
     talk.take_over()
     old = (imc.PlanControlState(PlanState.EXECUTING, "survey"), imc.VehicleState(OpMode.MANEUVER, maneuver_type=450))
@@ -283,7 +283,7 @@ def test_references_that_nobody_answers_end_it() -> None:
     events = []
     for _ in range(12):
         talk.dialect.command(GOAL, talk.now_s)
-        talk.said()
+        talk.sent()
         talk.now_s += 0.5
         events += talk.hear(imc.Heartbeat())
     assert events == [Withheld("the vehicle does not answer our references")]
@@ -293,9 +293,9 @@ def test_a_plan_of_ours_that_nobody_wants_is_stopped_and_no_other() -> None:
     talk = Talk()
     talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"))
     talk.hear(imc.PlanControlState(PlanState.READY, PLAN_ID))
-    assert talk.said_of(imc.PlanControl, 3.0) == []
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
     talk.hear(RUNNING, RUNNING)
-    (stop,) = talk.said_of(imc.PlanControl, 1.0)
+    (stop,) = talk.sent_of(imc.PlanControl, 1.0)
     assert (stop.op, stop.plan_id) == (PlanOp.STOP, PLAN_ID)
 
 
@@ -304,23 +304,23 @@ def test_after_a_release_the_plan_is_stopped_only_if_it_goes_on() -> None:
     talk.take_over()
     talk.dialect.release("done", talk.now_s)
     talk.hear(RUNNING)
-    assert talk.said_of(imc.PlanControl, 2.5) == []
+    assert talk.sent_of(imc.PlanControl, 2.5) == []
     talk.hear(RUNNING)
-    assert [stop.op for stop in talk.said_of(imc.PlanControl)] == [PlanOp.STOP]
+    assert [stop.op for stop in talk.sent_of(imc.PlanControl)] == [PlanOp.STOP]
 
 
 def test_a_request_can_be_withdrawn() -> None:
     talk = Talk()
     talk.dialect.request(talk.now_s)
-    talk.said()
+    talk.sent()
     talk.dialect.release("plan withdrawn", talk.now_s)
-    assert talk.said_of(imc.PlanControl, 5.0) == [], "the vehicle may never have heard of it, and STOP would stop its own"
+    assert talk.sent_of(imc.PlanControl, 5.0) == [], "the vehicle may never have heard of it, and STOP would stop its own"
     assert talk.hear(succeeded(1), follow_state()) == []
     talk.dialect.request(talk.now_s)
     talk.hear(succeeded(2))
-    assert [control.op for control in talk.said_of(imc.PlanControl)] == [PlanOp.START]
+    assert [control.op for control in talk.sent_of(imc.PlanControl)] == [PlanOp.START]
     talk.dialect.release("plan withdrawn", talk.now_s)
-    (stop,) = talk.said_of(imc.PlanControl)
+    (stop,) = talk.sent_of(imc.PlanControl)
     assert (stop.op, stop.info) == (PlanOp.STOP, "plan withdrawn")
 
 
@@ -328,14 +328,14 @@ def test_invited_by_the_vehicles_own_plan() -> None:
     talk = Talk(INVITED)
     assert talk.hear(follow_state()) == []
     talk.dialect.request(talk.now_s)
-    assert talk.said_of(imc.PlanControl, 3.0) == []
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
     assert [type(event) for event in talk.hear(imc.Heartbeat())] == [Granted]
     assert talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey"), FLYING) == []
     talk.dialect.release("done", talk.now_s)
-    assert talk.said_of(imc.Reference) == [imc.Reference(RefFlag.MANDONE)]
+    assert talk.sent_of(imc.Reference) == [imc.Reference(RefFlag.MANDONE)]
     talk.dialect.request(talk.now_s)
     assert talk.hear(imc.PlanControlState(PlanState.EXECUTING, "survey")) == [], "that invitation was used"
-    assert talk.said_of(imc.PlanControl, 3.0) == []
+    assert talk.sent_of(imc.PlanControl, 3.0) == []
 
 
 def test_an_invitation_that_is_over_is_none() -> None:
@@ -406,7 +406,7 @@ def test_a_position_that_cannot_be_is_none(others: dict[str, float]) -> None:
 def test_the_first_vehicle_is_the_vehicle(first: ImcMessage) -> None:
     talk = Talk(LEARNS)
     talk.dialect.request(talk.now_s)
-    assert talk.said_of(imc.PlanControl, 3.0) == [], "nobody knows yet whom to ask"
+    assert talk.sent_of(imc.PlanControl, 3.0) == [], "nobody knows yet whom to ask"
     talk.hear(imc.Announce("console", 0), source=OTHER)
     talk.hear(first)
     assert talk.hear(imc.Announce("another", 2), estimated(42.0, -8.0), source=OTHER) == []
@@ -417,11 +417,11 @@ def test_the_first_vehicle_is_the_vehicle(first: ImcMessage) -> None:
 
 def test_heartbeat_every_second_and_health_when_it_changes() -> None:
     talk = Talk()
-    assert 9 <= len(talk.said_of(imc.Heartbeat, 10.0)) <= 11  # steps of 0.1 s are not exact
+    assert 9 <= len(talk.sent_of(imc.Heartbeat, 10.0)) <= 11  # steps of 0.1 s are not exact
     talk.dialect.report_health(PayloadHealth("fault", "port bow: silent"), talk.now_s)
-    told = imc.EntityState(EntityStatus.FAULT, 0, "port bow: silent")
-    assert talk.said_of(imc.EntityState) == [told]
-    assert talk.said_of(imc.EntityState, 21.0) == 4 * [told]
+    reported = imc.EntityState(EntityStatus.FAULT, 0, "port bow: silent")
+    assert talk.sent_of(imc.EntityState) == [reported]
+    assert talk.sent_of(imc.EntityState, 21.0) == 4 * [reported]
 
 
 def test_packets_are_stamped_with_the_time_that_was_heard() -> None:
@@ -435,56 +435,56 @@ def test_contacts_go_as_targets_where_the_vehicle_knows_no_more() -> None:
     talk = Talk(LEARNS)
     assert Capability.ACKNOWLEDGED not in talk.dialect.capabilities
     talk.dialect.report(a_report(), 1, talk.now_s)
-    (target,) = [message for message in talk.said() if not isinstance(message, imc.Heartbeat)]
+    (target,) = [message for message in talk.sent() if not isinstance(message, imc.Heartbeat)]
     assert isinstance(target, imc.Target)
     assert (target.label, target.z_units) == ("MLC-00003", ZUnits.NONE)
-    assert talk.said_of(imc.Target, 10.0) == talk.said_of(imc.MineContact, 10.0) == []
+    assert talk.sent_of(imc.Target, 10.0) == talk.sent_of(imc.MineContact, 10.0) == []
 
 
-def test_contacts_are_told_in_full_until_they_are_acknowledged() -> None:
+def test_contacts_are_reported_in_full_until_they_are_acknowledged() -> None:
     talk = Talk()
     assert Capability.ACKNOWLEDGED in talk.dialect.capabilities
     report = a_report()
     talk.dialect.report(report, 9, talk.now_s)
     talk.dialect.report(a_report(number=4), 10, talk.now_s)
-    first = [message for message in talk.said() if isinstance(message, imc.Target | imc.MineContact)]
+    first = [message for message in talk.sent() if isinstance(message, imc.Target | imc.MineContact)]
     assert [type(message) for message in first] == [imc.Target, imc.Target, imc.MineContact, imc.MineContact]
     taken = imc.MineContactTaken(77, 3, 1, 1)
     assert talk.hear(taken, source=OTHER) == talk.hear(imc.MineContactTaken(77, 3, 2, 1)) == []
     assert talk.hear(taken) == [Acknowledged(9)]
     assert talk.hear(taken) == []
-    again = talk.said_of(imc.MineContact, 60.0)
+    again = talk.sent_of(imc.MineContact, 60.0)
     assert {message.number for message in again} == {4}
     assert 4 <= len(again) <= 6, "less and less often"
     assert talk.hear(imc.MineContactTaken(77, 4, 1, 0, "too far")) == [Rejected(10, "too far")]
-    assert talk.said_of(imc.MineContact, 60.0) == []
+    assert talk.sent_of(imc.MineContact, 60.0) == []
 
 
-def test_a_report_that_is_told_anew_is_answered_under_its_new_ticket() -> None:
+def test_a_report_that_is_sent_anew_is_answered_under_its_new_ticket() -> None:
     talk = Talk()
     talk.dialect.report(a_report(), 9, talk.now_s)
     talk.dialect.report(a_report(), 10, talk.now_s)
-    assert len(talk.said_of(imc.MineContact)) == 1
+    assert len(talk.sent_of(imc.MineContact)) == 1
     assert talk.hear(imc.MineContactTaken(77, 3, 1, 1)) == [Acknowledged(10)]
 
 
-def test_a_new_connection_forgets_what_was_half_said() -> None:
+def test_a_new_connection_forgets_what_was_half_sent() -> None:
     talk = Talk()
     talk.take_over()
     talk.dialect.command(GOAL, talk.now_s)
     talk.dialect.report(a_report(), 9, talk.now_s)
     talk.dialect.disconnected()
-    assert talk.said() == []
+    assert talk.sent() == []
     talk.dialect.connected(talk.now_s)
-    assert [type(message) for message in talk.said()] == [imc.Heartbeat]
-    assert talk.said_of(imc.MineContact, 5.0) == []
+    assert [type(message) for message in talk.sent()] == [imc.Heartbeat]
+    assert talk.sent_of(imc.MineContact, 5.0) == []
 
 
-def test_steering_is_not_said() -> None:
+def test_steering_is_not_sent() -> None:
     talk = Talk()
     talk.take_over()
     talk.dialect.command(Steer(1.0, GOAL.vertical, 1.5), talk.now_s)
-    assert talk.said() == []
+    assert talk.sent() == []
     assert talk.dialect.counters["imc.commands_unsaid"] == 1
 
 
@@ -566,7 +566,7 @@ def test_no_reference_leaves_without_a_grant(settings: ImcSettings, steps: list[
             assert not (isinstance(event, Granted) and granted)
             assert not (isinstance(event, PlaceReached) and not granted)
             granted = isinstance(event, Granted) or (granted and not isinstance(event, Withheld))
-        for message in talk.said():
+        for message in talk.sent():
             if isinstance(message, imc.Reference):
                 assert granted if message.flags & RefFlag.LOCATION else released
                 released = released and bool(message.flags & RefFlag.LOCATION)
@@ -579,11 +579,11 @@ def test_whatever_was_heard_the_next_request_can_be_granted(steps: list[tuple[fl
     for pause_s, message in steps:
         talk.now_s += pause_s
         talk.hear(message)
-        talk.said()
+        talk.sent()
     talk.dialect.release("done", talk.now_s)
-    talk.said()
+    talk.sent()
     talk.dialect.request(talk.now_s)
-    (start,) = [message for message in talk.said_of(imc.PlanControl) if message.op == PlanOp.START]
+    (start,) = [message for message in talk.sent_of(imc.PlanControl) if message.op == PlanOp.START]
     assert [type(event) for event in talk.hear(succeeded(start.request_id), follow_state())] == [Granted]
 
 
@@ -598,7 +598,7 @@ def test_a_grant_recorded_earlier_is_not_accepted() -> None:
     talk = Talk()
     talk.hear(estimated(41.18, -8.7))
     talk.dialect.request(talk.now_s)
-    (start,) = talk.said_of(imc.PlanControl)
+    (start,) = talk.sent_of(imc.PlanControl)
     events = talk.hear(succeeded(start.request_id), follow_state(), age_s=86_400.0)  # of a run in which the number was the same
     assert [type(event) for event in events] == [Doubted, Doubted]
     assert "the vehicle's other messages" in events[0].reason  # type: ignore[union-attr]  # which is what it is
@@ -612,7 +612,7 @@ def test_an_answer_from_before_the_request_is_not_accepted() -> None:
     talk = Talk()
     talk.hear(estimated(41.18, -8.7))
     talk.dialect.request(talk.now_s)
-    (start,) = talk.said_of(imc.PlanControl)
+    (start,) = talk.sent_of(imc.PlanControl)
     (event,) = talk.hear(succeeded(start.request_id), age_s=0.8)
     assert isinstance(event, Doubted)
     assert "before that of the request" in event.reason
@@ -622,14 +622,14 @@ def test_recorded_answers_do_not_keep_a_command_alive() -> None:
     talk = Talk()
     talk.take_over()
     talk.dialect.command(GOAL, talk.now_s)
-    talk.said()
+    talk.sent()
     ended: list[VehicleEvent] = []
     for _ in range(200):
         talk.now_s += 0.1
         events = [*talk.hear(estimated(41.18, -8.7)), *talk.hear(follow_state(GOAL), age_s=500.0)]
         ended += [event for event in events if isinstance(event, Withheld)]
         talk.dialect.command(GOAL, talk.now_s)
-        talk.said()
+        talk.sent()
         if ended:
             break
     assert ended == [Withheld("the vehicle does not answer our references")]

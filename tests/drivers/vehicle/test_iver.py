@@ -20,9 +20,9 @@ def test_no_control_in_modes_that_are_a_persons_or_not_known(mode: str) -> None:
     dialect = Conversation(IverSettings())
     dialect.connected(0.0)
     dialect.request(0.0)
-    told, where = dialect.hear(state(mode), stamp_at(0.1))
-    assert isinstance(told, Withheld)
-    assert f"mode {mode[0]}" in told.reason
+    reported, where = dialect.hear(state(mode), stamp_at(0.1))
+    assert isinstance(reported, Withheld)
+    assert f"mode {mode[0]}" in reported.reason
     assert isinstance(where, ReportedState)
     assert [type(event) for event in dialect.hear(state("N"), stamp_at(0.2))] == [ReportedState], "it has to be asked again"
 

@@ -28,7 +28,7 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from drivers.vehicle.pilot import Pilot
-from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
+from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
 
 HOME_DEG = (54.0, 8.0)
 FENCE_DEG = tuple(moved(*HOME_DEG, *corner) for corner in ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0)))
@@ -76,7 +76,7 @@ def contact(number: int, p_mine: float = 0.9) -> Contact:
 
 
 class Sea:
-    """A pilot, a vehicle and the time. The vehicle tells its state ten times a second, grants what is asked, and does what it is told."""
+    """Run a pilot, a vehicle and the time. The vehicle reports its state ten times a second, grants requests, and obeys."""
 
     def __init__(self, capabilities: Capability = GOES_BY_ITSELF, **changes: Any) -> None:
         self.dialect = PaperTalker(capabilities)
@@ -84,27 +84,27 @@ class Sea:
         self.now_s = 100.0
         self.place_m: Metres = (0.0, 0.0)
         self.heading_rad = 0.0
-        self.told: dict[str, float] = {"depth_m": 20.0, "altitude_m": 8.0}
+        self.reported: dict[str, float] = {"depth_m": 20.0, "altitude_m": 8.0}
         self.talks = self.answers = True
         self.pilot.connected(self.now_s)
 
     def hear(self, *events: VehicleEvent) -> None:
-        self.pilot.hear([said(self.now_s, *events)], stamp(self.now_s))
+        self.pilot.hear([calls(self.now_s, *events)], stamp(self.now_s))
 
     def state(self) -> ReportedState:
         return ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
-            **self.told  # type: ignore[arg-type]  # settings of one test each
+            **self.reported  # type: ignore[arg-type]  # settings of one test each
         )
 
     def tick(self, seconds: float = 0.1) -> None:
         for _ in range(max(1, round(seconds / 0.1))):
             self.now_s += 0.1
             self._move()
-            n_said = len(self.dialect.said)
+            n_calls = len(self.dialect.calls)
             if self.talks:
                 self.hear(self.state())
             self.pilot.take_outgoing(self.now_s)
-            if self.answers and "request" in self.dialect.said[n_said:]:
+            if self.answers and "request" in self.dialect.calls[n_calls:]:
                 self.hear(Granted("as you like"))
 
     def until(self, authority: str, within_s: float = 40.0) -> None:
@@ -127,7 +127,7 @@ class Sea:
         self.place_m = (self.place_m[0] + step_m * math.sin(self.heading_rad), self.place_m[1] + step_m * math.cos(self.heading_rad))
 
     def released(self) -> list[str]:
-        return [line.removeprefix("release ") for line in self.dialect.said if line.startswith("release")]
+        return [line.removeprefix("release ") for line in self.dialect.calls if line.startswith("release")]
 
     def codes(self) -> list[str]:
         return [notice.code for notice in self.pilot.take_notices()]
@@ -170,15 +170,15 @@ def test_commands_are_repeated_in_time_and_changed_at_once() -> None:
 def test_nothing_is_asked_for_without_a_plan_or_without_leave_to_command() -> None:
     sea = Sea()
     sea.tick(30.0)
-    assert "request" not in sea.dialect.said
+    assert "request" not in sea.dialect.calls
     mute = Sea(command=False)
     mute.pilot.propose(TWO_LEGS, mute.now_s)
     mute.tick(30.0)
-    assert "request" not in mute.dialect.said
+    assert "request" not in mute.dialect.calls
     passive = Sea(Capability.NAVIGATION | Capability.CONTACT)
     passive.pilot.propose(TWO_LEGS, passive.now_s)
     passive.tick(30.0)
-    assert "request" not in passive.dialect.said
+    assert "request" not in passive.dialect.calls
 
 
 def test_the_vehicle_takes_control_back_and_the_broken_leg_is_flown_again_later() -> None:
@@ -217,15 +217,15 @@ def test_control_is_returned_when_the_position_is_lost() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "code"),
+    ("reported", "code"),
     [({"altitude_m": 1.5}, "too_low"), ({"depth_m": 120.0}, "too_deep"), ({"latitude_deg": 54.01}, "outside_fence")],
 )
-def test_control_is_returned_when_the_vehicle_is_where_it_must_not_be(told: dict[str, float], code: str) -> None:
+def test_control_is_returned_when_the_vehicle_is_where_it_must_not_be(reported: dict[str, float], code: str) -> None:
     sea = Sea()
     sea.pilot.propose(TWO_LEGS, sea.now_s)
     sea.until("granted")
     sea.tick(1.0)
-    sea.told |= told
+    sea.reported |= reported
     n_commands = len(sea.dialect.commands)
     sea.tick(5.0)
     assert len(sea.released()) == 1
@@ -241,7 +241,7 @@ def test_every_refusal_is_logged_with_its_reason(caplog: pytest.LogCaptureFixtur
     assert "way-point 2 of 2, or the way to it, lies outside the fence [plan_outside_fence]" in caplog.text
     assert "vehicle_refused" in sea.codes()
     assert "lies outside the fence" in sea.pilot.health()
-    assert "request" not in sea.dialect.said
+    assert "request" not in sea.dialect.calls
 
 
 def test_silence_ends_control_and_speech_brings_it_back() -> None:
@@ -334,9 +334,9 @@ def test_the_service_stops() -> None:
     sea.pilot.release("the service stops", sea.now_s)
     assert sea.released() == ["the service stops"]
     sea.pilot.propose(TWO_LEGS, sea.now_s)
-    n_asked = sea.dialect.said.count("request")
+    n_asked = sea.dialect.calls.count("request")
     sea.tick(60.0)
-    assert sea.dialect.said.count("request") == n_asked
+    assert sea.dialect.calls.count("request") == n_asked
     assert sea.pilot.authority == "listening"
 
 
@@ -347,7 +347,7 @@ def test_the_wire_breaks_in_control() -> None:
     sea.tick(1.0)
     sea.pilot.disconnected(sea.now_s)
     assert sea.pilot.authority == "down"
-    assert sea.dialect.said[-2:] == ["release the wire is closed", "disconnected"]
+    assert sea.dialect.calls[-2:] == ["release the wire is closed", "disconnected"]
     assert sea.pilot.take_outgoing(sea.now_s) == []
     sea.pilot.connected(sea.now_s)
     sea.until("granted")
@@ -385,7 +385,7 @@ def test_a_vehicle_that_arrives_everywhere_and_takes_control_back_leaves_nothing
     assert sea.pilot.counters["vehicle.plans_flown"] == 1
 
 
-def test_contacts_are_told_at_once_and_again_after_the_link_was_lost() -> None:
+def test_contacts_are_reported_at_once_and_again_after_the_link_was_lost() -> None:
     sea = Sea()
     sea.tick()
     sea.pilot.report(contact(1))
@@ -412,7 +412,7 @@ def test_contacts_wait_for_the_vehicle() -> None:
     assert len(sea.dialect.reports) == 1
 
 
-def test_a_refused_report_is_told_to_people_once_per_contact() -> None:
+def test_a_refused_report_is_reported_to_people_once_per_contact() -> None:
     sea = Sea()
     sea.tick()
     for p_mine in (0.5, 0.6):
@@ -424,16 +424,16 @@ def test_a_refused_report_is_told_to_people_once_per_contact() -> None:
     assert sea.codes() == ["vehicle_report_rejected"]
 
 
-def test_health_is_told_when_it_changes_and_when_the_wire_opens() -> None:
+def test_health_is_reported_when_it_changes_and_when_the_wire_opens() -> None:
     sea = Sea()
     sea.pilot.report_health(PayloadHealth("normal", ""), sea.now_s)
     sea.pilot.report_health(PayloadHealth("normal", ""), sea.now_s)
     sea.pilot.disconnected(sea.now_s)
     sea.pilot.connected(sea.now_s)
-    assert [line for line in sea.dialect.said if line.startswith("health")] == ["health normal", "health normal"]
+    assert [line for line in sea.dialect.calls if line.startswith("health")] == ["health normal", "health normal"]
 
 
-def test_a_state_told_in_pieces_is_one_state() -> None:
+def test_a_state_reported_in_pieces_is_one_state() -> None:
     sea = Sea()
     sea.pilot.propose(TWO_LEGS, sea.now_s)
     sea.talks = False

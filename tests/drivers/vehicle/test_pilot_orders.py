@@ -1,6 +1,6 @@
 """Whatever happens in whatever order: no command without leave, out of the fence, too low, or too late; and never a dead end.
 
-What a command needs is told here from the history alone, by a witness that shares nothing with the pilot but the seam.
+A witness judges commands from the history alone; it shares nothing with the pilot but the interface.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from drivers.vehicle.pilot import Pilot
-from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, said, stamp
+from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
 
 HOME_DEG: Final = (54.0, 8.0)
 # An L: the way from arm to arm leads through the outside.
@@ -68,7 +68,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.dialect = PaperTalker(capabilities)
         self.pilot = Pilot(self.dialect, CONFIG, session=1)
         self.now_s = 50.0
-        self.state: ReportedState | None = None  # told last, whole
+        self.state: ReportedState | None = None  # the last one reported whole
         self.place_m = (40.0, 40.0)
         self.plan_s = -math.inf
         self.fetched_s = -math.inf
@@ -88,7 +88,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.run(3.0, False)
 
     def hear(self, *events: VehicleEvent) -> None:
-        self.pilot.hear([said(self.now_s, *events)], stamp(self.now_s))
+        self.pilot.hear([calls(self.now_s, *events)], stamp(self.now_s))
         for event in events:
             if isinstance(event, Granted) and self.asked and self.wire_open:
                 self.may_command, self.asked = True, False
@@ -97,8 +97,8 @@ class AnyOrder(RuleBasedStateMachine):
         self.read()
 
     def read(self) -> None:
-        """Follow what the dialect was told, in order, and judge every command by it."""
-        for line in self.dialect.said[self.n_seen :]:
+        """Follow the calls of the dialect, in order, and judge every command by them."""
+        for line in self.dialect.calls[self.n_seen :]:
             if line == "request":
                 assert self.wire_open
                 assert not self.stopped
@@ -109,7 +109,7 @@ class AnyOrder(RuleBasedStateMachine):
             elif line == "command":
                 self.judge(*self.dialect.commands[self.n_commands])
                 self.n_commands += 1
-        self.n_seen = len(self.dialect.said)
+        self.n_seen = len(self.dialect.calls)
 
     def judge(self, time_s: float, command: Command) -> None:
         assert time_s == self.now_s
@@ -146,9 +146,9 @@ class AnyOrder(RuleBasedStateMachine):
     @rule()
     def disconnect(self) -> None:
         was_in_control = self.pilot.authority in ("requested", "granted")
-        n_said = len(self.dialect.said)
+        n_calls = len(self.dialect.calls)
         self.pilot.disconnected(self.now_s)
-        assert any(line.startswith("release") for line in self.dialect.said[n_said:]) == was_in_control
+        assert any(line.startswith("release") for line in self.dialect.calls[n_calls:]) == was_in_control
         self.wire_open = False
         self.read()
 
@@ -165,13 +165,13 @@ class AnyOrder(RuleBasedStateMachine):
         altitude_m=st.sampled_from([8.0, 8.0, 8.0, 1.0, NAN]),
         heading_rad=st.sampled_from([0.0, 1.0, 3.0, 5.0]),
     )
-    def tell_state(self, place_m: tuple[float, float] | None, depth_m: float, altitude_m: float, heading_rad: float) -> None:
+    def report_place(self, place_m: tuple[float, float] | None, depth_m: float, altitude_m: float, heading_rad: float) -> None:
         if place_m is not None:
             self.place_m = place_m
-        self.say_state(ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad, NAN, NAN, depth_m, altitude_m))
+        self.report_state(ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad, NAN, NAN, depth_m, altitude_m))
 
-    def say_state(self, state: ReportedState) -> None:
-        # What a message leaves out holds for a while: the witness waits until it is told whole.
+    def report_state(self, state: ReportedState) -> None:
+        # What a message leaves out holds for a while: the witness waits until it is reported whole.
         if math.isfinite(state.depth_m + state.altitude_m) or self.state is None:
             self.state = state
             self.hear(state)
@@ -195,7 +195,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.hear(Withheld("no"))
 
     @rule(ticket=st.integers(1, 3))
-    def say_something_else(self, ticket: int) -> None:
+    def send_something_else(self, ticket: int) -> None:
         self.hear(Acknowledged(ticket), Rejected(ticket + 1, "no"), PlaceReached())
 
     @rule()
@@ -232,7 +232,7 @@ class AnyOrder(RuleBasedStateMachine):
             self.now_s += 0.2
             if sails:
                 self.place_m = (self.place_m[0] * 0.98 + 40.0 * 0.02, self.place_m[1] * 0.98 + 40.0 * 0.02)
-            self.tell_state(None, 20.0, 8.0, 1.0)
+            self.report_place(None, 20.0, 8.0, 1.0)
             self.fetch()
             if self.asked:
                 self.grant()
@@ -240,7 +240,7 @@ class AnyOrder(RuleBasedStateMachine):
     @rule()
     def fetch(self) -> None:
         before = self.pilot.authority
-        n_said = len(self.dialect.said)
+        n_calls = len(self.dialect.calls)
         stalled = self.now_s - self.fetched_s > CONFIG.command_valid_s
         if not stalled:
             self.fetched_s = self.now_s
@@ -248,7 +248,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.read()
         self.fetched_s = self.now_s
         if before in ("requested", "granted") and self.pilot.authority != before:
-            assert any(line.startswith("release") for line in self.dialect.said[n_said:])
+            assert any(line.startswith("release") for line in self.dialect.calls[n_calls:])
 
     @rule(rarely=st.integers(0, 9))
     def stop(self, rarely: int) -> None:

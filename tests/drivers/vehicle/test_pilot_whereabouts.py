@@ -1,4 +1,4 @@
-"""What a vehicle told in pieces is put together, and forgotten in time."""
+"""Check that a state reported in pieces is combined, and forgotten in time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.vehicle.whereabouts import Whereabouts
 STAMP = Stamp(0, 0)
 
 
-def test_every_quantity_is_known_for_so_long_after_it_was_told() -> None:
+def test_every_quantity_is_known_for_so_long_after_it_was_reported() -> None:
     whereabouts = Whereabouts(valid_s=3.0)
     assert whereabouts.at(0.0) is None
     whereabouts.hear(ReportedState(STAMP, 54.0, 8.0, depth_m=20.0), 0.0)

@@ -74,7 +74,7 @@ def test_an_override_that_nobody_asked_for_is_ended_once_a_second() -> None:
     assert not any(line.startswith(b"#C") for line in lines)
 
 
-def test_the_end_of_an_override_is_said_again_until_the_vehicle_shows_it() -> None:
+def test_the_end_of_an_override_is_sent_again_until_the_vehicle_shows_it() -> None:
     loop = in_control("recon")
     loop.dialect.release("done", loop.now_s)
     loop.lost = lambda line: line == frame("E,0")
