@@ -17,12 +17,12 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
-REFIX_COUNT: Final = 3  # fixes that agree before a candidate is believed: two may be one glitch that was reported twice
+REFIX_COUNT: Final = 3  # fixes that must agree before a candidate is believed: two may be one glitch that was reported twice
 WINDOW: Final = 30  # newest fixes that are compared
 _OUTNUMBERED: Final = 2  # a candidate with so many times the believed track's fixes in the window takes over
 _COMPARABLE: Final = 0.25  # of the believed track's fixes in the window: a candidate with fewer is noise
-_MAX_RIVALS: Final = 8  # the one silent for longest is forgotten; scattered fixes must cost no memory
-_HOLD_FACTOR: Final = 4.0 / 3.0  # times span_s: undecided fixes older than this are rejected, so that nobody waits for them for ever
+_MAX_CANDIDATES: Final = 8  # the one silent for longest is dropped; scattered fixes must cost no memory
+_HOLD_FACTOR: Final = 4.0 / 3.0  # times span_s: undecided fixes older than this are rejected, so that the wait for them is bounded
 
 
 class Timed(Protocol):
@@ -72,7 +72,7 @@ class _Track(Generic[F]):
 
 
 class FixAgreement(Generic[F]):
-    """Fixes of one source in order of arrival; see the module."""
+    """Decide on fixes of one source in order of arrival; see the module."""
 
     def __init__(self, apart_m: Callable[[F, F], float], reach_m: Callable[[F, F], float], span_s: float) -> None:
         """apart_m: distance between two fixes. reach_m: what the vehicle can have travelled between them, their errors included.
@@ -88,7 +88,7 @@ class FixAgreement(Generic[F]):
 
     @property
     def last(self) -> F | None:
-        """The newest believed fix."""
+        """Give the newest believed fix."""
         return None if self._believed is None else self._believed.last
 
     @property
@@ -98,12 +98,12 @@ class FixAgreement(Generic[F]):
 
     @property
     def waiting_since_s(self) -> float:
-        """Time of the oldest fix that may still be believed; inf if there is none."""
+        """Give the time of the oldest fix that may still be believed; inf if there is none."""
         return min((candidate.waiting[0].time_s for candidate in self._candidates if candidate.waiting), default=math.inf)
 
     @property
     def waiting_apart_m(self) -> float:
-        """Distance from the newest believed fix to the farthest track that may still be believed; 0 if there is none."""
+        """Measure from the newest believed fix to the farthest track that may still be believed; 0 if there is none."""
         if self._believed is None:
             return 0.0
         last = self._believed.last
@@ -130,15 +130,15 @@ class FixAgreement(Generic[F]):
             self._candidates.append(candidate)
         candidate.take(fix, resumes=not self._recent or self._recent[-1] is not candidate)
         self._recent.append(candidate)
-        decision = self._settle(self._best_rival()) if believed is None and self._spans(fix.time_s) else FixDecision[F]()
+        decision = self._settle(self._best_candidate()) if believed is None and self._spans(fix.time_s) else FixDecision[F]()
         if believed is not None and self._takes_over(candidate, believed, fix):
             decision = self._settle(candidate)
         return decision._replace(n_rejected=decision.n_rejected + n_forgotten)
 
     def advance(self, time_s: float) -> FixDecision[F]:
-        """Time has passed without a fix: settle the first track if it is due, reject fixes that waited too long."""
+        """Advance the time without a fix: settle the first track if it is due, reject fixes that waited too long."""
         if self._believed is None:
-            return self._settle(self._best_rival()) if self._candidates and self._spans(time_s) else FixDecision()
+            return self._settle(self._best_candidate()) if self._candidates and self._spans(time_s) else FixDecision()
         n_rejected = 0
         for candidate in self._candidates:
             while candidate.waiting and time_s - candidate.waiting[0].time_s > _HOLD_FACTOR * self._span_s:
@@ -147,8 +147,8 @@ class FixAgreement(Generic[F]):
         return FixDecision(n_rejected=n_rejected)
 
     def decide(self) -> FixDecision[F]:
-        """Believe the track that most fixes support so far, because somebody cannot wait."""
-        return FixDecision() if self.is_decided else self._settle(self._best_rival())
+        """Believe the track that most fixes support so far, because a caller cannot wait."""
+        return FixDecision() if self.is_decided else self._settle(self._best_candidate())
 
     def _extend(self, believed: _Track[F], fix: F) -> None:
         believed.last = fix
@@ -174,15 +174,15 @@ class FixAgreement(Generic[F]):
         return self._apart_m(believed.last, fix) <= self._apart_m(candidate.last, fix)
 
     def _make_room(self) -> int:
-        """Forget the candidate with fewest new fixes if there are too many; how many fixes were rejected with it."""
-        if len(self._candidates) < _MAX_RIVALS:
+        """Drop the candidate with fewest new fixes if there are too many; give how many fixes were rejected with it."""
+        if len(self._candidates) < _MAX_CANDIDATES:
             return 0
         silent = min(self._candidates, key=lambda candidate: (self._recent.count(candidate), candidate.last.time_s))
         self._candidates.remove(silent)
         return len(silent.waiting)
 
-    def _best_rival(self) -> _Track[F]:
-        """The one with most fixes, the latest of equals."""
+    def _best_candidate(self) -> _Track[F]:
+        """Choose the candidate with most fixes, the latest of equals."""
         return max(self._candidates, key=lambda candidate: (len(candidate.waiting), candidate.last.time_s))
 
     def _takes_over(self, candidate: _Track[F], believed: _Track[F], fix: F) -> bool:

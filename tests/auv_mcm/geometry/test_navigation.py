@@ -163,7 +163,7 @@ def test_nothing_is_extrapolated() -> None:
     assert track.stale.tolist() == [False, True, True]
 
 
-def test_an_empty_buffer_knows_nothing() -> None:
+def test_an_empty_buffer_holds_nothing() -> None:
     buffer = NavBuffer(NavigationConfig())
     track = at(buffer, 0.0, 1.0)
     for name in ("latitude_deg", "longitude_deg", "heading_rad", "depth_m", "speed_mps", "altitude_m"):
@@ -196,7 +196,7 @@ def test_samples_at_the_same_instant_are_merged_and_the_first_value_stays() -> N
 # --- what is missing -------------------------------------------------------------------------------------------------
 
 
-def test_missing_attitude_is_level_and_said_once() -> None:
+def test_missing_attitude_is_level_and_reported_once() -> None:
     buffer = filled(without(here(i, east=i), "pitch_rad", "roll_rad", "depth_m") for i in range(5))
     for _ in range(3):
         track = at(buffer, 1.0, 2.0)
@@ -470,7 +470,7 @@ def test_a_better_track_takes_over_although_the_worse_one_goes_on() -> None:
     assert east_north(at(buffer, 75.1))[0, 1] == pytest.approx(800.0, abs=1e-3)
 
 
-def test_an_old_position_says_so_in_its_sigma() -> None:
+def test_the_age_of_a_position_shows_in_its_sigma() -> None:
     buffer = filled([*steady(20), *(only(10.0 + i, heading_rad=0.0, speed_mps=2.0) for i in range(100))])
     track = at(buffer, 9.0, 60.0, 105.0)
     assert track.stale.tolist() == [False, True, True]
