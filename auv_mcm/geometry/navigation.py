@@ -26,7 +26,7 @@ from auv_mcm.settings.config import NavigationConfig
 
 MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that implies more is wrong
 JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
-# Fixes that contradict the ones before must agree this long until they are believed: a receiver that was 1 degree off for 4 s came back.
+# Fixes that contradict the ones before must agree this long until they are accepted: a receiver that was 1 degree off for 4 s came back.
 # Pings wait 5 s for navigation by default, so the decision comes before they are placed.
 AGREE_S: Final = 4.5
 DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no speed is known: a survey speed
@@ -94,7 +94,7 @@ class NavBuffer:
         self._last_course: float | None = None
         self._leap: NavSample | None = None
         self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
-        self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
+        self._last_offered_s = -math.inf  # time of the newest position offered, accepted or not
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
         self._heading_check = HeadingCheck()
@@ -151,7 +151,7 @@ class NavBuffer:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """Give the times of the oldest and the newest sample believed; both -inf before the first one."""
+        """Give the times of the oldest and the newest sample accepted; both -inf before the first one."""
         return self._oldest_s, self._newest_s
 
     @property
@@ -161,7 +161,7 @@ class NavBuffer:
         Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays so.
         """
         newest_s = self._newest_s
-        next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be believed
+        next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be accepted
         # Later chords have their middle at or after this instant; the next fix after a hole starts a new chord.
         next_chord_s = next_fix_s
         start, last = self._chord_start, self._last_fix
@@ -184,7 +184,7 @@ class NavBuffer:
         from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll: 0). Heading
         and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
         `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart, and those whose
-        position is disputed. For instants later than `ready_until_s` before any track of fixes is believed, the best track is believed.
+        position is disputed. For instants later than `ready_until_s` before any track of fixes is accepted, the best track is accepted.
         """
         times = np.array(times_s, dtype=np.float64)
         if not self._agreement.is_decided and times.size and float(times.max()) > self.ready_until_s:
