@@ -1,7 +1,7 @@
-"""The area that is to be cleared, as cells of the mission's plane, and how its search stands.
+"""Lay out the area that is to be cleared as cells of the mission's plane, and state how its search stands.
 
-Its clearance is the mean over its cells of the probability that a mine there would have been found: the percentage of mines found that is
-to be expected where they may lie anywhere.
+Its clearance is the mean over its cells of the probability that a mine there would have been found: the expected share of mines found
+where they may lie anywhere.
 """
 
 from __future__ import annotations
@@ -19,19 +19,25 @@ from auv_mcm.geometry.geodesy import LocalFrame
 
 
 class Area(NamedTuple):
-    """ground: the clearance over a box around the area. cells: bool, of its shape, those whose middles lie in the area; at least one."""
+    """Hold an area in cells.
+
+    ground: the clearance over a box around the area. cells: bool, of its shape, those whose middles lie in the area;
+    one or more.
+    """
 
     ground: Clearance
     cells: NDArray[np.bool_]
 
     @property
     def frame(self) -> LocalFrame:
-        """Of the plane that the cells lie in."""
+        """Give the plane that the cells lie in."""
         return frame_of(self.ground)
 
 
 class AreaState(NamedTuple):
-    """How the search of the area stands. p_detected: its clearance. share: of its cells, those with `required` or more each.
+    """Hold how the search of the area stands.
+
+    p_detected: its clearance. share: of its cells, those with `required` or more each.
 
     verdict: "" while it is under way; else "done: ...", "cannot, because ...", or "not yet, because ...".
     """
@@ -47,24 +53,26 @@ class AreaState(NamedTuple):
         return self.p_detected >= self.required
 
     def words(self) -> str:
-        """In a few words; what is not reached never reads as if it were."""
-        told = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {self.required:.2f}"
-        return told + " reached" * self.is_reached
+        """State the clearance in a few words, rounded down so that it never reads as reached when it is not."""
+        text = f"clearance {math.floor(100.0 * self.p_detected + 1e-9) / 100.0:.2f} of {self.required:.2f}"
+        return text + " reached" * self.is_reached
 
 
 def frame_of(clearance: Clearance) -> LocalFrame:
-    """The plane that its cells lie in."""
+    """Give the plane that a clearance's cells lie in."""
     return LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
 
 
 def in_plane(places_deg: Sequence[tuple[float, float]], plane: LocalFrame) -> NDArray[np.float64]:
-    """(n, 2) east and north of n latitudes and longitudes."""
+    """Project n latitudes and longitudes to (n, 2) east and north, m."""
     latitude_deg, longitude_deg = np.array(places_deg, dtype=np.float64).reshape(-1, 2).T
     return plane.to_enu(latitude_deg, longitude_deg, np.zeros_like(latitude_deg))[:, :2]
 
 
 def over_area(clearance: Clearance | None, corners_deg: Sequence[tuple[float, float]], cell_m: float) -> Area:
-    """The area in cells. Before anything was seen (None) they lie in a plane of the area's own, cell_m wide.
+    """Lay out the area in cells.
+
+    Before any survey (None) the cells lie in a plane of the area's own, cell_m wide.
 
     corners_deg: three or more latitudes and longitudes in order.
     """
@@ -81,7 +89,7 @@ def over_area(clearance: Clearance | None, corners_deg: Sequence[tuple[float, fl
 
 
 def middles_m(ground: Clearance) -> NDArray[np.float64]:
-    """(n_north, n_east, 2) east and north of the middles of cells."""
+    """Compute east and north of the middles of cells, (n_north, n_east, 2), m."""
     n_north, n_east = ground.looks.shape
     east = (ground.first_east + np.arange(n_east) + 0.5) * ground.cell_m
     north = (ground.first_north + np.arange(n_north) + 0.5) * ground.cell_m
@@ -89,7 +97,7 @@ def middles_m(ground: Clearance) -> NDArray[np.float64]:
 
 
 def area_state(area: Area, required: float, verdict: str = "") -> AreaState:
-    """How the search of the area stands."""
+    """Summarise how the search of the area stands."""
     p = area.ground.p_detected[area.cells]
     return AreaState(
         km2=p.size * area.ground.cell_m**2 * 1e-6,

@@ -1,4 +1,4 @@
-"""What a tile surveyed, laid out in square cells of the mission's own plane."""
+"""Lay out what a tile surveyed in square cells of the mission's own plane."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from auv_mcm.settings.config import SonarConfig
 
 Array = NDArray[np.float64]
 
-_BLOCK_M: Final = 0.5  # pixels as near to each other are placed together
-_LEAST_FRACTION: Final = 0.01  # of a cell, below which it counts as not seen
+_BLOCK_M: Final = 0.5  # pixels within a block are placed together
+_MIN_FRACTION: Final = 0.01  # share of a cell, below which it counts as not seen
 _KEY: Final = 1 << 32  # east index times this plus north index: one number per cell
 
 
@@ -30,7 +30,8 @@ def surveyed_cells(
     seabed: SeabedCells | None = None,
     evaluated_fraction: float = 1.0,
 ) -> SurveyedCells | None:
-    """The covered pixels of a tile's core, gathered into cells; ones of which less than a hundredth was seen are left out.
+    """Gather the covered pixels of a tile's core into cells; cells of which less than a hundredth was seen are left
+    out.
 
     covered: (core rows, n_columns) bool, False where the row cannot be placed. frame: the mission's plane. Pixels are placed in
     blocks of half a metre. evaluated_fraction: of the places to look at, those that the detector's budget allowed for. None if nothing was
@@ -57,7 +58,7 @@ def surveyed_cells(
     cell, key = np.unique(index[:, 0] * _KEY + index[:, 1], return_inverse=True)
     n_cells = len(cell)
     total = np.bincount(key, area, n_cells)
-    kept = np.flatnonzero(total >= _LEAST_FRACTION * cell_m * cell_m)
+    kept = np.flatnonzero(total >= _MIN_FRACTION * cell_m * cell_m)
     if not len(kept):
         return None
 
@@ -88,13 +89,13 @@ def surveyed_cells(
 
 
 def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:
-    """Covered pixels per block; the last ones may be cut short."""
+    """Sum covered pixels per block; the last ones may be cut short."""
     by_row = np.add.reduceat(covered, np.arange(0, covered.shape[0], n_rows), axis=0, dtype=np.int32)
     return np.add.reduceat(by_row, np.arange(0, covered.shape[1], n_columns), axis=1).astype(np.float64)
 
 
 def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: LocalFrame) -> Array:
-    """(n, 2) east and north of a ground range at fractional rows."""
+    """Compute (n, 2) east and north of a ground range at fractional rows, m."""
     position = np.clip(row, 0.0, len(tile.pose) - 1.0)
     first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
     echoes = EchoGeometry(
@@ -118,7 +119,7 @@ def _seabed(
     n_cells: int,
     kept: NDArray[np.int64],
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Per cell the kind that most of its area is, with its mean confidence, and the axial mean of what ripples there are."""
+    """Give the commonest kind of sea floor per cell, its mean confidence, and the axial mean of its ripples."""
     if seabed is None:
         unknown = np.full(len(kept), SEABED_TYPES.index("unknown"), dtype=np.uint8)
         nothing = np.full(len(kept), NAN, dtype=np.float32)
@@ -128,11 +129,11 @@ def _seabed(
     across = np.clip((ground_m // seabed.cell_m[1]).astype(int), 0, n_across - 1)
     kind = seabed.kind[along, across]
     by_kind = np.stack([np.bincount(key, area * (kind == index), n_cells)[kept] for index in range(len(SEABED_TYPES))])
-    most = np.argmax(by_kind, axis=0)
-    most_of = np.zeros(n_cells, dtype=int)
-    most_of[kept] = most
-    agrees = area * (kind == most_of[key])
-    of_kept = np.maximum(by_kind[most, np.arange(len(kept))], 1e-12)
+    commonest = np.argmax(by_kind, axis=0)
+    commonest_of = np.zeros(n_cells, dtype=int)
+    commonest_of[kept] = commonest
+    agrees = area * (kind == commonest_of[key])
+    of_kept = np.maximum(by_kind[commonest, np.arange(len(kept))], 1e-12)
     confidence = np.bincount(key, agrees * seabed.confidence[along, across], n_cells)[kept] / of_kept
     ripple = seabed.ripple_rad[along, across].astype(np.float64)
     weight = np.where(np.isfinite(ripple), agrees, 0.0)
@@ -144,7 +145,7 @@ def _seabed(
     direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
     wavelength = np.bincount(key, weight * np.nan_to_num(seabed.wavelength_m[along, across]), n_cells)[kept] / np.maximum(rippled, 1e-12)
     return (
-        most.astype(np.uint8),
+        commonest.astype(np.uint8),
         confidence.astype(np.float32),
         np.where(is_rippled, np.where(direction >= math.pi, 0.0, direction), NAN).astype(np.float32),
         np.where(is_rippled, wavelength, NAN).astype(np.float32),

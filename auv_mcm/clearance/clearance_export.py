@@ -1,4 +1,4 @@
-"""Clearance as GeoJSON: rectangles of cells alike, so that a map of thousands of cells stays small."""
+"""Export clearance as GeoJSON: rectangles of equal cells, so that a map of thousands of cells stays small."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SEABED_TYPES
 
 BANDS: Final = (0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 1.0)
-"""Edges of the bands of probability that cells are told in."""
+"""Edges of the bands of probability that cells are reported in."""
 
 
 def band_of(p_detected: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Index of the band each probability is in; band i is [BANDS[i], BANDS[i + 1]), the last one with its end."""
+    """Find the band of each probability; band i is [BANDS[i], BANDS[i + 1]), the last one with its end."""
     return np.clip(np.searchsorted(BANDS, p_detected, side="right") - 1, 0, len(BANDS) - 2)
 
 
 def clearance_geojson(clearance: Clearance | None) -> bytes:
-    """A FeatureCollection of rectangles of seen cells that have the same kind of sea floor and lie in the same band of `p_detected`.
+    """Write a FeatureCollection of rectangles of seen cells.
+
+    The cells of a rectangle have the same kind of sea floor and lie in the same band of `p_detected`.
 
     Properties: seabed; p_low and p_high, the band's ends; p_mean over its cells; cells, their number; m2. From south-west to north-east.
     """
@@ -51,7 +53,9 @@ def clearance_geojson(clearance: Clearance | None) -> bytes:
 
 
 def rectangles(values: NDArray[np.int64]) -> list[tuple[int, int, int, int]]:
-    """Rectangles (first row, first column, rows, columns) of equal values that together hold every cell with a value of 0 or more once.
+    """Cover every cell with a value of 0 or more once by rectangles of equal values.
+
+    A rectangle is (first row, first column, rows, columns).
 
     Each is grown from its first cell along the row, then as many rows up as are alike over its whole width.
     """
@@ -70,7 +74,7 @@ def rectangles(values: NDArray[np.int64]) -> list[tuple[int, int, int, int]]:
 
 
 def _ring(clearance: Clearance, frame: LocalFrame, north: int, east: int, n_north: int, n_east: int) -> NDArray[np.float64]:
-    """Longitude and latitude of a rectangle's corners, closed, counter-clockwise."""
+    """Give longitude and latitude of a rectangle's corners, closed, counter-clockwise."""
     low = np.array([east + clearance.first_east, north + clearance.first_north]) * clearance.cell_m
     high = low + np.array([n_east, n_north]) * clearance.cell_m
     corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]), (low[0], low[1])]

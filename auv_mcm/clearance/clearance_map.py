@@ -1,4 +1,4 @@
-"""How well each piece of sea floor has been searched: looks that add up to the probability that a mine there would have been found.
+"""Map how well each piece of sea floor was searched: views add up to the probability of having found a mine there.
 
 Looks at a cell with probabilities P_k leave a mine unseen with the product of 1 - P_k, so their miss exponents -ln(1 - P_k) add up. That
 holds for looks that are independent. One from nearly the same direction sees the same side of the same mine and counts only in part, as
@@ -18,8 +18,8 @@ from auv_mcm.records import NAN, SEABED_TYPES, CoveragePatch, Side, SurveyedCell
 
 Array = NDArray[np.float64]
 
-HIGHEST_P: Final = 0.98  # of one look: nothing is ever seen for certain
-N_LOOKS: Final = 64  # directions told apart
+HIGHEST_P: Final = 0.98  # of one view: no mine is ever seen for certain
+N_LOOKS: Final = 64  # directions distinguished
 _SAME_LOOK_RAD: Final = math.radians(15.0)
 _SAME_PASS_S: Final = 60.0
 _ROUNDING_RAD: Final = 1e-6
@@ -29,9 +29,9 @@ _DENSE_CELLS: Final = 1024  # side of the squares among which the one searched m
 
 
 class LookModel(Protocol):
-    """What a look is worth.
+    """State what a view is worth.
 
-    same_look_correlation, other_look_correlation: the part of a further look that tells nothing new, from within 15 degrees of an earlier
+    same_look_correlation, other_look_correlation: the part of a further view that adds nothing new, from within 15 degrees of an earlier
     one and from elsewhere, 0 to 1.
     """
 
@@ -48,12 +48,17 @@ class LookModel(Protocol):
         look_rad: NDArray[np.float32],
         ripple_rad: NDArray[np.float32],
     ) -> Array:
-        """(n,) probability that one look at the whole of a cell finds a mine that lies there; arguments as in `SurveyedCells`."""
+        """Compute the probability that one view of the whole of a cell finds a mine there, (n,).
+
+        Arguments as in `SurveyedCells`.
+        """
         ...
 
 
 class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """How the search stands, (n_north, n_east) cells of the mission's plane; element [0, 0] is cell (first_east, first_north).
+    """Hold how the search stands, (n_north, n_east) cells of the mission's plane.
+
+    Element [0, 0] is cell (first_east, first_north).
 
     exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. towards uint64: the
     directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
@@ -77,7 +82,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def p_detected(self) -> Array:
-        """Probability that a mine in the cell would have been found."""
+        """Compute the probability that a mine in the cell would have been found."""
         return np.asarray(-np.expm1(-self.exponent))
 
     @property
@@ -86,13 +91,16 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def look_bit(look_rad: ArrayLike) -> NDArray[np.uint64]:
-    """The bit, of N_LOOKS, that stands for the direction nearest to where a look goes; any shape."""
+    """Give the bit, of N_LOOKS, of the direction nearest to that of a view; any shape."""
     number = np.rint(np.asarray(look_rad, dtype=np.float64) * (N_LOOKS / (2.0 * math.pi))).astype(np.int64) % N_LOOKS
     return np.asarray(np.uint64(1) << number.astype(np.uint64))
 
 
 class _Look(NamedTuple):
-    """Cells that one pass saw, and what a look at the whole of each was worth, (n,). Kept for a whole mission: nothing is in it twice."""
+    """Hold the cells that one pass saw, and the worth of a view of the whole of each, (n,).
+
+    It is kept for a whole mission, without repetition.
+    """
 
     p: Array
     cells: SurveyedCells
@@ -106,7 +114,7 @@ class _Pass(NamedTuple):
 
 
 class ClearanceMap:
-    """Looks at cells as patches come in; equal patches give equal maps, in whatever order tiles of a pass come.
+    """Collect views of cells from patches; equal patches give equal maps, whatever the order of tiles of a pass.
 
     Patches of one side that follow one another within a minute and look the same way are one pass, and what a pass sees of a cell in two
     patches is one look.
@@ -120,7 +128,10 @@ class ClearanceMap:
         self._n_passes = 0
 
     def add(self, patch: CoveragePatch) -> None:
-        """Take a patch; one without cells saw nothing. Raises ValueError for cells that are not those of the patches before."""
+        """Take a patch; one without cells adds nothing.
+
+        Raises ValueError for cells that are not in the plane of the patches before.
+        """
         cells = patch.cells
         if cells is None or not len(cells.fraction):
             return
@@ -133,7 +144,7 @@ class ClearanceMap:
         self._numbers.append(self._pass_of(patch))
 
     def snapshot(self) -> Clearance | None:
-        """How the search stands; None if nothing was seen yet."""
+        """Give how the search stands; None before the first patch with cells."""
         if not self._looks:
             return None
         seen = [look.cells for look in self._looks]
@@ -171,15 +182,15 @@ class ClearanceMap:
         return current.number
 
     def _added_up(self, exponent: Array, look_rad: Array, first: NDArray[np.intp], n_looks: NDArray[np.intp]) -> Array:
-        """Per cell the exponents of its looks, each less what earlier ones have told already."""
-        most = int(n_looks.max())
-        column = np.arange(most)
+        """Add up, per cell, the exponents of its views, each reduced by what earlier views have in common with it."""
+        max_looks = int(n_looks.max())
+        column = np.arange(max_looks)
         there = column < n_looks[:, np.newaxis]
         row = np.where(there, first[:, np.newaxis] + column, 0)
         direction = np.where(there, look_rad[row], np.nan)
         total = np.zeros(len(first))
         same, other = 1.0 - self._model.same_look_correlation, 1.0 - self._model.other_look_correlation
-        for k in range(most):
+        for k in range(max_looks):
             apart = np.abs(np.mod(direction[:, :k] - direction[:, k : k + 1] + np.pi, 2.0 * np.pi) - np.pi)
             again = (apart <= _SAME_LOOK_RAD + _ROUNDING_RAD).any(axis=1)
             weight = np.where(again, same, other if k else 1.0)
@@ -201,24 +212,24 @@ class ClearanceMap:
         looks[at] = np.minimum(n_looks, 255)
         looked_towards = np.zeros(shape, dtype=np.uint64)
         looked_towards[at] = towards
-        # The surest look tells what kind of sea floor it is; of equals the first.
+        # The surest view decides what kind of sea floor it is; of equals the first.
         confidence = np.full(shape, -1.0, dtype=np.float32)
         seabed = np.full(shape, SEABED_TYPES.index("unknown"), dtype=np.uint8)
         ripple = np.full(shape, np.nan, dtype=np.float32)
         wavelength = np.full(shape, np.nan, dtype=np.float32)
         altitude, weight = np.zeros(shape), np.zeros(shape)
-        for told in self._looks:
-            row, column = told.cells.north_index - first_north, told.cells.east_index - first_east
+        for look in self._looks:
+            row, column = look.cells.north_index - first_north, look.cells.east_index - first_east
             inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
             place = row[inside], column[inside]
-            sure = (told.cells.confidence * told.cells.fraction)[inside]
+            sure = (look.cells.confidence * look.cells.fraction)[inside]
             better = sure > confidence[place]
             surer = place[0][better], place[1][better]
             confidence[surer] = sure[better]
-            for layer, values in ((seabed, told.cells.seabed), (ripple, told.cells.ripple_rad), (wavelength, told.cells.wavelength_m)):
+            for layer, values in ((seabed, look.cells.seabed), (ripple, look.cells.ripple_rad), (wavelength, look.cells.wavelength_m)):
                 layer[surer] = values[inside][better]
-            fraction = told.cells.fraction[inside].astype(np.float64)
-            altitude[place] += fraction * told.cells.altitude_m[inside]
+            fraction = look.cells.fraction[inside].astype(np.float64)
+            altitude[place] += fraction * look.cells.altitude_m[inside]
             weight[place] += fraction
         plane = self._looks[0].cells
         return Clearance(
@@ -239,7 +250,8 @@ class ClearanceMap:
 
 
 def _around_the_densest(east: NDArray[np.int64], north: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Indices, rising, of the cells to lay out: all, unless their box is too large; then those nearest to where most was seen.
+    """Choose the cells to lay out, rising indices: all, or, if their box is too large, those nearest to the densest
+    part.
 
     A position that was wrong by kilometres, or a second site, must not cost the memory of all that lies between.
     """
@@ -259,7 +271,7 @@ def _plane(cells: SurveyedCells) -> tuple[float, float, float]:
 
 
 def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: float) -> Clearance:
-    """The clearance before anything was seen: no cells yet."""
+    """Give the clearance before any survey: no cells yet."""
     return Clearance(
         origin_latitude_deg=origin_latitude_deg,
         origin_longitude_deg=origin_longitude_deg,
@@ -277,7 +289,10 @@ def unsearched(origin_latitude_deg: float, origin_longitude_deg: float, cell_m: 
 
 
 def clearance_over(clearance: Clearance, first_east: int, first_north: int, shape: tuple[int, int]) -> Clearance:
-    """The same over a box of (n_north, n_east) cells, of which the clearance may know some or none; what lies outside is left out."""
+    """Cut out or widen a clearance to a box of (n_north, n_east) cells.
+
+    It may hold some or none of them; what lies outside is left out.
+    """
     row, column = clearance.first_north - first_north, clearance.first_east - first_east
     n_north, n_east = clearance.looks.shape
     rows = slice(max(row, 0), max(min(row + n_north, shape[0]), 0))

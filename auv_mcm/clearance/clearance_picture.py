@@ -1,4 +1,4 @@
-"""Clearance and sea floor as one picture: how likely a mine would have been found, and what kind of sea floor it is, north up."""
+"""Draw clearance and kinds of sea floor as one picture, north up."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _INK: Final = (60, 50, 40)
 _LONGEST: Final = 640  # pixels of a map's longer side
 _GAP: Final = 24
 _KEY_HEIGHT: Final = 44
-_MOST_PER_CELL: Final = 24
+_MAX_PER_CELL: Final = 24
 
 
 def clearance_picture(clearance: Clearance) -> Bytes:
-    """(n, m, 3) blue-green-red: `p_detected` on the left, kinds of sea floor on the right, each with its key below."""
+    """Draw the (n, m, 3) blue-green-red picture: `p_detected` left, kinds of sea floor right, each above its key."""
     rows, columns = clearance.exponent.shape
-    per_cell = max(1, min(_MOST_PER_CELL, _LONGEST // max(rows, columns)))
+    per_cell = max(1, min(_MAX_PER_CELL, _LONGEST // max(rows, columns)))
     step = max(1, -(-max(rows, columns) // _LONGEST))  # of cells, where there are more than pixels
     seen = clearance.seen[::step, ::step]
     maps = []
@@ -55,7 +55,7 @@ def clearance_picture(clearance: Clearance) -> Bytes:
 
 
 def clearance_png(clearance: Clearance) -> bytes:
-    """The picture of `clearance.png`."""
+    """Encode the picture of `clearance.png`."""
     encoded: NDArray[Any] = cv2.imencode(".png", clearance_picture(clearance), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
     return encoded.tobytes()
 

@@ -1,4 +1,4 @@
-"""What part of the sea floor a tile really covered, and how much was lost to what."""
+"""Measure what part of the sea floor a tile covered, and how much was lost to which cause."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
 
 
 class CoverageGrid(NamedTuple):
-    """The mission's cells."""
+    """Define the mission's cells."""
 
     frame: LocalFrame
     cell_m: float
@@ -30,9 +30,12 @@ class CoverageGrid(NamedTuple):
 def cover_tile(
     tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0, grid: CoverageGrid | None = None, seabed: SeabedCells | None = None
 ) -> CoveragePatch:
-    """Coverage of a tile's core. A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh, it
-    is not saturated, since among clipped echoes no highlight stands out, and it does not lie in the large shadow of something high. Of
-    the area so covered only the evaluated fraction counts, since the detector's budget did not allow for the rest.
+    """Compute the coverage of a tile's core.
+
+    A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh, it is not
+    saturated, since among clipped echoes no highlight stands out, and it does not lie in the large shadow of something
+    high. Of the area so covered only the evaluated fraction counts, since the detector's budget did not allow for the
+    rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where rows that
     cover less than a fifth of the range lie for more than half a metre. grid: the cells to lay the same area out in; seabed: what kind of
@@ -76,7 +79,7 @@ def cover_tile(
 
 
 def uncovered(tile: Tile) -> CoveragePatch:
-    """Coverage of a tile whose processing failed: none, all its valid pixels lost to `failed`."""
+    """Give the coverage of a tile whose processing failed: none, all its valid pixels lost to `failed`."""
     core = slice(tile.core_start, tile.core_stop)
     failed_m2 = float(np.count_nonzero(tile.mask[core] & VALID)) * tile.row_spacing_m * tile.column_spacing_m
     return CoveragePatch(
@@ -92,7 +95,7 @@ def uncovered(tile: Tile) -> CoveragePatch:
 
 
 def placed_rows(tile: Tile) -> NDArray[np.bool_]:
-    """Rows whose echoes can be placed on Earth, (n_rows,)."""
+    """Select rows whose echoes can be placed on Earth, (n_rows,)."""
     pose = tile.pose
     known = np.isfinite([pose.latitude_deg, pose.longitude_deg, pose.heading_rad, pose.pitch_rad, pose.roll_rad, tile.first_return_m])
     return np.asarray(known.all(axis=0))
@@ -114,7 +117,7 @@ def _outlines(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig) -> tup
 
 
 def _runs(covers: NDArray[np.bool_], max_gap: int) -> list[tuple[int, int]]:
-    """Stretches [first, stop) of rows that cover, across gaps of up to `max_gap` rows."""
+    """Find stretches [first, stop) of rows that cover, across gaps of up to `max_gap` rows."""
     runs: list[tuple[int, int]] = []
     for row in np.flatnonzero(covers).tolist():
         if runs and row - runs[-1][1] <= max_gap:
@@ -125,7 +128,7 @@ def _runs(covers: NDArray[np.bool_], max_gap: int) -> list[tuple[int, int]]:
 
 
 def _ring(tile: Tile, run: list[tuple[int, int, int, int]], sonar: SonarConfig) -> list[NDArray[np.float64]]:
-    """The outline of strips given as first row, stop row, near and far column."""
+    """Trace the outline of strips given as first row, stop row, near and far column."""
     edges = [float(run[0][0]), *(0.5 * (first + stop) for first, stop, _, _ in run), float(run[-1][1])]
     near = [run[0][2]] + [strip[2] for strip in run] + [run[-1][2]]
     far = [run[0][3]] + [strip[3] for strip in run] + [run[-1][3]]

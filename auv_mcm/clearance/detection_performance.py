@@ -1,4 +1,4 @@
-"""How likely one look finds a mine, by kind of sea floor, range, altitude and direction to ripples, as learnt from simulated missions.
+"""Predict how likely one view finds a mine, by sea floor, range, altitude and ripples, from simulated missions.
 
 The tables hold, per kind and band of range, the probability and its 95 % interval; between the middles of bands both go linearly. Seen
 lower, the same range is grazed more flatly and shadows are longer: ranges count in the height flown,
@@ -28,11 +28,11 @@ Array: TypeAlias = NDArray[np.float64]
 
 Floor: TypeAlias = Literal["flat", "ripple_across", "ripple_oblique", "ripple_along", "rough", "vegetation"]
 FLOORS: Final[tuple[Floor, ...]] = get_args(Floor)
-"""What has a table of its own; `across` looks across the crests, from where they follow one another."""
+"""Floors with a table of their own; `across` looks across the crests, from where they follow one another."""
 RIPPLES: Final = slice(1, 4)  # of FLOORS
 ASPECTS_RAD: Final = (math.radians(15.0), math.radians(45.0), math.radians(75.0))
 """Middles of the three classes of ripples, in the order of FLOORS."""
-STEEPEST_RAD: Final = math.radians(70.0)  # grazing angle beyond which, near the nadir, nothing is found
+STEEPEST_RAD: Final = math.radians(70.0)  # grazing angle beyond which, near the nadir, no mine is found
 _FILE: Final = "detection_performance.json"
 
 _Probability: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -40,7 +40,10 @@ _Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
 
 
 class Band(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One band of range over one kind of floor: looks fitted on, how many found their target, the probability and its 95 % interval."""
+    """Hold one band of range over one kind of floor.
+
+    Views fitted on, how many found their target, the probability and its 95 % interval.
+    """
 
     n_looks: _Count
     n_found: _Count
@@ -56,10 +59,12 @@ class Band(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The tables. fitted_on: what they were fitted on. edges_m: of the bands, rising. floors: per floor of FLOORS its bands.
+    """Hold the tables.
+
+    fitted_on: what they were fitted on. edges_m: of the bands, rising. floors: per floor of FLOORS its bands.
 
     A look counts as having found a mine if it makes a contact that is called mine-like within 2 m. *_look_correlation: the part of a
-    further look that tells nothing new, from within 15 degrees of an earlier one and from elsewhere.
+    further view that adds nothing new, from within 15 degrees of an earlier one and from elsewhere.
     """
 
     fitted_on: str
@@ -82,10 +87,11 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def p_look(
         self, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
     ) -> Array:
-        """Probability that one look at the whole of a cell finds a mine that lies there; float64, arguments broadcast.
+        """Compute the probability that one view of the whole of a cell finds a mine there; float64, arguments
+        broadcast.
 
         Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees, farther than the last band, and where range or
-        altitude is not known. An unknown floor is taken for the one on which least is found there, ripples of unknown direction as from the
+        altitude is not known. An unknown floor is taken for the one with the minimum there, ripples of unknown direction as from the
         worst one. Raises ValueError for a seabed that is not in SEABED_TYPES.
         """
         return self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
@@ -93,16 +99,19 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def interval(
         self, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
     ) -> tuple[Array, Array]:
-        """Low and high end of what `p_look` may really be on average over missions, 95 %; arguments and errors as there."""
+        """Compute the 95 % interval of what `p_look` may be on average over missions; arguments and errors as there."""
         low, high = (self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad) for end in ("low", "high"))
         return low, high
 
     def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
-        """(len(FLOORS), n) probability at ground ranges (n,), each table as it stands."""
+        """Read each table at ground ranges (n,): (len(FLOORS), n) probabilities."""
         return self._by_floor(self._column("p"), self.read_range_m(ground_range_m, altitude_m))
 
     def read_range_m(self, ground_range_m: ArrayLike, altitude_m: ArrayLike) -> Array:
-        """The range at which the tables are read, NaN where nothing is found: near the nadir and where range or altitude is not known."""
+        """Compute the range at which the tables are read, m.
+
+        NaN where no mine is found: near the nadir and where range or altitude is not known.
+        """
         ground, altitude = np.broadcast_arrays(np.asarray(ground_range_m, dtype=np.float64), np.asarray(altitude_m, dtype=np.float64))
         with np.errstate(invalid="ignore"):
             seen = (altitude > 0.0) & (ground * math.tan(STEEPEST_RAD) >= altitude) & np.isfinite(ground)
@@ -110,7 +119,7 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return np.where(seen, np.where(seen, ground, 0.0) * scale, np.nan)
 
     def _column(self, name: Literal["p", "low", "high"]) -> Array:
-        """(len(FLOORS), n_bands)"""
+        """Stack one field of all bands, (len(FLOORS), n_bands)."""
         return np.array([[getattr(band, name) for band in self.floors[floor]] for floor in FLOORS])
 
     def _read(
@@ -129,7 +138,7 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return found
 
     def _by_floor(self, table: Array, range_m: Array) -> Array:
-        """(len(FLOORS), ...) values at ranges as read, 0 where nothing is found."""
+        """Interpolate values at ranges as read, (len(FLOORS), ...), 0 where no mine is found."""
         edges = np.array(self.edges_m)
         seen = range_m <= edges[-1]
         within = np.where(seen, range_m, 0.0)
@@ -138,13 +147,13 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 def aspect_rad(look_rad: ArrayLike, ripple_rad: ArrayLike) -> Array:
-    """Angle between a look and the direction in which crests follow one another, [0, pi / 2]; NaN without ripples."""
+    """Compute the angle between a view and the succession of crests, [0, pi / 2]; NaN without ripples."""
     turned = np.asarray(look_rad, dtype=np.float64) - np.asarray(ripple_rad, dtype=np.float64)
     return np.asarray(np.abs(np.mod(turned + 0.5 * math.pi, math.pi) - 0.5 * math.pi))
 
 
 def _of_kind(name: SeabedType, by_floor: Array, look_rad: Array, ripple_rad: Array) -> Array:
-    """(n,) of (len(FLOORS), n) values for places that are all of one kind."""
+    """Select (n,) of (len(FLOORS), n) values for places that are all of one kind."""
     if name == "unknown":
         return np.asarray(by_floor.min(axis=0))
     if name != "ripple":
@@ -159,7 +168,7 @@ def _of_kind(name: SeabedType, by_floor: Array, look_rad: Array, ripple_rad: Arr
 
 
 def parse_performance(data: bytes, place: str) -> Performance:
-    """Tables from JSON. Raises BadInputError naming `place` and what is wrong with it."""
+    """Parse tables from JSON. Raises BadInputError naming `place` and what is wrong with it."""
     try:
         return msgspec.json.decode(data, type=Performance)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -167,10 +176,13 @@ def parse_performance(data: bytes, place: str) -> Performance:
 
 
 def configured_performance(config: Config) -> Performance:
-    """Read the tables that `detect.performance` names. Raises BadInputError for a file that cannot be read or is not such tables."""
+    """Read the tables that `detect.performance` names.
+
+    Raises BadInputError for a file that cannot be read or is not such tables.
+    """
     return read_model("detect.performance", config.detect.performance, parse_performance, shipped_performance)
 
 
 def shipped_performance() -> Performance:
-    """The tables that ship with the package."""
+    """Load the tables that ship with the package."""
     return parse_performance(resources.files("auv_mcm.clearance").joinpath(_FILE).read_bytes(), _FILE)

@@ -1,7 +1,7 @@
 """Estimate what a search leaves behind: mines that may still be there, and how wide a path a sonar sweeps.
 
 A mine that a look does not find nearly always makes a contact all the same, one that is not called mine-like. So the sum of `p_mine` over
-contacts not called says how many mines lie among them, mission by mission, where a table of probabilities only knows what is usual:
+contacts not called estimates how many mines lie among them, mission by mission; a table of probabilities holds only averages:
 floors, water and mines differ so much that of two floors with the same table one shows 0.9 of its mines and the other 0.25. Not all of
 that sum are mines; which part is, and how far missions scatter about it, was measured (`auv-mcm bench clearance`). Like `p_mine` itself,
 it presumes that mines lie about as densely as in simulated missions: where there are none it is too high.
@@ -25,14 +25,17 @@ SHAPE: Final = 10.0
 USUAL_PER_KM2: Final = 300
 """Mines in those missions: 20 to 24 on 0.06 to 0.11 km²."""
 
-_PRIOR_MINES: Final = 0.5  # Jeffreys' prior of a Poisson density: what an empty search may hide
+_PRIOR_MINES: Final = 0.5  # mines: Jeffreys' prior of a Poisson density, what an empty search may hide
 _TAIL: Final = 0.025
 _MAX_MINES: Final = 1_000_000
 
 
 class Remaining(NamedTuple):
-    """Mines not found. expected: mean, infinite where the search could have found nothing. low, high: of the central 95 % interval.
-    at_most_95: no more than these with 95 %. p_none: that there is none. Counts are a million at most."""
+    """Hold the mines not found.
+
+    expected: mean, infinite where the search could not have found any. low, high: of the central 95 % interval.
+    at_most_95: no more than these with 95 %. p_none: that there is none. Counts are bounded by a million.
+    """
 
     expected: float
     low: int
@@ -46,12 +49,12 @@ def remaining_mines(p_doubtful: ArrayLike, p_detected: ArrayLike) -> Remaining:
 
     p_doubtful: p_mine of the contacts that are not called mine-like. p_detected: any shape, [0, 1], of every cell searched; of mines that
     leave no contact at all half a one is expected, times the odds against its being found. The number remaining is a Poisson count whose
-    mean is Gamma distributed about the estimate: negative binomial. Raises ValueError for what is no probability.
+    mean is Gamma distributed about the estimate: negative binomial. Raises ValueError for a value outside 0 to 1.
     """
     doubtful, p = np.asarray(p_doubtful, dtype=np.float64), np.asarray(p_detected, dtype=np.float64)
     for name, values in (("p_doubtful", doubtful), ("p_detected", p)):
         if not (np.isfinite(values).all() and (values >= 0.0).all() and (values <= 1.0).all()):
-            raise ValueError(f"{name} holds a value that is no probability")
+            raise ValueError(f"{name} holds a value outside 0 to 1")
     doubtful = doubtful[doubtful >= MIN_P_MINE]
     mean_p = float(p.mean()) if p.size else 1.0
     if mean_p == 0.0:

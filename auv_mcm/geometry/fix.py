@@ -1,4 +1,4 @@
-"""Positions one at a time, in plain floats, where array arithmetic would cost ten times as much."""
+"""Hold and compare positions one at a time, in plain floats: array arithmetic would cost ten times as much."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from auv_mcm.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 
 
 class Fix(NamedTuple):
-    """One position on the ellipsoid at one time. x, y, z: Earth-centred metres."""
+    """Hold one position on the ellipsoid at one time. x, y, z: Earth-centred metres."""
 
     time_s: float
     x: float

@@ -1,4 +1,4 @@
-"""WGS-84 geodesy through Earth-centred coordinates: exact at the poles and across the antimeridian.
+"""Convert WGS-84 positions through Earth-centred coordinates: exact at the poles and across the antimeridian.
 
 Degrees for latitude and longitude, metres for heights above the ellipsoid (below the surface: negative). All functions work
 on arrays of any shape that broadcast and compute in float64; NaN in gives NaN out.
@@ -20,7 +20,7 @@ _SECOND_ECCENTRICITY_SQUARED: Final = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY
 
 
 def wrap_longitude_deg(longitude_deg: ArrayLike) -> NDArray[np.float64]:
-    """The same meridian within [-180, 180); values already inside come back unchanged to the last bit."""
+    """Wrap a longitude to [-180, 180); values already inside come back unchanged to the last bit."""
     longitude = np.asarray(longitude_deg, dtype=np.float64)
     wrapped = np.mod(longitude + 180.0, 360.0) - 180.0
     wrapped = np.where(wrapped >= 180.0, -180.0, wrapped)  # mod rounds up to 360 just below a multiple of it
@@ -28,7 +28,7 @@ def wrap_longitude_deg(longitude_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def geodetic_to_ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike) -> NDArray[np.float64]:
-    """Earth-centred, Earth-fixed coordinates, (..., 3), metres."""
+    """Convert to Earth-centred, Earth-fixed coordinates, (..., 3), metres."""
     latitude = np.deg2rad(np.asarray(latitude_deg, dtype=np.float64))
     longitude = np.deg2rad(np.asarray(longitude_deg, dtype=np.float64))
     height = np.asarray(height_m, dtype=np.float64)
@@ -40,7 +40,7 @@ def geodetic_to_ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m
 
 
 def ecef_to_geodetic(ecef_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Latitude, longitude in [-180, 180), height of (..., 3) coordinates.
+    """Convert (..., 3) coordinates to latitude, longitude in [-180, 180) and height.
 
     Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23 (1976), repeated once, which is
     exact to rounding for all depths and heights on Earth. The height form has no division, so the poles need no branch.
@@ -60,7 +60,7 @@ def ecef_to_geodetic(ecef_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def local_to_ecef_rotation(latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices (..., 3, 3) whose columns are the east, north and up directions in Earth-centred axes."""
+    """Compute rotation matrices (..., 3, 3) whose columns are east, north and up in Earth-centred axes."""
     latitude, longitude = np.broadcast_arrays(
         np.deg2rad(np.asarray(latitude_deg, dtype=np.float64)), np.deg2rad(np.asarray(longitude_deg, dtype=np.float64))
     )
@@ -73,29 +73,29 @@ def local_to_ecef_rotation(latitude_deg: ArrayLike, longitude_deg: ArrayLike) ->
 
 
 class LocalFrame(msgspec.Struct, frozen=True, kw_only=True):
-    """East, north, up axes tangent to the ellipsoid at one origin."""
+    """Define east, north, up axes tangent to the ellipsoid at one origin."""
 
     latitude_deg: float
     longitude_deg: float
     height_m: float = 0.0
 
     def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike) -> NDArray[np.float64]:
-        """(..., 3) east, north, up in metres of geodetic positions."""
+        """Convert geodetic positions to (..., 3) east, north, up in metres."""
         origin = geodetic_to_ecef(self.latitude_deg, self.longitude_deg, self.height_m)
         offset = geodetic_to_ecef(latitude_deg, longitude_deg, height_m) - origin
         return np.asarray(offset @ self.rotation(), dtype=np.float64)
 
     def to_geodetic(self, enu_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Latitude, longitude, height of (..., 3) east, north, up positions."""
+        """Convert (..., 3) east, north, up positions to latitude, longitude, height."""
         origin = geodetic_to_ecef(self.latitude_deg, self.longitude_deg, self.height_m)
         return ecef_to_geodetic(origin + np.asarray(enu_m, dtype=np.float64) @ self.rotation().T)
 
     def rotation(self) -> NDArray[np.float64]:
-        """(3, 3); `ecef = rotation @ enu` for directions."""
+        """Give the rotation (3, 3): `ecef = rotation @ enu` for directions."""
         return local_to_ecef_rotation(self.latitude_deg, self.longitude_deg)
 
 
 def _unit(rise: NDArray[np.float64], run: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sine and cosine of the angle whose tangent is rise / run."""
+    """Compute sine and cosine of the angle whose tangent is rise / run."""
     angle = np.arctan2(rise, run)
     return np.sin(angle), np.cos(angle)

@@ -1,4 +1,4 @@
-"""Where on Earth an echo came from: exact push-broom geometry of a side-scan array over a flat bottom.
+"""Locate echoes on Earth: exact push-broom geometry of a side-scan array over a flat bottom.
 
 A line array hears echoes from the plane perpendicular to its axis. An echo at slant range r lies where that plane, the sphere
 of radius r and the bottom meet. With a the array's axis and w the downward vertical,
@@ -29,7 +29,7 @@ NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
 
 
 class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """n echoes of one side; every array (n,) float64.
+    """Hold n echoes of one side; every array (n,) float64.
 
     pose: the vehicle at the transmit instant of each echo's ping. slant_range_m: of the echo; for a point of ground range y it
     is hypot(y, first_return_m). first_return_m: of the bottom below the array, by the same ping.
@@ -43,7 +43,7 @@ class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def locate(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Latitude, longitude in [-180, 180) and height (negative below the surface) of each echo, (n,) each.
+    """Compute latitude, longitude in [-180, 180) and height (negative below the surface) of each echo, (n,) each.
 
     A range shorter than the first return is taken as the point under the array. Without a depth the vehicle is taken to be at
     the surface, without a speed to stand still during the ping; any other NaN gives a NaN position.
@@ -57,7 +57,7 @@ def locate(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[np.float64
 
 
 def aspect_deg(echoes: EchoGeometry, sonar: SonarConfig) -> NDArray[np.float64]:
-    """Compass direction from the sonar to each echo, degrees in [0, 360), (n,)."""
+    """Compute the compass direction from the sonar to each echo, degrees in [0, 360), (n,)."""
     _, echo = _array_and_echo(echoes, sonar)
     direction = np.mod(np.rad2deg(np.arctan2(echo[:, 1], echo[:, 0])), 360.0)
     return np.where(direction >= 360.0, 0.0, direction)  # mod rounds tiny negative angles up to 360
@@ -66,7 +66,7 @@ def aspect_deg(echoes: EchoGeometry, sonar: SonarConfig) -> NDArray[np.float64]:
 def position_covariance(
     echoes: EchoGeometry, sonar: SonarConfig, navigation: NavigationConfig, altitude_sigma_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """East/north covariance of each echo's position, (n, 2, 2), m^2.
+    """Compute the east/north covariance of each echo's position, (n, 2, 2), m^2.
 
     First-order propagation of independent errors of altitude (1-sigma `altitude_sigma_m`, (n,)), heading, pitch and slant
     range (range error = range times relative sound speed error), added to the fix's own. Each derivative is the secant over
@@ -98,11 +98,14 @@ def position_covariance(
 
 
 def _array_and_echo(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Array from vehicle at the instant the echo forms, and echo from array, (n, 3) north, east, down each."""
+    """Compute the array from the vehicle as the echo forms, and the echo from the array.
+
+    (n, 3) north, east, down each, m.
+    """
     pose = echoes.pose
     slant_range, first_return = echoes.slant_range_m, echoes.first_return_m
     attitude = _attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad)
-    # Transmission and reception are 2 r / c apart; sent from one place and heard at the next, the echo is as from half way.
+    # Transmission and reception are 2 r / c apart: the echo is as from half way between the two places.
     advance = np.nan_to_num(pose.speed_mps, nan=0.0) * slant_range / echoes.sound_speed_mps
     array = attitude @ np.array(sonar.lever_arm_m)
     array[:, 0] += advance * np.cos(pose.heading_rad)
@@ -118,14 +121,17 @@ def _array_and_echo(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[n
 
 
 def _array_axis(pose: PoseTrack, sonar: SonarConfig) -> NDArray[np.float64]:
-    """Unit vectors along the array, forward, (n, 3) north, east, down."""
+    """Compute unit vectors along the array, forward, (n, 3) north, east, down."""
     offsets = np.deg2rad(np.array([[sonar.heading_offset_deg, sonar.pitch_offset_deg]]))
     mounted_forward = _attitude(offsets[:, 0], offsets[:, 1], np.zeros(1))[0, :, 0]
     return np.asarray(_attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad) @ mounted_forward, dtype=np.float64)
 
 
 def _attitude(heading_rad: NDArray[np.float64], pitch_rad: NDArray[np.float64], roll_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotations (n, 3, 3) from forward, starboard, down to north, east, down: heading, then pitch, then roll."""
+    """Compute rotations (n, 3, 3) from forward, starboard, down to north, east, down.
+
+    Heading first, then pitch, then roll.
+    """
     sin_h, cos_h = np.sin(heading_rad), np.cos(heading_rad)
     sin_p, cos_p = np.sin(pitch_rad), np.cos(pitch_rad)
     sin_r, cos_r = np.sin(roll_rad), np.cos(roll_rad)

@@ -1,9 +1,9 @@
-"""Navigation samples in, vehicle poses at ping times out.
+"""Turn navigation samples into vehicle poses at ping times.
 
 Each quantity lives in its own time-ordered channel, because sources measure them at different rates. Positions that contradict each
 other are settled by `auv_mcm.geometry.fix_agreement`; notices about them come from here alone, so that live and replayed
-missions say the same. A pose at a given instant becomes final, that is, no later sample can change it, once the samples fed so far say so
-(`NavBuffer.ready_until_s`); who waits for that gets the same poses however the stream was cut into pieces.
+missions report the same. A pose at a given instant becomes final, that is, no later sample can change it, up to
+`NavBuffer.ready_until_s`; a caller that waits for it gets the same poses however the stream was cut into pieces.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES, HeadingCheck
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
 
-MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that says so is wrong
+MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that implies more is wrong
 JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
-# Fixes that contradict the ones before must agree this long until they are believed: a receiver that was 1 degree off for 4 s came back.
+# Fixes that contradict the ones before must agree this long until they are accepted: a receiver that was 1 degree off for 4 s came back.
 # Pings wait 5 s for navigation by default, so the decision comes before they are placed.
 AGREE_S: Final = 4.5
 DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no speed is known: a survey speed
@@ -37,12 +37,12 @@ _MAX_STEPS_REPORTED: Final = 10
 MAX_TIME_LEAP_S: Final = 60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
-CHORD_MAX_S: Final = 4.0  # who does not get CHORD_M far in this time has a speed but no course
+CHORD_MAX_S: Final = 4.0  # a vehicle that covers less than CHORD_M in this time has a speed but no course
 _ROOM: Final = 128  # values a channel has room for at first, and gathers at once
-_CLOCK_S: Final = 1e-6  # float64 UTC seconds resolve 0.24 microseconds: limits hold to this
+_CLOCK_S: Final = 1e-6  # s: float64 UTC seconds resolve 0.24 microseconds; limits hold to this
 
 _FIELDS: Final = attrgetter("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
-# What can be true of each quantity after the position. A full turn rounded up by a source in single precision is one still.
+# Valid range of each quantity after the position. A full turn rounded up by a source in single precision is still valid.
 _RANGES: Final = (
     ("heading", math.radians(-361.0), math.radians(361.0)),
     ("pitch", math.radians(-90.0), math.radians(90.0)),
@@ -53,12 +53,12 @@ _RANGES: Final = (
 )
 
 
-# What lies between two rows of a track besides the position, and whether it is stale.
+# Quantities interpolated between two rows of a track besides the position, and whether it is stale.
 _BLENDED: Final = ("time_s", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m", "position_sigma_m")
 
 
 class _Limits(NamedTuple):
-    """How a channel is read between and beyond its samples; seconds."""
+    """Set how a channel is read between and beyond its samples; seconds."""
 
     bridge_s: float  # interpolate between neighbours at most this far apart
     fresh_s: float  # elsewhere the nearest sample's value counts as fresh this long
@@ -66,9 +66,9 @@ class _Limits(NamedTuple):
 
 
 class NavBuffer:
-    """The vehicle's recent navigation.
+    """Hold the vehicle's recent navigation.
 
-    `counters` holds what was refused or derived: `navigation.time_not_finite`, `.time_backwards`, `.time_repeated`,
+    `counters` holds what was rejected or derived: `navigation.time_not_finite`, `.time_backwards`, `.time_repeated`,
     `.time_leap`, `.not_finite`, `.position_zero`, `.zero_with_position`, `.position_jump`, `.position_refix`,
     `.<quantity>_out_of_range`; in instants: `.heading_from_course`, `.speed_from_fixes`; at most one: `.pitch_absent`,
     `.roll_absent`.
@@ -94,7 +94,7 @@ class NavBuffer:
         self._last_course: float | None = None
         self._leap: NavSample | None = None
         self._agreement = FixAgreement(chord_m, _reach_m, AGREE_S)
-        self._last_offered_s = -math.inf  # time of the newest position offered, believed or not
+        self._last_offered_s = -math.inf  # time of the newest position offered, accepted or not
         self._decided: deque[bool] = deque(maxlen=_REJECTED_WINDOW)  # per fix: was it rejected?
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
         self._heading_check = HeadingCheck()
@@ -105,9 +105,9 @@ class NavBuffer:
         self._chord_start: Fix | None = None
 
     def add(self, sample: NavSample) -> None:
-        """Take one sample. What cannot be true is refused and counted; samples older than the newest one too.
+        """Take one sample. Impossible values are rejected and counted; samples older than the newest one too.
 
-        At equal times quantities that the earlier sample lacked are added, those it had stay.
+        At equal times quantities that the earlier sample lacked are added; its own stay.
         """
         time_s = sample.time_s
         if not math.isfinite(time_s):
@@ -117,7 +117,7 @@ class NavBuffer:
             if self._newest_s - time_s <= MAX_TIME_LEAP_S or self._newest_s > self._oldest_s:
                 self.counters["navigation.time_backwards"] += 1
                 return
-            # The very first stamp was the bad one: nothing else speaks for it.
+            # The very first stamp was the bad one: no other supports it.
             self.counters["navigation.time_leap"] += 1
             self._restart()
         leap = self._leap
@@ -134,12 +134,12 @@ class NavBuffer:
         self._store(sample)
 
     def take_notices(self) -> list[Notice]:
-        """What a person should know since the last call."""
+        """Take the notices raised since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def n_steps_before(self, times_s: NDArray[np.float64]) -> NDArray[np.intp]:
-        """How often the track has stepped to another place before each instant, (n,)."""
+        """Count how often the track has stepped to another place before each instant, (n,)."""
         if not self._steps_s:
             return np.zeros(len(times_s), dtype=np.intp)
         before_s, after_s = np.array([*self._steps_s, (np.inf, np.inf)]).T
@@ -151,17 +151,17 @@ class NavBuffer:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """Times of the oldest and the newest sample believed; both -inf before the first one."""
+        """Give the times of the oldest and the newest sample accepted; both -inf before the first one."""
         return self._oldest_s, self._newest_s
 
     @property
     def ready_until_s(self) -> float:
-        """Poses at this time and before are final; -inf before the first sample.
+        """Give the time up to which poses are final; -inf before the first sample.
 
         Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays so.
         """
         newest_s = self._newest_s
-        next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be believed
+        next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be accepted
         # Later chords have their middle at or after this instant; the next fix after a hole starts a new chord.
         next_chord_s = next_fix_s
         start, last = self._chord_start, self._last_fix
@@ -176,13 +176,15 @@ class NavBuffer:
         return ready_s
 
     def interpolate(self, times_s: NDArray[np.float64]) -> PoseTrack:
-        """Poses at `times_s` (n,), linear between samples; positions along the chord through the Earth, so any place will do.
+        """Compute poses at `times_s` (n,), linear between samples.
+
+        Positions lie along the chord through the Earth, so any place will do.
 
         Never extrapolates. Beyond the ends, and in holes longer than `max_gap_s`, a quantity keeps its nearest value, taken
         from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll: 0). Heading
         and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
         `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart, and those whose
-        position is disputed. Asked for instants later than `ready_until_s` before any track of fixes is believed, it believes the best.
+        position is disputed. For instants later than `ready_until_s` before any track of fixes is accepted, the best track is accepted.
         """
         times = np.array(times_s, dtype=np.float64)
         if not self._agreement.is_decided and times.size and float(times.max()) > self.ready_until_s:
@@ -229,7 +231,7 @@ class NavBuffer:
         self._newest_s = time_s
         latitude, longitude, heading, *plain = _FIELDS(sample)
         if latitude == 0.0 and longitude == 0.0:
-            # A record nobody filled: its other zeros are no measurements either.
+            # A record that was never filled: its other zeros are not measurements either.
             self.counters["navigation.position_zero"] += 1
             latitude = longitude = NAN
             zeros = (heading == 0.0) + plain.count(0.0)
@@ -315,7 +317,7 @@ class NavBuffer:
             self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
 
     def _step(self, fix: Fix, step_m: float) -> None:
-        """The track goes on at another place from this fix on."""
+        """Record that the track goes on at another place from this fix on."""
         self.counters["navigation.position_refix"] += 1
         self._steps_s.append((self._position.last_s, fix.time_s))
         if len(self._steps_s) > _MAX_STEPS_REPORTED:
@@ -366,7 +368,10 @@ class NavBuffer:
             self._raise_once("navigation.heading_off_course", text, time_s)
 
     def _unwrap(self, angle_rad: float, time_s: float) -> float:
-        """The turn count nearest to the heading, to the course while the compass is silent: a track may change between them."""
+        """Choose the turn count nearest to the heading, or to the course while the compass is silent.
+
+        A track may change between them.
+        """
         compass_speaks = time_s - self._heading.last_s <= self._heading.limits.bridge_s
         last = self._last_heading if compass_speaks or self._last_course is None else self._last_course
         return angle_rad if last is None else angle_rad + 2 * math.pi * round((last - angle_rad) / (2 * math.pi))
@@ -374,7 +379,7 @@ class NavBuffer:
     def _measured_or_derived(
         self, measured: _Channel, derived: _Channel, counter: str, times: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Fresh measured values, else fresh derived ones, else the nearest known; and which are fresh."""
+        """Give fresh measured values, else fresh derived ones, else the nearest known; and which are fresh."""
         first = measured.at(times)
         if first.fresh.all():
             return first.values[:, 0], first.fresh
@@ -396,7 +401,9 @@ class NavBuffer:
 
 
 def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTrack:
-    """Poses at fractional row indices `position` (n,), linear between rows; indices beyond the ends give the end rows.
+    """Interpolate poses at fractional row indices `position` (n,), linear between rows.
+
+    Indices beyond the ends give the end rows.
 
     A NaN in one of the two rows leaves the other row's value. `stale` if any row that contributes is.
     Raises ValueError for a track without rows or an index that is not finite.
@@ -433,7 +440,10 @@ def slice_pose(pose: PoseTrack, rows: slice) -> PoseTrack:
 
 
 class _Values(NamedTuple):
-    """values: (n, width), NaN where nothing is known; fresh: (n,); age_s: (n,) to the nearest value, inf without one."""
+    """Hold values of instants.
+
+    values: (n, width), NaN where not known; fresh: (n,); age_s: (n,) to the nearest value, inf without one.
+    """
 
     values: NDArray[np.float64]
     fresh: NDArray[np.bool_]
@@ -441,14 +451,16 @@ class _Values(NamedTuple):
 
 
 class _Channel:
-    """Time-ordered values of one quantity, `width` numbers each; grows at the end, forgets at the start."""
+    """Hold time-ordered values of one quantity, `width` numbers each; grow at the end, drop at the start."""
 
     def __init__(self, limits: _Limits, width: int = 1) -> None:
         self.limits = limits
         self._times = np.empty(_ROOM)
         self._values = np.empty((_ROOM, width))
         self._joined = np.empty(_ROOM, dtype=np.bool_)
-        self._new: list[tuple[float, float | tuple[float, ...], bool]] = []  # values not in the arrays yet: one by one they cost more
+        self._new: list[
+            tuple[float, float | tuple[float, ...], bool]
+        ] = []  # values not in the arrays yet: adding them one by one costs more
         self.clear()
 
     def clear(self) -> None:
@@ -467,11 +479,11 @@ class _Channel:
         self.last_s = time_s
 
     def final_until(self, next_s: float) -> float:
-        """The time up to which no value at `next_s` or later can change what `at` says."""
+        """Give the time up to which no value at `next_s` or later can change the result of `at`."""
         return max(self.last_s, next_s - self.limits.look_ahead_s - 2 * _CLOCK_S)
 
     def has_hole(self, from_s: float, newest_s: float) -> bool:
-        """Whether any instant from `from_s` to `newest_s` is not between two values close enough to interpolate."""
+        """Check whether any instant from `from_s` to `newest_s` is not between values close enough to interpolate."""
         return newest_s - self.last_s > self.limits.bridge_s or from_s < self._hole_end_s
 
     def at(self, times: NDArray[np.float64]) -> _Values:
@@ -541,7 +553,7 @@ def _reach_m(a: Fix, b: Fix) -> float:
 
 
 def _utc(time_s: float) -> str:
-    """The instant for messages."""
+    """Write the instant for messages."""
     try:
         return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
     except (OverflowError, ValueError, OSError):

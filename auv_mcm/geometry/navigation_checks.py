@@ -1,4 +1,7 @@
-"""Find navigation that is believable sample by sample and wrong as a whole: a compass mounted askew, an altitude without a sea floor."""
+"""Find navigation that is plausible sample by sample and wrong as a whole.
+
+Examples are a compass mounted askew and an altitude without a sea floor.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ _MIN_RESULTANT: Final = 0.9  # of the unit vectors of the differences: a circula
 
 _MIN_PINGS: Final = 100
 _MIN_PINGS_AT_END: Final = 20  # of a short mission
-_MOST: Final = 0.5
+_MIN_SHARE_BEYOND: Final = 0.5
 
 ZERO_ALTITUDES: Final = 20
 """Altitudes of exactly 0 in a row that are reported: a bottom lock that is lost for a ping or two is not."""
@@ -51,4 +54,4 @@ class AltitudeCheck:
 
     def is_beyond_range(self, *, at_end: bool) -> bool:
         """Check whether most pings so far have an altitude beyond the range; not from few pings, unless no more will come."""
-        return self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS) and self._n_beyond > _MOST * self._n_pings
+        return self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS) and self._n_beyond > _MIN_SHARE_BEYOND * self._n_pings

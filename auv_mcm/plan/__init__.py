@@ -1,1 +1,1 @@
-"""Plans proposed to the vehicle: shortest turns and straight legs past contacts worth a second look."""
+"""Propose plans to the vehicle: shortest turns and straight legs past contacts that need a second view."""

@@ -1,8 +1,8 @@
-"""Clearing an area: legs are planned anew from what has been seen until the required clearance is reached, or cannot be.
+"""Clear an area: plan legs anew from what has been seen until the required clearance is reached or cannot be.
 
-What a leg just flown has shown is told only later, when the tiles that it runs through are complete. Until then its cells count as looked
-at as well as was expected, so that it is not planned once more at once. Cells that legs have been flown past twice, and that have gained
-next to nothing by it, are given up.
+What a leg has shown is known only later, when the tiles that it runs through are complete. Until then its cells count
+as searched as well as expected, so that the same leg is not planned again at once. Cells that legs have passed twice
+and that have gained next to nothing are given up.
 """
 
 from __future__ import annotations
@@ -28,20 +28,23 @@ from auv_mcm.plan.survey import Plan, SurveyState, replan
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
 from auv_mcm.settings.config import Config
 
-MOST_VAIN_PASSES: Final = 2
-TELLING_S: Final = 120.0  # after a leg, at most, until pings come that nothing of it is told after
+MAX_VAIN_PASSES: Final = 2
+SHOWN_AFTER_S: Final = 120.0  # longest time from the end of a leg to the tiles that show it
 _VAIN: Final = 0.1  # of what was expected
 _SAME_PLACE_M: Final = 1.0
 
 
 def wished(required: float) -> float:
-    """What each cell is wished to come to for a mean of `required`: half as many missed, so that hard sea floor may stay below where easy
-    sea floor is above."""
+    """Set the wanted clearance of each cell for a mean of `required`.
+
+    Half as many mines may be missed as in the mean, so that hard sea floor may stay below where easy sea floor is
+    above.
+    """
     return 1.0 - 0.5 * (1.0 - required)
 
 
 class _Flown(NamedTuple):
-    """A survey leg. until_s: time of the mission when it was over. before: the clearance known then."""
+    """Hold a survey leg that was flown. until_s: mission time of its end. before: the clearance known then."""
 
     ends_deg: Run
     until_s: float
@@ -49,34 +52,34 @@ class _Flown(NamedTuple):
 
 
 class ClearArea:
-    """In the perception process: sees pings and patches in the order in which they come, and plans when it is asked to."""
+    """Plan the clearing of an area, in the perception process, from pings and patches in the order in which they come."""
 
     def __init__(self, config: Config, model: LookModel) -> None:
         self._config = config
         self._model = model
         self._slant_range_m = 0.0
         self._now_s = -math.inf
-        self._told_s: dict[Side, float] = {}
-        self._untold: list[_Flown] = []
+        self._shown_until_s: dict[Side, float] = {}
+        self._pending: list[_Flown] = []
         self._plane: LocalFrame | None = None
         self._vain = np.zeros((0, 0), dtype=np.uint8)  # passes, per cell of the area's box
         self._previous: Plan | None = None
 
     def see(self, ping: Ping) -> None:
-        """A ping that was fed to the pipeline: how far it reaches."""
+        """Take a ping that was fed to the pipeline: it shows how far the sonar reaches."""
         if math.isfinite(ping.time_s):
             self._now_s = ping.time_s
         reach_m = max(map(_reach_m, (ping.port, ping.starboard)))
         self._slant_range_m = min(reach_m, self._config.sonar.max_range_m) if reach_m > 0.0 else self._slant_range_m
 
     def add(self, patch: CoveragePatch) -> None:
-        """A patch that has become part of the clearance."""
-        self._told_s[patch.side] = max(self._told_s.get(patch.side, -math.inf), patch.stop_s)
+        """Take a patch that has become part of the clearance."""
+        self._shown_until_s[patch.side] = max(self._shown_until_s.get(patch.side, -math.inf), patch.stop_s)
 
     def propose(
         self, clearance: Clearance | None, contacts: Iterable[Contact], request: PlanRequest, more_time: Callable[[], bool]
     ) -> Proposal:
-        """How the search of the area stands and, where the payload may command at all, the plan from here.
+        """State how the search of the area stands and, where the payload may command at all, plan from here.
 
         clearance: of everything seen. more_time: as `replan` asks it.
         """
@@ -90,9 +93,9 @@ class ClearArea:
         limits = self._limits(area.frame, request)
         self._learn_of(area, request, clearance, limits)
         ground = self._expected(area.ground, limits)
-        wanted = area.cells & (self._vain < MOST_VAIN_PASSES) & (not state.is_reached)
+        wanted = area.cells & (self._vain < MAX_VAIN_PASSES) & (not state.is_reached)
         if not wanted.any():
-            verdict = "" if self._untold else self._given_up(area)
+            verdict = "" if self._pending else self._given_up(area)
             verdict = _done(area, plan.required_clearance) if state.is_reached else verdict
             return propose(contacts, request, plan, self._config.vehicle)._replace(area=state._replace(verdict=verdict))
         pose = _pose(request, area.frame)
@@ -103,7 +106,7 @@ class ClearArea:
         mean = (plan.required_clearance * np.count_nonzero(area.cells) - p[area.cells & ~wanted].sum()) / np.count_nonzero(wanted)
         world = SurveyState(ground, wanted, wished(plan.required_clearance), self._model, asking, min(float(mean), 1.0))
         self._previous = found = replan(world, pose, limits, self._previous, more_time)
-        verdict = "" if found.legs or self._untold else found.verdict
+        verdict = "" if found.legs or self._pending else found.verdict
         return Proposal(found.waypoints, (), state._replace(verdict=verdict))
 
     def _limits(self, plane: LocalFrame, request: PlanRequest) -> Limits:
@@ -122,26 +125,26 @@ class ClearArea:
         )
 
     def _hindrance(self, pose: PlanePose, limits: Limits) -> str:
-        """Why nothing can be planned from here and now that may pass by itself."""
+        """State why nothing can be planned from here and now; the cause may pass by itself."""
         if not self._slant_range_m:
             return "no ping has shown how far the sonar reaches"
         return obstacle(pose, limits)
 
     def _learn_of(self, area: Area, request: PlanRequest, clearance: Clearance | None, limits: Limits) -> None:
-        """Legs flown since the last request, and what those before them have come to."""
-        self._untold += [_Flown(ends_deg, request.time_s, clearance) for ends_deg in request.flown]
+        """Record legs flown since the last request, and judge earlier ones that are shown by now."""
+        self._pending += [_Flown(ends_deg, request.time_s, clearance) for ends_deg in request.flown]
         if self._previous is not None:
             gone = [in_plane(ends_deg, area.frame) for ends_deg in request.flown]
             left = tuple(leg for leg in self._previous.legs if not any(_is_same(leg.entry, leg.exit, ends) for ends in gone))
             self._previous = msgspec.structs.replace(self._previous, legs=left)
-        told_s = min(self._told_s.values(), default=-math.inf)
-        for leg in self._untold:
-            if max(told_s, self._now_s - TELLING_S) >= leg.until_s:
+        shown_until_s = min(self._shown_until_s.values(), default=-math.inf)
+        for leg in self._pending:
+            if max(shown_until_s, self._now_s - SHOWN_AFTER_S) >= leg.until_s:
                 self._judge(leg, area, limits)
-        self._untold = [leg for leg in self._untold if max(told_s, self._now_s - TELLING_S) < leg.until_s]
+        self._pending = [leg for leg in self._pending if max(shown_until_s, self._now_s - SHOWN_AFTER_S) < leg.until_s]
 
     def _judge(self, leg: _Flown, area: Area, limits: Limits) -> None:
-        """Which cells were passed in vain."""
+        """Count the cells that a leg passed in vain."""
         before = over_area(leg.before, self._config.plan.area_deg, area.ground.cell_m).ground
         was = before.exponent if frame_of(before) == area.frame else np.zeros(area.cells.shape)
         promised = self._with_look(area.ground, leg, limits, was) - was
@@ -150,8 +153,8 @@ class ClearArea:
         self._vain = np.where(seen, np.where(vain, np.minimum(self._vain, 254) + 1, 0), self._vain).astype(np.uint8)
 
     def _expected(self, ground: Clearance, limits: Limits) -> Clearance:
-        """With what legs that are not told yet will have shown."""
-        for leg in self._untold:
+        """Add what pending legs, not shown yet, are expected to clear."""
+        for leg in self._pending:
             exponent = self._with_look(ground, leg, limits, ground.exponent)
             looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(np.uint8)
             heading = _heading_rad(in_plane(leg.ends_deg, frame_of(ground)))
@@ -161,7 +164,7 @@ class ClearArea:
         return ground
 
     def _with_look(self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Miss exponents, with a look from the leg where cells lie abeam of its run, less the settling."""
+        """Add a view from the leg to the miss exponents of cells abeam of its run, less the settling."""
         entry, leave = in_plane(leg.ends_deg, frame_of(ground))
         along = (leave - entry) / max(float(np.hypot(*(leave - entry))), 1e-9)
         place = middles_m(ground) - entry
@@ -186,11 +189,11 @@ class ClearArea:
         return added
 
     def _given_up(self, area: Area) -> str:
-        """Why the clearance cannot be reached, where no cell is left to try."""
-        given_up = area.cells & (self._vain >= MOST_VAIN_PASSES)
+        """State why the clearance cannot be reached, where no cell is left to try."""
+        given_up = area.cells & (self._vain >= MAX_VAIN_PASSES)
         return (
             f"cannot, because no leg adds to it any more: {area_words(given_up.sum() * area.ground.cell_m**2)} of "
-            f"{area_words(area.cells.sum() * area.ground.cell_m**2)} were passed {MOST_VAIN_PASSES} times in vain and given up"
+            f"{area_words(area.cells.sum() * area.ground.cell_m**2)} were passed {MAX_VAIN_PASSES} times in vain and given up"
         )
 
 
@@ -203,7 +206,10 @@ def _done(area: Area, required: float) -> str:
 
 
 def _pose(request: PlanRequest, plane: LocalFrame) -> PlanePose:
-    """Where a plan begins, in the plane, whose north turns away from true north far from its origin and near the poles."""
+    """Give the pose where a plan begins, in the plane.
+
+    The plane's north differs from true north far from its origin and near the poles.
+    """
     here = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
     ahead_deg = here.to_geodetic([math.sin(request.heading_rad), math.cos(request.heading_rad), 0.0])[:2]
     start, ahead = in_plane([(request.latitude_deg, request.longitude_deg), (float(ahead_deg[0]), float(ahead_deg[1]))], plane)

@@ -1,12 +1,12 @@
-"""Straight legs past contacts that are undecided, and what one more look at each is worth.
+"""Lay straight legs past contacts that are undecided, and weigh what one more view of each is worth.
 
-A look calls a mine a mine with the probability p that it finds one there, and clutter a mine with FALSE_CALL. The expected drop of the
-entropy of p_mine by such a call is what it tells; since a further view of one object mostly repeats what the first has told, the part NEWS
-of it counts.
+A view calls a mine a mine with the probability p that it finds one there, and clutter a mine with FALSE_CALL. The
+expected drop of the entropy of p_mine by such a call is its information. A further view of one object mostly repeats
+the first, so only the part NEWS of it counts.
 
-Entropy is the currency that contacts and unsearched sea floor share. Mines that lie at random with density q per square metre give
-q (1 - ln q) nats of not knowing where, per square metre (the entropy of a sparse Poisson process told to the square metre). At the
-mean density this makes a nat at a contact worth NAT_M2 square metres searched.
+Contacts and unsearched sea floor are compared by entropy. Mines that lie at random with density q per square metre have
+an entropy of q (1 - ln q) nats per square metre (a sparse Poisson process located to the square metre). At the mean
+density a nat at a contact is therefore worth NAT_M2 square metres searched.
 """
 
 from __future__ import annotations
@@ -28,15 +28,18 @@ Array = NDArray[np.float64]
 
 FALSE_CALL: Final = 0.1
 LOOK_RUN_M: Final = 30.0  # straight, with the contact abeam of its middle, beside the settling
-_MINES_M2: Final = 5e-6  # density that plans are weighed by
+_MINES_M2: Final = 5e-6  # per square metre: the density that plans are weighed by
 NAT_M2: Final = 1.0 / (_MINES_M2 * (1.0 - math.log(_MINES_M2)))
 _RANGES: Final = 16
 _AS_GOOD: Final = 0.98
-_LEAST_M2: Final = 1e-6
+_MIN_M2: Final = 1e-6
 
 
 class ContactLegs(NamedTuple):
-    """Ways to look at one contact again. runs: (1 or 2, 2, 3) poses of entry and exit, one per side. look_deg: true, or its opposite."""
+    """Hold the ways to view one contact again.
+
+    runs: (1 or 2, 2, 3) poses of entry and exit, one per side. look_deg: true direction of view, or its opposite.
+    """
 
     contact: Contact
     runs: Array
@@ -45,7 +48,7 @@ class ContactLegs(NamedTuple):
     stand_off_m: float
 
 
-class _Asked(NamedTuple):
+class _Request(NamedTuple):
     contact: Contact
     look_deg: float
     look_rad: float  # in the plane
@@ -54,7 +57,7 @@ class _Asked(NamedTuple):
 
 
 def information_nats(p_mine: float, p_look: float) -> float:
-    """Expected drop of the entropy of p_mine by one call, before NEWS."""
+    """Compute the expected drop of the entropy of p_mine by one call, before NEWS."""
     called = p_mine * p_look + (1.0 - p_mine) * FALSE_CALL
     after = 0.0
     for p_call, p_both in ((called, p_mine * p_look), (1.0 - called, p_mine * (1.0 - p_look))):
@@ -64,31 +67,36 @@ def information_nats(p_mine: float, p_look: float) -> float:
 
 
 def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits) -> list[ContactLegs]:
-    """Legs past contacts that ask for a look that tells something, in order of id: of each the first direction that the fence allows."""
+    """Lay legs past contacts that request another view, in order of id.
+
+    Each contact gets the first of its directions that the fence allows and that adds information.
+    """
     from auv_mcm.classify.fusion import NEWS  # brings OpenCV with it
 
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
-    asked = []
+    requests = []
     for contact in sorted(contacts, key=lambda contact: contact.id):
         place_deg = contact.latitude_deg, contact.longitude_deg
         if all(map(math.isfinite, (*place_deg, contact.p_mine, *contact.next_look_deg))):
             east, north, _ = frame.to_enu(*place_deg, 0.0).tolist()
             for look_deg in contact.next_look_deg:
-                asked.append(_Asked(contact, look_deg, _in_plane(math.radians(look_deg), place_deg, (east, north), frame), east, north))
-    if not asked:
+                requests.append(
+                    _Request(contact, look_deg, _in_plane(math.radians(look_deg), place_deg, (east, north), frame), east, north)
+                )
+    if not requests:
         return []
-    stand_off_m, p = _stand_offs(asked, clearance, model, limits)
+    stand_off_m, p = _stand_offs(requests, clearance, model, limits)
     runs = np.array(
         [
             [_run(one.east_m, one.north_m, one.look_rad + turned, float(far_m), limits) for turned in (0.0, math.pi)]
-            for one, far_m in zip(asked, stand_off_m, strict=True)
+            for one, far_m in zip(requests, stand_off_m, strict=True)
         ]
     )
     fits = enterable(runs.reshape(-1, 2, 3), limits).reshape(-1, 2)
     found: dict[str, ContactLegs] = {}
-    for number, one in enumerate(asked):
+    for number, one in enumerate(requests):
         gain_m2 = NAT_M2 * NEWS * information_nats(min(max(one.contact.p_mine, 0.0), 1.0), float(p[number]))
-        if gain_m2 > _LEAST_M2 and fits[number].any() and one.contact.id not in found:
+        if gain_m2 > _MIN_M2 and fits[number].any() and one.contact.id not in found:
             sides = runs[number][fits[number]]
             found[one.contact.id] = ContactLegs(one.contact, sides, gain_m2, one.look_deg % 360.0, float(stand_off_m[number]))
     return list(found.values())
@@ -99,38 +107,44 @@ def _entropy(p: float) -> float:
 
 
 def _in_plane(bearing_rad: float, place_deg: tuple[float, float], place_m: tuple[float, float], frame: LocalFrame) -> float:
-    """A true bearing as a direction in the plane, whose north turns away from true north far from its origin and near the poles."""
+    """Turn a true bearing into a direction in the plane.
+
+    The plane's north differs from true north far from its origin and near the poles.
+    """
     here = LocalFrame(latitude_deg=place_deg[0], longitude_deg=place_deg[1])
     latitude, longitude, _ = here.to_geodetic([math.sin(bearing_rad), math.cos(bearing_rad), 0.0])
     east, north, _ = (frame.to_enu(latitude, longitude, 0.0)).tolist()
     return math.atan2(east - place_m[0], north - place_m[1])
 
 
-def _stand_offs(asked: list[_Asked], clearance: Clearance, model: LookModel, limits: Limits) -> tuple[Array, Array]:
-    """(n,) the middle of the ranges that are about as good as the best one, seen from the worse side, and how good it is."""
+def _stand_offs(requests: list[_Request], clearance: Clearance, model: LookModel, limits: Limits) -> tuple[Array, Array]:
+    """Choose the stand-off of each request, (n,) m, and the probability of detection there, (n,).
+
+    The stand-off is the middle of the ranges that are about as good as the best one, seen from the worse side.
+    """
     near_m, far_m = limits.swath
     ground = near_m + (far_m - near_m) * (np.arange(_RANGES) + 0.5) / _RANGES
-    row = np.array([math.floor(one.north_m / clearance.cell_m) for one in asked]) - clearance.first_north
-    column = np.array([math.floor(one.east_m / clearance.cell_m) for one in asked]) - clearance.first_east
+    row = np.array([math.floor(one.north_m / clearance.cell_m) for one in requests]) - clearance.first_north
+    column = np.array([math.floor(one.east_m / clearance.cell_m) for one in requests]) - clearance.first_east
     n_north, n_east = clearance.seabed.shape
     known = (row >= 0) & (row < n_north) & (column >= 0) & (column < n_east)
-    seabed = np.full(len(asked), SEABED_TYPES.index("unknown"), dtype=np.uint8)
-    ripple = np.full(len(asked), NAN, dtype=np.float32)
+    seabed = np.full(len(requests), SEABED_TYPES.index("unknown"), dtype=np.uint8)
+    ripple = np.full(len(requests), NAN, dtype=np.float32)
     seabed[known] = clearance.seabed[row[known], column[known]]
     ripple[known] = clearance.ripple_rad[row[known], column[known]]
-    look = np.add.outer([one.look_rad for one in asked], [0.0, math.pi]) % (2.0 * math.pi)
-    shape = (len(asked), 2, _RANGES)
+    look = np.add.outer([one.look_rad for one in requests], [0.0, math.pi]) % (2.0 * math.pi)
+    shape = (len(requests), 2, _RANGES)
     arguments = (seabed[:, None, None], ground.astype(np.float32), np.float32(limits.altitude_m), look.astype(np.float32)[..., None])
     kind, range_m, altitude_m, look_rad, ripple_rad = (np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None]))
     p = np.asarray(model.p_look(kind, range_m, altitude_m, look_rad, ripple_rad), dtype=np.float64).reshape(shape)
     p = np.clip(np.nan_to_num(p.min(axis=1), nan=0.0), 0.0, HIGHEST_P)
     good = [np.flatnonzero(of_one >= _AS_GOOD * of_one.max()) for of_one in p]
     best = np.array([ranges[len(ranges) // 2] for ranges in good])
-    return ground[best], p[np.arange(len(asked)), best]
+    return ground[best], p[np.arange(len(requests)), best]
 
 
 def _run(east: float, north: float, look_rad: float, stand_off_m: float, limits: Limits) -> list[list[float]]:
-    """A run that has the contact to starboard, towards look_rad."""
+    """Lay a run that has the contact to starboard, towards look_rad."""
     heading = math.remainder(look_rad - RIGHT, 2.0 * math.pi)
     half_m = 0.5 * LOOK_RUN_M + limits.settling_m
     middle = east - stand_off_m * math.sin(look_rad), north - stand_off_m * math.cos(look_rad)

@@ -1,4 +1,4 @@
-"""Shortest paths of a vehicle that moves forward and turns no tighter than a given radius.
+"""Find shortest paths of a vehicle that moves forward and turns no tighter than a given radius.
 
 L. E. Dubins, "On curves of minimal length with a constraint on average curvature", American Journal of Mathematics 79 (1957):
 the shortest path is two arcs with a straight between (LSL, RSR, LSR, RSL) or three arcs (LRL, RLR). Here each word comes from
@@ -28,7 +28,7 @@ _ROUNDING: Final = 1e-12  # radians, and lengths over the radius, that rounding 
 
 
 class PlanePose(NamedTuple):
-    """A place in the plane and a direction of travel."""
+    """Hold a place in the plane and a direction of travel."""
 
     east_m: float
     north_m: float
@@ -36,14 +36,17 @@ class PlanePose(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A piece of path with constant curvature."""
+    """Hold a piece of path with constant curvature."""
 
     turn: Turn
     length_m: float
 
 
 class DubinsPath(NamedTuple):
-    """The shortest path from `start`; `segments` are its three parts, some possibly of no length."""
+    """Hold the shortest path from `start`.
+
+    `segments` are its three parts, some possibly of zero length.
+    """
 
     start: PlanePose
     turn_radius_m: float
@@ -54,7 +57,9 @@ class DubinsPath(NamedTuple):
 def dubins_path(
     start: PlanePose, end: PlanePose, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None
 ) -> DubinsPath:
-    """The shortest path; of equally short ones always the same. leave, arrive: as for `dubins_lengths`, (2,).
+    """Find the shortest path; of equally short ones always the same.
+
+    leave, arrive: as for `dubins_lengths`, (2,).
 
     Raises ValueError if the radius is not positive, a pose is not finite or no allowed path exists.
     """
@@ -68,7 +73,10 @@ def dubins_path(
 
 
 def dubins_paths(ends: Array, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None) -> list[DubinsPath | None]:
-    """`dubins_path` for each of (n, 2, 3) starts and ends, finite ones; None where no allowed path exists. leave, arrive: (n, 2)."""
+    """Apply `dubins_path` to each of (n, 2, 3) starts and ends, all finite.
+
+    None where no allowed path exists. leave, arrive: (n, 2).
+    """
     parts = _allowed_parts(ends[:, 0], ends[:, 1], turn_radius_m, leave, arrive)
     word = np.argmin(parts.sum(axis=-1), axis=0)
     length_m = parts[word, np.arange(len(ends))] * turn_radius_m
@@ -86,7 +94,7 @@ def dubins_paths(ends: Array, turn_radius_m: float, leave: Flags | None = None, 
 def dubins_lengths(
     starts: ArrayLike, ends: ArrayLike, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None
 ) -> Array:
-    """Lengths in metres of shortest paths between (..., 3) poses [east, north, heading] that broadcast against each other.
+    """Compute lengths in metres of shortest paths between (..., 3) poses [east, north, heading] that broadcast.
 
     leave, arrive: (..., 2), whether the circles to the left and right of the starts and of the ends may be sailed; None for no limits.
     With limits only two arcs with a straight between come into question, for they stay in the hull of the two circles; infinite where there
@@ -97,7 +105,10 @@ def dubins_lengths(
 
 
 def sample_path(path: DubinsPath, arc_step_rad: float) -> Array:
-    """(n, 3) poses [east, north, heading]: the start, the end of every part, and points within arcs at most `arc_step_rad` apart."""
+    """Sample a path as (n, 3) poses [east, north, heading].
+
+    Samples are the start, the end of every part, and points within arcs at most `arc_step_rad` apart.
+    """
     east, north, heading = path.start
     poses = [path.start]
     for turn, length in path.segments:
@@ -118,7 +129,10 @@ def sample_path(path: DubinsPath, arc_step_rad: float) -> Array:
 
 
 def _word_parts(start: Array, end: Array, radius: float, n_words: int) -> Array:
-    """(n_words, ..., 3) lengths of the parts of the first words, over the radius; infinite where a word does not exist."""
+    """Compute the lengths of the parts of the first words, over the radius: (n_words, ..., 3).
+
+    Infinite where a word does not exist.
+    """
     offset = (end[..., :2] - start[..., :2]) / radius
     heading_out, heading_in = start[..., 2], end[..., 2]
     cosine_out, sine_out, cosine_in, sine_in = np.cos(heading_out), np.sin(heading_out), np.cos(heading_in), np.sin(heading_in)
@@ -150,7 +164,10 @@ def _word_parts(start: Array, end: Array, radius: float, n_words: int) -> Array:
 
 
 def _allowed_parts(start: Array, end: Array, radius: float, leave: Flags | None, arrive: Flags | None) -> Array:
-    """(n_words, ..., 3), infinite as well where a circle may not be sailed; with limits of the two arcs with a straight alone."""
+    """Compute the lengths of the parts of the allowed words, (n_words, ..., 3).
+
+    Infinite also where a circle may not be sailed; with limits only two arcs with a straight are considered.
+    """
     if leave is None or arrive is None:
         return _word_parts(start, end, radius, len(_WORDS))
     parts = _word_parts(start, end, radius, _N_STRAIGHT)
@@ -161,6 +178,6 @@ def _allowed_parts(start: Array, end: Array, radius: float, leave: Flags | None,
 
 
 def _positive(angle: Array, tolerance: Array | float) -> Array:
-    """Angle in [0, 2 pi), where a hair below zero is zero: else rounding would add a full circle to a path."""
+    """Wrap an angle to [0, 2 pi); a rounding error below zero gives zero instead of a full circle."""
     turned = np.mod(angle, 2.0 * np.pi)
     return np.asarray(np.where(turned > 2.0 * np.pi - tolerance, 0.0, turned), dtype=np.float64)

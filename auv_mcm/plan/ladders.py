@@ -1,7 +1,8 @@
-"""Sets of legs to begin with: evenly spaced parallel ones, on top of one another where one set does not suffice.
+"""Lay sets of legs to begin with: evenly spaced parallel ones, in several layers where one set does not suffice.
 
-Greed by gain per metre takes legs that cross what is open at its best places and leaves slivers, each of which costs a leg of its own.
-Even spacing leaves none. Which spacing and heading suits the ranges, the sea floor and the ripples is tried.
+A greedy choice by gain per metre takes legs that cross open area at its best places and leaves slivers, each of which
+costs a leg of its own. Even spacing leaves none. Several spacings and headings are tried against ranges, sea floor and
+ripples.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from numpy.typing import NDArray
 
 from auv_mcm.plan.orienteering import MoreTime, Problem, Wanting
 
-_MOST_STAGES: Final = 4
-_MOST_RUNGS: Final = 40
-_VAIN: Final = 3  # spacings tried in a row that make it no better
-_LEAST_LENGTH: Final = 0.3  # of the longest leg side by side with it, for a rung
+_MAX_STAGES: Final = 4
+_MAX_RUNGS: Final = 40
+_VAIN: Final = 3  # spacings tried in a row without improvement
+_MIN_LENGTH: Final = 0.3  # of the longest leg side by side with it, for a rung
 
 
 class _Rungs(NamedTuple):
-    """Legs of one heading, the longest on each line, from side to side."""
+    """Hold legs of one heading, the longest on each line, from side to side."""
 
     leg: NDArray[np.int64]
     offset_m: NDArray[np.float64]
@@ -30,13 +31,13 @@ class _Rungs(NamedTuple):
 
 
 def laddered_legs(problem: Problem, tail_m: float, more_time: MoreTime) -> list[int]:
-    """The ladders that lead to the end soonest if what they leave open costs tail_m of track per square metre."""
+    """Find the ladders that finish soonest if what they leave open costs tail_m of track per square metre."""
     headings = range(int(problem.tracks.heading.max(initial=-1)) + 1)
     rungs = [found for heading in headings if (found := _rungs(problem, heading)) is not None]
     wanting = Wanting(problem)
     legs: list[int] = []
     left_m2 = min(float(-np.expm1(-problem.cells.need) @ problem.cells.weight_m2), problem.enough_m2)
-    for _ in range(_MOST_STAGES):
+    for _ in range(_MAX_STAGES):
         best_m, best_legs, best_gain_m2 = left_m2 * tail_m, [], 0.0
         for found in rungs:
             if legs and not more_time():
@@ -61,7 +62,7 @@ def _rungs(problem: Problem, heading: int) -> _Rungs | None:
     order = np.lexsort((-length_m, tracks.line[legs]))
     _, first = np.unique(tracks.line[legs][order], return_index=True)
     longest = legs[order[first]]
-    longest = longest[tracks.length_m[longest] >= _LEAST_LENGTH * length_m.max(initial=0.0)]
+    longest = longest[tracks.length_m[longest] >= _MIN_LENGTH * length_m.max(initial=0.0)]
     if not len(longest):
         return None
     course = float(tracks.run[longest[0], 0, 2])
@@ -74,10 +75,10 @@ def _rungs(problem: Problem, heading: int) -> _Rungs | None:
 def _best_ladder(
     problem: Problem, rungs: _Rungs, wanting: Wanting, left_m2: float, tail_m: float, taken: set[int]
 ) -> tuple[float, list[int], float]:
-    """Track to the end, the legs, and what they gain."""
+    """Find the best ladder: track to the end, its legs, and their gain."""
     best_m, best_legs, best_gain_m2 = math.inf, list[int](), 0.0
     vain = 0
-    for n in range(1, min(_MOST_RUNGS, len(rungs.leg)) + 1):
+    for n in range(1, min(_MAX_RUNGS, len(rungs.leg)) + 1):
         better = False
         for share in (0.5, 0.0) if n > 1 else (0.5,):
             spacing_m = (rungs.high_m - rungs.low_m) / (n if share else n - 1)
@@ -96,7 +97,10 @@ def _best_ladder(
 
 
 def _turn_m(spacing_m: float, radius_m: float) -> float:
-    """About how long the turn from a rung to the next is: half a circle and a straight, or a bulb that is up to 7/6 of a full one."""
+    """Estimate the turn from a rung to the next, m.
+
+    It is half a circle and a straight, or a bulb of up to 7/6 of a full circle.
+    """
     apart = spacing_m / (2.0 * radius_m)
     half = math.pi * radius_m
     return half + spacing_m - 2.0 * radius_m if apart >= 1.0 else half * (1.0 + (4.0 / 3.0) * (1.0 - apart))

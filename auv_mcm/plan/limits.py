@@ -1,4 +1,4 @@
-"""What a plan must never break, and why no plan may be possible at all."""
+"""Hold what a plan must never break, and state why no plan may be possible at all."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from auv_mcm.plan.dubins import PlanePose
 
 
 class Limits(NamedTuple):
-    """Of the vehicle and the order, in metres.
+    """Hold the limits of the vehicle and of the order, in metres.
 
     budget_m: length of track that is left, by energy and by time. fence: (n, 2) corners east, north in the mission's plane, possibly
-    concave, None for none; legs and turns stay fence_margin_m inside. swath: nearest and farthest ground range that is looked at.
+    concave, None for none; legs and turns stay fence_margin_m inside. swath: nearest and farthest ground range that is used.
     settling_m: straight run before and after a leg earns nothing because the vehicle still swings.
     """
 
@@ -31,22 +31,22 @@ class Limits(NamedTuple):
 
 
 def obstacle(pose: PlanePose, limits: Limits) -> str:
-    """Why nothing can be planned from here, in words; empty if something may be."""
+    """State why nothing can be planned from here; empty if a plan may be possible."""
     near_m, far_m = limits.swath
     if not all(map(math.isfinite, pose)):
         return f"the vehicle's pose is not known (east {pose.east_m} m, north {pose.north_m} m, heading {pose.heading_rad} rad)"
     if not (limits.turn_radius_m > 0.0 and math.isfinite(limits.turn_radius_m)):
         return f"a turn radius of {limits.turn_radius_m:g} m cannot be sailed"
     if not (0.0 <= near_m < far_m and math.isfinite(far_m)):
-        return f"a swath from {near_m:g} to {far_m:g} m looks at nothing"
+        return f"a swath from {near_m:g} to {far_m:g} m is empty"
     if not limits.altitude_m >= limits.min_altitude_m:
-        return f"the survey altitude of {limits.altitude_m:g} m is below the least allowed of {limits.min_altitude_m:g} m"
+        return f"the survey altitude of {limits.altitude_m:g} m is below the minimum of {limits.min_altitude_m:g} m"
     if not limits.budget_m > 0.0:
         return "no track is left in the budget"
     if limits.fence is None:
         return ""
     if limits.fence.shape[0] < 3 or not np.isfinite(limits.fence).all():
-        return "the fence is no polygon of at least three known corners"
+        return "the fence must be a polygon of at least three known corners"
     here = np.array([pose.east_m, pose.north_m])
     if not circles_inside(here, 0.0, limits.fence, limits.fence_margin_m):
         return "the vehicle is outside its fence" + (f" or nearer to it than {limits.fence_margin_m:g} m" if limits.fence_margin_m else "")
@@ -54,7 +54,7 @@ def obstacle(pose: PlanePose, limits: Limits) -> str:
 
 
 def turns_inside(poses: NDArray[np.float64], radius_m: float, limits: Limits) -> Flags:
-    """(..., 2) whether the full circles to the left and to the right of (..., 3) poses keep to the fence."""
+    """Check whether the full circles to the left and right of (..., 3) poses keep to the fence, (..., 2) bool."""
     if limits.fence is None:
         return np.ones((*poses.shape[:-1], 2), dtype=np.bool_)
     heading = poses[..., 2:]

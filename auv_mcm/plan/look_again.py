@@ -1,8 +1,10 @@
-"""When a plan is made, and which is asked for: at once where there is something to look at, in peace while a leg is run, and not for ever.
+"""Decide when to plan and which plan to request.
 
-A contact is given up after two legs past it that gave no new view of it, and after four legs in all. A plan under way is not changed while
-the vehicle runs along a leg, nor as long as the legs in it stay the same. Where there is an area to clear, plans are also made anew when a
-leg of its survey ends, and from time to time. No plan is asked for beyond the track that may be commanded in all.
+A plan is made at once where there is something to view again, is left unchanged while a leg is run, and is not
+requested for ever. A contact is given up after two legs past it that gave no new view of it, and after four legs in
+all. A plan under way is not changed while the vehicle runs along a leg, nor as long as the legs in it stay the same.
+Where there is an area to clear, plans are also made anew when a leg of its survey ends, and from time to time. No plan
+is requested beyond the track that may be commanded in all.
 """
 
 from __future__ import annotations
@@ -19,17 +21,17 @@ from auv_mcm.plan.reinspect import Place, needs_second_look
 from auv_mcm.records import NAN, Contact, Notice, Waypoint
 from auv_mcm.settings.config import Config
 
-MOST_VAIN_LOOKS: Final = 2
-MOST_LOOKS: Final = 4
-WAIT_FOR_VIEW_S: Final = 120.0  # from the end of a leg to what was seen on it: a tile has to be complete
+MAX_VAIN_LOOKS: Final = 2
+MAX_LOOKS: Final = 4
+WAIT_FOR_VIEW_S: Final = 120.0  # from the end of a leg until its tile is complete
 _EVERY_S: Final = 5.0
-_REFRESH_S: Final = 30.0  # a plan that waits for permission begins where the vehicle was
+_REFRESH_S: Final = 30.0  # a plan that waits for a grant begins where the vehicle was
 LEAVES_LEG_M: Final = 5.0  # and the radius of arrival: so far before its end a leg counts as flown
 _BESIDE_M: Final = 5.0  # between a leg as planned and as flown
-_SURVEY_S: Final = 10.0  # between looks at how the search of an area stands, while nothing is flown
-_SURVEY_AGAIN_S: Final = 60.0  # and while something is, or nothing can be
+_SURVEY_S: Final = 10.0  # between updates on the search of an area, while no leg is flown
+_SURVEY_AGAIN_S: Final = 60.0  # and while a leg is flown, or none can be
 _STEP_M: Final = 5.0  # in which track is measured, so that the noise of positions does not add up
-_JUMP_M: Final = 100.0  # farther apart, two positions are no track
+_JUMP_M: Final = 100.0  # farther apart, two positions are not joined to a track
 _SAME_M: Final = 1.0
 _CODES: Final = {"done": "survey_done", "cannot": "survey_cannot", "not yet": "survey_waits"}
 
@@ -38,8 +40,11 @@ Run: TypeAlias = tuple[Place, Place]
 
 
 class PlanRequest(NamedTuple):
-    """Where a plan begins, and the contacts (ids) that it leaves out. sailed_m: track commanded so far. flown: survey legs since the last
-    request. time_s: of the newest position, in the time of the mission; perception may be behind it."""
+    """State where a plan begins, and the contacts (ids) that it leaves out.
+
+    sailed_m: track commanded so far. flown: survey legs since the last request. time_s: of the newest position, in
+    mission time; perception may be behind it.
+    """
 
     latitude_deg: float
     longitude_deg: float
@@ -51,7 +56,10 @@ class PlanRequest(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """A plan, and the contacts that are not in it with reasons. area: how the search of the area stands, if there is one."""
+    """Hold a plan, and the contacts that are not in it with reasons.
+
+    area: how the search of the area stands, if there is one.
+    """
 
     waypoints: tuple[Waypoint, ...]
     refused: tuple[tuple[str, str], ...]
@@ -59,7 +67,7 @@ class Proposal(NamedTuple):
 
 
 class _OnLeg(NamedTuple):
-    """How far along a leg something is, and how far beside it."""
+    """Measure how far along a leg a place is, and how far beside it."""
 
     along_m: float
     beside_m: float
@@ -69,7 +77,7 @@ class _OnLeg(NamedTuple):
 
 
 class _Leg(NamedTuple):
-    """A straight run, past a contact or ("") of a survey, in metres from its entry. along: unit vector."""
+    """Hold a straight run, past a contact or ("") of a survey, in metres from its entry. along: unit vector."""
 
     contact_id: str
     ends_deg: Run
@@ -84,7 +92,7 @@ class _Leg(NamedTuple):
 
 
 class _Looks:
-    """What was tried for one contact."""
+    """Count what was tried for one contact."""
 
     def __init__(self) -> None:
         self.n_views = 0
@@ -97,21 +105,24 @@ class _Looks:
 
     @property
     def is_given_up(self) -> bool:
-        return self.n_vain >= MOST_VAIN_LOOKS or self.n_flown >= MOST_LOOKS
+        return self.n_vain >= MAX_VAIN_LOOKS or self.n_flown >= MAX_LOOKS
 
 
 class LookAgain:
-    """Times are monotonic seconds. `plan` is what was proposed last; `area` how the search of the area stood then, if there is one."""
+    """Decide when plans are made and requested. Times are monotonic seconds.
+
+    `plan` is the last proposal; `area` is how the search of the area stood then, if there is one.
+    """
 
     def __init__(self, config: Config) -> None:
         self.plan: tuple[Waypoint, ...] = ()
         self.area: AreaState | None = None
         self._config = config
         self._clears = bool(config.plan.area_deg)
-        self._flown: list[Run] = []  # survey legs not told of yet
+        self._flown: list[Run] = []  # survey legs not reported yet
         self._sailed_m = 0.0
         self._sailed_from: LocalFrame | None = None
-        self._looks: dict[str, _Looks] = {}  # of contacts that asked for another look, a few of all there are
+        self._looks: dict[str, _Looks] = {}  # by contact that requested another view, a few of all
         self._legs: list[_Leg] = []  # of the plan, not yet flown
         self._on_leg: _Leg | None = None
         self._along_m = 0.0
@@ -119,34 +130,35 @@ class LookAgain:
         self._begins_here = False  # the plan was made since the payload commands
         self._changed = False
         self._waiting = False  # for a plan
-        self._asked_s = -math.inf
+        self._requested_s = -math.inf
         self._planned_s = -math.inf
         self._left_out: frozenset[str] = frozenset()
-        self._told: set[str] = set()
+        self._raised: set[str] = set()
         self._notices: list[Notice] = []
 
     def take_notices(self) -> list[Notice]:
+        """Take the notices raised since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def learn(self, contact: Contact) -> None:
-        """A contact, new or changed."""
+        """Take a contact, new or changed."""
         planned = any(leg.contact_id == contact.id for leg in self._legs)
-        asks = planned or needs_second_look(contact, self._config.plan.min_p_mine)
-        self._changed |= asks
-        if asks and contact.id not in self._looks:
+        is_wanted = planned or needs_second_look(contact, self._config.plan.min_p_mine)
+        self._changed |= is_wanted
+        if is_wanted and contact.id not in self._looks:
             self._looks[contact.id] = _Looks()
         looks = self._looks.get(contact.id)
         if looks is not None and len(contact.views) > looks.n_views:
             looks.n_views, looks.n_vain = len(contact.views), 0
 
     def move(self, latitude_deg: float, longitude_deg: float, commanding: bool, now_s: float) -> None:
-        """Where the vehicle is, once a second or more often. commanding: the payload has control."""
+        """Take the vehicle's place, once a second or more often. commanding: the payload has control."""
         if commanding != self._commanding:
             self._leave_leg(now_s)
             self._commanding, self._begins_here = commanding, False
             if commanding:  # the plan begins where the vehicle was before
-                self._changed, self._asked_s = True, -math.inf
+                self._changed, self._requested_s = True, -math.inf
         if not commanding:
             self._sailed_from = None
             return
@@ -165,20 +177,31 @@ class LookAgain:
                 self._leave_leg(now_s)
 
     def request(self, pose: tuple[float, float, float], time_s: float, now_s: float) -> PlanRequest | None:
-        """What to plan now, if anything. pose: latitude, longitude (degrees), heading (radians); time_s: of the mission, when it was so."""
+        """Request a plan if one is due.
+
+        pose: latitude, longitude (degrees), heading (radians); time_s: mission time of the pose.
+        """
         left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
         due = self._changed or left_out != self._left_out or (bool(self.plan) and self._is_old(now_s)) or self._is_survey_due(now_s)
-        if not due or self._waiting or self._on_leg is not None or now_s - self._asked_s < _EVERY_S or not all(map(math.isfinite, pose)):
+        if (
+            not due
+            or self._waiting
+            or self._on_leg is not None
+            or now_s - self._requested_s < _EVERY_S
+            or not all(map(math.isfinite, pose))
+        ):
             return None
-        self._changed, self._waiting, self._asked_s, self._left_out = False, True, now_s, left_out
+        self._changed, self._waiting, self._requested_s, self._left_out = False, True, now_s, left_out
         flown, self._flown = tuple(self._flown), []
         return PlanRequest(*pose, left_out, self._sailed_m, flown, time_s)
 
     def insist(self, now_s: float) -> tuple[Waypoint, ...] | None:
-        """What to propose without having planned: the same again while a leg is run that outlasts a plan, () when all track is sailed."""
+        """Propose without planning: the same plan while a leg outlasts it, () when all track is sailed."""
         if self.plan and self._sailed_m >= self._config.plan.max_track_m:
-            text = f"the {self._config.plan.max_track_m:g} m of track that the payload may command are sailed: nothing more is asked for"
-            self._tell("track_spent", text)
+            text = (
+                f"the {self._config.plan.max_track_m:g} m of track that the payload may command are sailed: no further legs are requested"
+            )
+            self._raise_once("track_spent", text)
             self.plan, self._legs = (), []
             return ()
         if self._on_leg is not None and self._is_old(now_s):
@@ -187,18 +210,18 @@ class LookAgain:
         return None
 
     def take(self, proposal: Proposal, now_s: float) -> tuple[Waypoint, ...] | None:
-        """The plan to propose in place of the one before, None to keep that."""
+        """Give the plan to propose in place of the one before, None to keep that one."""
         self._waiting = False
         for contact_id, reason in proposal.refused:
-            if contact_id not in self._told:
-                self._told.add(contact_id)
+            if contact_id not in self._raised:
+                self._raised.add(contact_id)
                 text = f"no second look at {contact_id} is proposed: {reason}"
                 self._notices.append(Notice(code="look_refused", text=text, for_the_record="report it" not in reason))
         if proposal.area is not None:
             self.area = proposal.area
             if code := next((code for begin, code in _CODES.items() if self.area.verdict.startswith(begin)), ""):
-                self._tell(code, f"{self.area.words()}: {self.area.verdict}")
-        if self._on_leg is not None:  # it came upon it while the plan was made
+                self._raise_once(code, f"{self.area.words()}: {self.area.verdict}")
+        if self._on_leg is not None:  # the vehicle reached it while the plan was made
             self._changed = True
             return None
         legs = _legs(proposal.waypoints)
@@ -212,7 +235,7 @@ class LookAgain:
 
     def _is_survey_due(self, now_s: float) -> bool:
         settled = bool(self._legs) or (self.area is not None and bool(self.area.verdict)) or not self._config.vehicle.command
-        return self._clears and now_s - self._asked_s >= (_SURVEY_AGAIN_S if settled else _SURVEY_S)
+        return self._clears and now_s - self._requested_s >= (_SURVEY_AGAIN_S if settled else _SURVEY_S)
 
     def _sail(self, latitude_deg: float, longitude_deg: float) -> None:
         here = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
@@ -223,10 +246,10 @@ class LookAgain:
             self._sailed_from = here
             self._sailed_m += sailed_m if sailed_m <= _JUMP_M else 0.0
 
-    def _tell(self, code: str, text: str) -> None:
-        """Once."""
-        if code not in self._told:
-            self._told.add(code)
+    def _raise_once(self, code: str, text: str) -> None:
+        """Raise a notice once per code."""
+        if code not in self._raised:
+            self._raised.add(code)
             self._notices.append(Notice(code=code, text=text))
 
     def _is_old(self, now_s: float) -> bool:
@@ -234,7 +257,7 @@ class LookAgain:
         return now_s - self._planned_s > (lasts_s if self._commanding else min(lasts_s, _REFRESH_S))
 
     def _leave_leg(self, now_s: float) -> None:
-        """It was flown if its middle, abeam of the contact, was passed."""
+        """Leave the leg; it counts as flown if its middle, abeam of the contact, was passed."""
         leg, self._on_leg = self._on_leg, None
         if leg is None or self._along_m <= 0.5 * leg.length_m:
             return
@@ -246,7 +269,7 @@ class LookAgain:
         looks = self._looks[leg.contact_id]
         looks.n_flown, looks.n_vain, looks.flown_s = looks.n_flown + 1, looks.n_vain + 1, now_s
         if looks.is_given_up:
-            text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not asked for any more"
+            text = f"{leg.contact_id} was looked at again {looks.n_flown} times and is not requested any more"
             self._notices.append(Notice(code="look_given_up", text=text, for_the_record=True))
 
 
@@ -264,7 +287,7 @@ def _legs(waypoints: tuple[Waypoint, ...]) -> list[_Leg]:
 
 
 def _are_alike(legs: list[_Leg], others: list[_Leg]) -> bool:
-    """Second looks at the same contacts, or the same legs in the same order."""
+    """Check whether plans have second views of the same contacts, or the same legs in the same order."""
     if all(leg.contact_id for leg in legs):
         return {leg.contact_id for leg in legs} == {leg.contact_id for leg in others}
     return len(legs) == len(others) and all(

@@ -1,9 +1,10 @@
-"""Which legs to sail, in what order and which way, so that as much as possible is gained with the track that is left.
+"""Choose legs, their order and directions, so that the track that is left gains the maximum.
 
-Legs gain what of the wanting miss exponent they add, cell by cell and no more than is wanting, and what a look at their contact is worth.
-Such a gain never rises when more legs are sailed (it is submodular), so legs are chosen greedily by gain per metre, with gains measured
-anew only where an old one could still be the best (M. Minoux, "Accelerated greedy algorithms for maximizing submodular set functions",
-1978; budgeted: J. Leskovec et al., "Cost-effective outbreak detection in networks", 2007), then ordered as a tour and improved.
+Legs gain what they add to the wanting miss exponent, cell by cell and up to what is wanting, and what a view of their
+contact is worth. Such a gain never rises when more legs are sailed (it is submodular), so legs are chosen greedily by
+gain per metre, with gains measured anew only where an old one could still be the best (M. Minoux, "Accelerated greedy
+algorithms for maximizing submodular set functions", 1978; budgeted: J. Leskovec et al., "Cost-effective outbreak
+detection in networks", 2007), then ordered as a tour and improved.
 
 A way is 2 * leg, or 2 * leg + 1 for the leg sailed backwards. A route is a list of ways in order.
 """
@@ -32,20 +33,22 @@ ARC_STEP_RAD: Final = math.radians(15.0)
 _CHECK_STEP_RAD: Final = math.radians(7.5)
 _ROOM: Final = 1.01  # circles that turns need, so that points sampled from a turn are well inside
 _NO_WAY_M: Final = 1e7
-_LEAST_M2: Final = 1e-6
+_MIN_M2: Final = 1e-6
 _ROUNDS: Final = 4
 _SWEEPS: Final = 10
 EXACT_LEGS: Final = 9
-_OVERFULL: Final = 1.25  # of the budget, chosen by rough ways; what is too much by exact ones is left out then
-LEAST_ALIKE: Final = 0.7
-"""Of a look from where one was had before, what tells nothing new at least: of such pairs tables know little, and what hides from one side
-may show from another."""
-_LEAST_CUT_M: Final = 2.0
-_MADE_GOOD: Final = 0.1  # of all that is gained, what moving the others can make good for a leg that is left out
+_OVERFULL: Final = 1.25  # of the budget, chosen by rough ways; exact ways then drop the excess
+MIN_ALIKE: Final = 0.7
+"""Minimum share of a repeated view from one direction that adds nothing new.
+
+Tables hold little about such pairs, and what hides from one side may show from another.
+"""
+_MIN_CUT_M: Final = 2.0
+_MADE_GOOD: Final = 0.1  # of all gains: what moving the others can recover of a leg that is left out
 
 
 class Turns:
-    """Ways between legs, each looked for once."""
+    """Find ways between legs, each computed once."""
 
     def __init__(self, pose: PlanePose, limits: Limits) -> None:
         self._pose, self._limits = pose, limits
@@ -53,19 +56,22 @@ class Turns:
 
     @property
     def radius_m(self) -> float:
-        """A little wider than the vehicle's, so that circles that touch the way-point polygon from inside are not tighter than it."""
+        """Widen the vehicle's turn radius a little.
+
+        Circles that touch the way-point polygon from inside are then not tighter than it.
+        """
         return self._limits.turn_radius_m / math.cos(ARC_STEP_RAD / 2.0)
 
     def room(self, poses: Array) -> Flags | None:
-        """(..., 2) whether poses have room for full circles to the left and right; None without a fence."""
+        """Check whether poses have room for full circles to the left and right, (..., 2); None without a fence."""
         return None if self._limits.fence is None else turns_inside(poses, _ROOM * self.radius_m, self._limits)
 
     def between(self, start: PlanePose, end: PlanePose) -> DubinsPath | None:
-        """The shortest way that stays inside the fence with arcs of which the whole circles do; None if there is none."""
+        """Find the shortest way whose whole turning circles stay inside the fence; None if there is none."""
         return self.all_between([(start, end)])[0]
 
     def all_between(self, ends: Sequence[tuple[PlanePose, PlanePose]]) -> list[DubinsPath | None]:
-        """`between` of each start and end, at once, which is faster."""
+        """Apply `between` to each start and end at once, which is faster."""
         unknown = [pair for pair in dict.fromkeys(ends) if pair not in self._known]
         if unknown:
             self._known.update(zip(unknown, self._found(unknown), strict=True))
@@ -93,7 +99,7 @@ class Turns:
 
 
 class Problem(NamedTuple):
-    """Everything a route is measured by.
+    """Hold what a route is measured by.
 
     contact_m2: (n,) what a look at the leg's contact is worth. other_side: (n,) the leg on the other side of the same contact, else itself.
     enough_m2: what is gained of the sea floor beyond it is worth nothing.
@@ -111,7 +117,7 @@ class Problem(NamedTuple):
 
 
 class Wanting:
-    """The miss exponent that cells still want as legs are sailed one after another."""
+    """Hold the miss exponent that cells still want as legs are sailed one after another."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
@@ -119,7 +125,7 @@ class Wanting:
         self._missed_m2 = problem.cells.weight_m2.copy()
         self._towards = problem.cells.towards.copy()
         self._seen_again = 1.0 - problem.model.other_look_correlation
-        self._seen_alike = 1.0 - max(problem.model.same_look_correlation, LEAST_ALIKE)
+        self._seen_alike = 1.0 - max(problem.model.same_look_correlation, MIN_ALIKE)
         self._renewed = np.where(problem.cells.looked, self._seen_again, 1.0)
 
     def copy(self) -> Wanting:
@@ -128,7 +134,7 @@ class Wanting:
         return other
 
     def _added(self, leg: int) -> tuple[slice, NDArray[np.int32], Array]:
-        """The elements of `Tracks` that a leg sees, their cells, and the exponent it would add to each, up to what is wanting."""
+        """Give the elements of `Tracks` that a leg sees, their cells, and what it adds to each, up to what is wanting."""
         tracks = self._problem.tracks
         part = slice(tracks.first[leg], tracks.last[leg])
         cell = tracks.cell[part]
@@ -137,7 +143,7 @@ class Wanting:
         return part, cell, np.minimum(self._need[cell], renewed * tracks.exponent[part])
 
     def per_cell(self, leg: int) -> tuple[slice, Array]:
-        """The elements of `Tracks` that a leg sees, and what it would gain in each."""
+        """Give the elements of `Tracks` that a leg sees, and what it would gain in each."""
         part, cell, added = self._added(leg)
         return part, -np.expm1(-added) * self._missed_m2[cell]
 
@@ -146,7 +152,7 @@ class Wanting:
         return float(self._problem.contact_m2[leg] - np.expm1(-added) @ self._missed_m2[cell])
 
     def take(self, leg: int) -> float:
-        """Have the leg sailed; what it gains."""
+        """Sail the leg; return its gain."""
         part, cell, added = self._added(leg)
         gained = -np.expm1(-added) * self._missed_m2[cell]
         self._need[cell] -= added
@@ -160,13 +166,13 @@ class Wanting:
 
 
 def gains_m2(problem: Problem, legs: list[int]) -> list[float]:
-    """What each leg adds to those before it."""
+    """Compute what each leg adds to those before it."""
     wanting = Wanting(problem)
     return [wanting.take(leg) for leg in legs]
 
 
 def worth_m2(problem: Problem, legs: Iterable[int]) -> float:
-    """What legs gain together, of the sea floor no more than is enough."""
+    """Compute what legs gain together, of the sea floor no more than is enough."""
     wanting = Wanting(problem)
     floor_m2 = contacts_m2 = 0.0
     for leg in legs:
@@ -177,7 +183,7 @@ def worth_m2(problem: Problem, legs: Iterable[int]) -> float:
 
 
 def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], more_time: MoreTime) -> list[int]:
-    """Legs in the order of their gain per metre, after those in `first`, until nothing more is gained or the track is used up.
+    """Order legs by gain per metre, after those in `first`, until gains or track are used up.
 
     The way to a leg counts from the nearest of those chosen before, by a straight line and the turns at its ends.
     """
@@ -214,7 +220,7 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
                 break
             gain[leg] = wanting.gain_m2(leg)
             rate[leg], fresh[leg] = gain[leg] / (length_m[leg] + way_m[leg]), True
-        if rate[leg] <= 0.0 or gain[leg] <= _LEAST_M2:
+        if rate[leg] <= 0.0 or gain[leg] <= _MIN_M2:
             break
         choose(leg)
         if floor_m2 >= problem.enough_m2:
@@ -225,12 +231,12 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
 
 
 def shifted_legs(problem: Problem, legs: list[int], reach: int, more_time: MoreTime) -> list[int]:
-    """As many survey legs or fewer, each moved to the side as long as that gains more; legs that the others make needless go."""
+    """Shift survey legs to the side as long as that gains more; drop legs that become needless."""
     best, best_m2 = legs, worth_m2(problem, legs)
     for _ in range(_SWEEPS):
         tried = _moved(problem, best, reach, more_time)
         tried_m2 = worth_m2(problem, tried)
-        if tried_m2 <= best_m2 + _LEAST_M2:
+        if tried_m2 <= best_m2 + _MIN_M2:
             break
         best, best_m2 = tried, tried_m2
     surveys = [leg for leg in best if problem.tracks.heading[leg] >= 0]
@@ -241,16 +247,16 @@ def shifted_legs(problem: Problem, legs: list[int], reach: int, more_time: MoreT
             break
         fewer = [other for other in best if other != leg]
         fewer_m2 = worth_m2(problem, fewer)
-        if _LEAST_M2 < best_m2 - fewer_m2 < _MADE_GOOD * best_m2:
+        if _MIN_M2 < best_m2 - fewer_m2 < _MADE_GOOD * best_m2:
             fewer = _moved(problem, fewer, reach, more_time)
             fewer_m2 = worth_m2(problem, fewer)
-        if leg in best and fewer_m2 >= best_m2 - _LEAST_M2:
+        if leg in best and fewer_m2 >= best_m2 - _MIN_M2:
             best, best_m2 = fewer, fewer_m2
     return best
 
 
 def _without(problem: Problem, legs: list[int], leg: int) -> Wanting:
-    """What is wanting after all legs but one."""
+    """Compute what is wanting after all legs but one."""
     wanting = Wanting(problem)
     wanting.take_all(other for other in legs if other != leg)
     return wanting
@@ -268,14 +274,14 @@ def _moved(problem: Problem, legs: list[int], reach: int, more_time: MoreTime) -
             options = [other for other in np.flatnonzero(beside).tolist() if other == leg or other not in legs]
             gains = [wanting.gain_m2(option) for option in options]
             best = int(np.argmax(gains))
-            if gains[best] > gains[options.index(leg)] + _LEAST_M2:
+            if gains[best] > gains[options.index(leg)] + _MIN_M2:
                 legs[place] = options[best]
         before.take(legs[place])
     return legs
 
 
 def trimmed_legs(problem: Problem, legs: list[int], more_time: MoreTime) -> tuple[Problem, list[int]]:
-    """The legs cut back to what the others leave to them, as further legs of the problem; those left nothing go."""
+    """Cut legs back to what the others leave to them, as further legs of the problem; drop empty ones."""
     tracks, cells, limits = problem.tracks, problem.cells, problem.limits
     legs = list(legs)
     if not more_time():
@@ -286,7 +292,7 @@ def trimmed_legs(problem: Problem, legs: list[int], more_time: MoreTime) -> tupl
             break
         part, gained = _without(problem, legs, leg).per_cell(leg)
         cell = tracks.cell[part]
-        useful = np.flatnonzero(gained > _LEAST_M2)
+        useful = np.flatnonzero(gained > _MIN_M2)
         at = legs.index(leg)
         if not len(useful):
             del legs[at]
@@ -298,7 +304,7 @@ def trimmed_legs(problem: Problem, legs: list[int], more_time: MoreTime) -> tupl
         margin_m = limits.settling_m + half_extent_m(cells.cell_m, float(entry[2]))
         forward_m = along[first] - (entry[0] * sine + entry[1] * cosine) - margin_m
         back_m = (leave[0] * sine + leave[1] * cosine) - along[last] - margin_m
-        if forward_m + back_m < _LEAST_CUT_M:
+        if forward_m + back_m < _MIN_CUT_M:
             continue
         ahead = np.array([sine, cosine, 0.0])
         run = np.stack([entry + max(forward_m, 0.0) * ahead, leave - max(back_m, 0.0) * ahead])
@@ -324,7 +330,10 @@ def _with_leg(problem: Problem, like: int, run: Array, part: tuple[int, int]) ->
 
 
 def best_route(problem: Problem, legs: list[int], more_time: MoreTime) -> list[int]:
-    """The legs as a short tour, one of both sides for contacts; what the track does not suffice for, or no turn leads to, is left out."""
+    """Order the legs as a short tour, one of both sides per contact.
+
+    Legs beyond the track, and those that no turn leads to, are left out.
+    """
     cost, ways = _connections(problem, legs)
     worth = dict(zip(legs, gains_m2(problem, legs), strict=True))
     runs = problem.tracks.length_m[[way // 2 for way in ways]]
@@ -353,7 +362,7 @@ def _tour_m(tour: list[int], cost: Array, runs: Array) -> float:
 
 
 def _tour(cost: Array, items: list[int], more_time: MoreTime) -> list[int]:
-    """A short tour through some of the items, as columns of the whole."""
+    """Find a short tour through some of the items, as columns of the whole."""
     if not items:
         return []
     columns = np.add.outer(4 * np.array(items), np.arange(4)).ravel()
@@ -362,7 +371,7 @@ def _tour(cost: Array, items: list[int], more_time: MoreTime) -> list[int]:
 
 
 def sailable(problem: Problem, route: list[int]) -> list[int]:
-    """The route without legs that no turn inside the fence leads to, and without the end that the track does not suffice for."""
+    """Drop legs of a route that no turn inside the fence leads to, and its end beyond the track."""
     kept: list[int] = []
     used_m = 0.0
     pose = problem.pose
@@ -381,14 +390,14 @@ def sailable(problem: Problem, route: list[int]) -> list[int]:
 
 
 def route_length_m(problem: Problem, route: list[int]) -> float:
-    """Of a route that can be sailed."""
+    """Measure a route that can be sailed."""
     poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
     turns = problem.turns.all_between(list(pairwise(poses))[::2])
     return sum(path.length_m for path in turns if path is not None) + float(problem.tracks.length_m[[way // 2 for way in route]].sum())
 
 
 def paths_inside(paths: list[DubinsPath], limits: Limits) -> NDArray[np.bool_]:
-    """(n,) whether paths of one radius, their arcs between the sampled points included, stay inside the fence."""
+    """Check whether paths of one radius, their arcs between samples included, stay inside the fence, (n,)."""
     if limits.fence is None or not paths:
         return np.ones(len(paths), dtype=np.bool_)
     places = [sample_path(path, _CHECK_STEP_RAD)[:, :2] for path in paths]
@@ -400,7 +409,7 @@ def paths_inside(paths: list[DubinsPath], limits: Limits) -> NDArray[np.bool_]:
 
 
 def ends_of(tracks: Tracks, way: int) -> tuple[PlanePose, PlanePose]:
-    """Entry and exit, with the heading sailed."""
+    """Give entry and exit, with the heading sailed."""
     entry, leave = tracks.run[way // 2]
     if way % 2:
         entry, leave = _reversed(np.stack([leave, entry]))
@@ -412,7 +421,10 @@ def _reversed(poses: Array) -> Array:
 
 
 def rough_way_m(exits: Array, ends: Array, radius_m: float) -> Array:
-    """(n,) about how far it is from the nearest of (m, 3) exits to the nearer end of every leg; ends: (2 n, 3) as entered."""
+    """Estimate the way from the nearest of (m, 3) exits to the nearer end of every leg, (n,) m.
+
+    ends: (2 n, 3) as entered.
+    """
     east = ends[:, 0] - exits[:, :1]
     north = ends[:, 1] - exits[:, 1:2]
     bearing = np.arctan2(east, north)
@@ -425,7 +437,7 @@ def _wrapped(angle: Array) -> Array:
 
 
 def _connections(problem: Problem, legs: list[int]) -> tuple[Array, list[int]]:
-    """Costs as `tour` has them, (4 n + 1, 4 n), and the way that each column stands for."""
+    """Compute costs as `tour` defines them, (4 n + 1, 4 n), and the way that each column stands for."""
     ways = [2 * side + way for leg in legs for side in (leg, int(problem.other_side[leg])) for way in (0, 1)]
     different, column = np.unique(ways, return_inverse=True)
     ends = [ends_of(problem.tracks, way) for way in different.tolist()]
@@ -440,7 +452,7 @@ def _connections(problem: Problem, legs: list[int]) -> tuple[Array, list[int]]:
 
 
 def _within_budget(problem: Problem, tour: list[int], cost: Array, runs: Array, worth: list[float]) -> list[int]:
-    """The tour without the legs that gain least for the track they take, until there is enough of it."""
+    """Drop legs of the tour with the smallest gain per track until the budget suffices."""
     tour, worth = list(tour), list(worth)
     while tour:
         stops = [0, *(way + 1 for way in tour)]
@@ -455,7 +467,7 @@ def _within_budget(problem: Problem, tour: list[int], cost: Array, runs: Array, 
 
 
 def _blocked(problem: Problem, route: list[int]) -> list[tuple[int, int]]:
-    """Pairs of places in the route, -1 for the start, between which no turn stays inside the fence."""
+    """Find pairs of places in the route, -1 for the start, between which no turn stays inside the fence."""
     if problem.limits.fence is None:
         return []
     poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
@@ -464,17 +476,17 @@ def _blocked(problem: Problem, route: list[int]) -> list[tuple[int, int]]:
 
 
 def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
-    """No route within the budget gains more than this, whatever its order.
+    """Bound the gain of any route within the budget, whatever its order.
 
     For any set of legs already taken, a route gains at most what that set does and the gains that single legs would add to it, of which the
-    track pays for only so many (fractional knapsack over each leg's length and its shortest connection). The least over the given sets.
+    track pays for only so many (fractional knapsack over each leg's length and its shortest connection). The minimum over the given sets.
     What a leg counts for here is never less than in a route: of what was seen before it counts as a look from elsewhere.
     """
     tracks, cells, limits = problem.tracks, problem.cells, problem.limits
     if not tracks.n_legs:
         return 0.0
     renewed = np.where(cells.looked, 1.0 - problem.model.other_look_correlation, 1.0)
-    most = renewed[tracks.cell] * tracks.exponent
+    max_added = renewed[tracks.cell] * tracks.exponent
     cost_m = tracks.length_m
     best = math.inf
     for taken in prefixes:
@@ -483,12 +495,12 @@ def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
         for leg in taken:
             part = slice(int(tracks.first[leg]), int(tracks.last[leg]))
             cell = tracks.cell[part]
-            added = np.minimum(need[cell], most[part])
+            added = np.minimum(need[cell], max_added[part])
             gained = -np.expm1(-added) * missed_m2[cell]
             need[cell] -= added
             missed_m2[cell] -= gained
             base += float(gained.sum())
-        value = -np.expm1(-np.minimum(need[tracks.cell], most)) * missed_m2[tracks.cell]
+        value = -np.expm1(-np.minimum(need[tracks.cell], max_added)) * missed_m2[tracks.cell]
         total = np.append(0.0, np.cumsum(value))
         gain = total[tracks.last] - total[tracks.first] + problem.contact_m2
         gain[taken] = 0.0

@@ -1,4 +1,4 @@
-"""Why each leg of a plan is sailed, in words for the person who watches."""
+"""Explain why each leg of a plan is sailed, for the person who watches."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NAMES = {"flat": "flat floor", "ripple": "ripple", "rough": "rough floor", "veg
 
 
 def area_words(m2: float) -> str:
-    """Square metres with thin spaces between thousands."""
+    """Write square metres with thin spaces between thousands."""
     return f"{m2:,.0f} m²".replace(",", "\u2009")
 
 
@@ -27,15 +27,18 @@ def course_words(heading_rad: float) -> str:
 def survey_words(
     heading_rad: float, gain_m2: NDArray[np.float64], seabed: NDArray[np.uint8], ripple_rad: NDArray[np.float32], looked: NDArray[np.bool_]
 ) -> str:
-    """For a survey leg; (n,) of the cells that it adds to: the area each gains in full clearance, and what is known of it."""
+    """Explain a survey leg.
+
+    Arrays (n,) hold for the cells that it adds to the area each gains in full clearance, and what is known of the cell.
+    """
     total = float(gain_m2.sum())
     by_kind = np.bincount(seabed, gain_m2, len(SEABED_TYPES))
-    most = int(np.argmax(by_kind))
-    share = f"{area_words(by_kind[most])} of {_NAMES[SEABED_TYPES[most]]}"
-    if by_kind[most] < 0.95 * total:
-        share += f" and {area_words(total - by_kind[most])} of other kinds"
+    commonest = int(np.argmax(by_kind))
+    share = f"{area_words(by_kind[commonest])} of {_NAMES[SEABED_TYPES[commonest]]}"
+    if by_kind[commonest] < 0.95 * total:
+        share += f" and {area_words(total - by_kind[commonest])} of other kinds"
     words = [f"clears {share} at {course_words(heading_rad)}"]
-    crests = np.isfinite(ripple_rad) & (seabed == most)
+    crests = np.isfinite(ripple_rad) & (seabed == commonest)
     if crests.any():
         apart = np.abs(np.mod(ripple_rad[crests] - heading_rad, math.pi) - math.pi / 2.0)  # of the look from the crests' succession
         typical = float(np.average(apart, weights=np.maximum(gain_m2[crests], 1e-9)))
@@ -49,7 +52,7 @@ def survey_words(
 
 
 def contact_words(legs: ContactLegs) -> str:
-    """For a leg past a contact."""
+    """Explain a leg past a contact."""
     contact = legs.contact
     looks = "one look" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} looks"
     towards = round(legs.look_deg) % 360

@@ -1,4 +1,4 @@
-"""The re-inspection plan that is proposed to a vehicle: legs past undecided contacts, none of which leads out of its fence."""
+"""Make the re-inspection plan that is proposed to a vehicle: legs past undecided contacts that stay inside its fence."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from auv_mcm.settings.vehicle_settings import VehicleConfig
 
 
 def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig, vehicle: VehicleConfig) -> Proposal:
-    """The plan from a pose through all legs that stay inside the fence, by its margin and the radius of arrival at least.
+    """Plan from a pose through all legs that stay inside the fence by at least its margin and the radius of arrival.
 
-    A contact whose leg does not, or that cannot be reached from the one before without a turn outside, is left out, which `refused` says.
-    Legs that the track left does not suffice for are left out as well.
+    A contact is left out, with a reason in `refused`, if its leg leaves the fence or cannot be reached from the leg
+    before without a turn outside. Legs beyond the track that is left are left out as well.
     """
     fence = _Fence(vehicle)
     wanted = [contact for contact in contacts if contact.id not in request.left_out]
@@ -36,25 +36,25 @@ def propose(contacts: Iterable[Contact], request: PlanRequest, plan: PlanConfig,
 
 
 class _Fence:
-    """least_m: so far inside it ways have to stay."""
+    """Keep ways inside the fence by at least min_m metres."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._frame = LocalFrame(latitude_deg=vehicle.fence_deg[0][0], longitude_deg=vehicle.fence_deg[0][1])
         self._corners = self._points(vehicle.fence_deg)
-        self.least_m = vehicle.fence_margin_m + vehicle.arrival_radius_m
+        self.min_m = vehicle.fence_margin_m + vehicle.arrival_radius_m
 
     def holds(self, places_deg: Iterable[tuple[float, float]]) -> bool:
-        """Whether the way from place to place stays inside."""
+        """Check whether the way from place to place stays inside."""
         points = self._points(places_deg)
-        at_ends = circles_inside(points, 0.0, self._corners, self.least_m)
-        return bool(at_ends.all() and runs_inside(points[:-1], points[1:], self._corners, self.least_m).all())
+        at_ends = circles_inside(points, 0.0, self._corners, self.min_m)
+        return bool(at_ends.all() and runs_inside(points[:-1], points[1:], self._corners, self.min_m).all())
 
     def _points(self, places_deg: Iterable[tuple[float, float]]) -> Points:
         return in_plane(list(places_deg), self._frame)
 
 
 def _within(waypoints: tuple[Waypoint, ...], track_m: float) -> tuple[Waypoint, ...]:
-    """The legs, from the first on, that a track of so many metres suffices for."""
+    """Keep the legs, from the first on, that a track of this length suffices for."""
     if not waypoints:
         return ()
     frame = LocalFrame(latitude_deg=waypoints[0].latitude_deg, longitude_deg=waypoints[0].longitude_deg)
@@ -65,9 +65,9 @@ def _within(waypoints: tuple[Waypoint, ...], track_m: float) -> tuple[Waypoint, 
 
 
 def _outside(waypoints: tuple[Waypoint, ...], fence: _Fence) -> dict[str, str]:
-    """Contacts, with reasons, whose legs lead out of the fence; where all legs stay inside, the first whose turns do not."""
+    """Find contacts, with reasons, whose legs leave the fence; where none does, the first whose turns do."""
     places = [(point.latitude_deg, point.longitude_deg) for point in waypoints]
-    why = f"comes within {fence.least_m:g} m of the fence or leads out of it"
+    why = f"comes within {fence.min_m:g} m of the fence or leads out of it"
     legs: dict[str, str] = {}
     turns: dict[str, str] = {}
     for at, point in enumerate(waypoints):

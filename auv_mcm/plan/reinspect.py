@@ -1,9 +1,9 @@
-"""Another look at contacts that are still undecided: straight legs that see each from where its views have told least.
+"""Plan straight legs past contacts that are still undecided, each seen from the direction that adds most information.
 
-A cylinder seen end-on may look like a stone; from a direction 90 degrees away it shows its side. Evenly spread aspects are the best
-choice when nothing is known about an object's orientation (Bourque and Nguyen, "Optimal aspect angles for multi-view target recognition
-with side-scan sonar", 2011), so every contact names the middle of the widest gap between its own. The plan is a proposal: the vehicle
-decides.
+A cylinder seen end-on may look like a stone; from a direction 90 degrees away it shows its side. Evenly spread aspects
+are the best choice when nothing is known about an object's orientation (Bourque and Nguyen, "Optimal aspect angles for
+multi-view target recognition with side-scan sonar", 2011), so every contact names the middle of the widest gap between
+its own. The plan is a proposal: the vehicle decides.
 """
 
 from __future__ import annotations
@@ -27,13 +27,16 @@ Place: TypeAlias = tuple[float, float]
 
 SETTLING_RADII: Final = 1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
 _ARC_STEP_RAD: Final = math.radians(15.0)
-_LEAST_STEP_M: Final = 1e-3  # way-points closer than this are one
-_DETOUR_M: Final = 1e6  # longer than any that there is
+_MIN_STEP_M: Final = 1e-3  # way-points closer than this are one
+_DETOUR_M: Final = 1e6  # longer than any real tour
 _BLOCK: Final = 1 << 18  # pairs of legs measured at once, bounds memory
 
 
 class _Leg(NamedTuple):
-    """One of the four ways to pass a contact; `entry` and `exit` lie in the plan's plane, `ends_deg` are their latitude and longitude."""
+    """Hold one of the four ways to pass a contact.
+
+    `entry` and `exit` lie in the plan's plane, `ends_deg` are their latitude and longitude.
+    """
 
     contact: Contact
     look_side: str
@@ -44,14 +47,14 @@ class _Leg(NamedTuple):
 
 
 def needs_second_look(contact: Contact, min_p_mine: float) -> bool:
-    """True for a likely mine at a known place that another look may decide."""
+    """Check whether a contact is a likely mine at a known place that another view may decide."""
     if not (contact.p_mine >= min_p_mine and contact.next_look_deg):
         return False
     return all(map(math.isfinite, (contact.latitude_deg, contact.longitude_deg, contact.next_look_deg[0])))
 
 
 def most_undecided(contacts: Iterable[Contact], config: PlanConfig) -> tuple[Contact, ...]:
-    """The `max_contacts` that need a second look most."""
+    """Choose the `max_contacts` that need a second view most."""
     undecided = (contact for contact in contacts if needs_second_look(contact, config.min_p_mine))
     return tuple(sorted(undecided, key=lambda contact: (abs(contact.p_mine - 0.5), contact.id))[: config.max_contacts])
 
@@ -64,9 +67,9 @@ def plan_reinspection(
     config: PlanConfig,
     may_run: Callable[[Place, Place], bool] = lambda entry, leaving: True,
 ) -> tuple[Waypoint, ...]:
-    """Way-points from the start pose past the `max_contacts` most undecided contacts that need a second look, in the order to sail them.
+    """Plan way-points from the start pose past the `max_contacts` most undecided contacts, in sailing order.
 
-    Each is looked at from the first of its `next_look_deg` or from the opposite, whichever makes the shorter tour.
+    Each contact is viewed from the first of its `next_look_deg` or from the opposite, whichever makes the shorter tour.
 
     Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`. The leg is
     `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each point, [0, 2 pi).
@@ -94,7 +97,7 @@ def plan_reinspection(
 
 
 def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> list[_Leg]:
-    """Four legs per contact: on either side of it, one way or the other, to look as it asks for. Number i sailed backwards is number i ^ 1.
+    """Lay four legs per contact: on either side, in either direction. Number i sailed backwards is number i ^ 1.
 
     Legs are laid out in the contact's own frame: true north at the contact is what its aspects refer to, which matters near the poles.
     """
@@ -118,7 +121,7 @@ def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> 
 
 
 def _connections(start: PlanePose, legs: list[_Leg], radius_m: float) -> NDArray[np.float64]:
-    """(n + 1, n) lengths from the start (row 0) and from every leg's exit to every leg's entry."""
+    """Compute (n + 1, n) lengths from the start (row 0) and from every leg's exit to every leg's entry."""
     entries = np.array([leg.entry for leg in legs])
     exits = np.array([start, *(leg.exit for leg in legs)])
     cost = np.empty((len(exits), len(entries)))
@@ -129,7 +132,7 @@ def _connections(start: PlanePose, legs: list[_Leg], radius_m: float) -> NDArray
 
 
 def _shares(unwanted_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n + 1, n) what ways cost besides, half on either side of each, so that a tour sailed backwards still costs the same."""
+    """Compute the extra cost of ways, (n + 1, n), half on either side, so that a reversed tour costs the same."""
     return 0.5 * (np.concatenate([[0.0], unwanted_m])[:, np.newaxis] + unwanted_m)
 
 
@@ -158,7 +161,7 @@ def _waypoints(
     for number, leg in enumerate(legs, start=1):
         path = sample_path(dubins_path(pose, leg.entry, radius_m), _ARC_STEP_RAD)
         steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-        turns = path[1:][(steps > _LEAST_STEP_M) & (np.hypot(*(path[1:, :2] - leg.entry[:2]).T) > _LEAST_STEP_M)]
+        turns = path[1:][(steps > _MIN_STEP_M) & (np.hypot(*(path[1:, :2] - leg.entry[:2]).T) > _MIN_STEP_M)]
         for latitude, longitude, course in np.column_stack(on_the_globe(turns, frame)).tolist():
             add(number, "turn", (latitude, longitude), course, f"turn towards {leg.contact.id}")
         why = _reason(leg, config)
@@ -169,8 +172,10 @@ def _waypoints(
 
 
 def on_the_globe(poses: NDArray[np.float64], frame: LocalFrame) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) latitudes, longitudes and true courses in [0, 2 pi) of (n, 3) poses in a plane, whose north turns against true north, most near
-    the poles."""
+    """Convert (n, 3) poses in a plane to (n,) latitudes, longitudes and true courses in [0, 2 pi).
+
+    The plane's north turns against true north, most near the poles.
+    """
     level = np.zeros(len(poses))
     ahead = np.column_stack([np.sin(poses[:, 2]), np.cos(poses[:, 2]), level])
     here = np.column_stack([poses[:, :2], level])
@@ -191,5 +196,5 @@ def _reason(leg: _Leg, config: PlanConfig) -> str:
     look_deg = round(leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360
     return (
         f"second look at {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards {look_deg:03d}°, "
-        f"in the widest gap between the directions had, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
+        f"in the widest gap between the directions viewed, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
     )

@@ -1,4 +1,4 @@
-"""The search for the best route: from ladders and greed, made better by turns as long as there is time."""
+"""Search for the best route: start from ladders and greedy choice, improve by turns while there is time."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from auv_mcm.plan.orienteering import (
 
 NEARLY_ALL: Final = 0.99  # of what is wanting: the rest is rounding of cells
 _SHIFTS: Final = 3
-# Of what a metre of track sees at most: what it clears of what ladders leave open; 0: no ladder.
+# Share of the area that a metre of track can see: what it clears of what ladders leave open; 0: no ladder.
 _TAILS: Final = (0.5, 0.25, 0.12, 0.06, 0.0)
 _REBUILT: Final = 3
-_MOST_FITTING: Final = 5
-_MOST_REBUILDS: Final = 60
-_LEAST_BETTER_M2: Final = 1e-6
-# Of what it sees at most: what a metre of track costs against gains, so that of plans that gain the same the shorter is taken.
+_MAX_FITTING: Final = 5
+_MAX_REBUILDS: Final = 60
+_MIN_BETTER_M2: Final = 1e-6
+# Share of the area that a metre of track can see: its cost against gains, so that of equal plans the shorter is taken.
 _TRACK_M2: Final = 0.02
 
 
@@ -41,9 +41,10 @@ class SearchedRoute(NamedTuple):
 
 
 def searched(problem: Problem, more_time: MoreTime) -> tuple[SearchedRoute, list[int]]:
-    """The best route found, and the legs that it began with.
+    """Find the best route and the legs that it began with.
 
-    Ladders and greed make routes, more or less of one and the other; of the best one some legs in a row are taken out and chosen anew.
+    Ladders and greedy choice make routes, in several proportions. Of the best route some legs in a row are taken out
+    and chosen anew.
     """
     every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
     fresh_m2 = 2.0 * (problem.limits.swath[1] - problem.limits.swath[0])  # that a metre sees at most
@@ -61,7 +62,7 @@ def searched(problem: Problem, more_time: MoreTime) -> tuple[SearchedRoute, list
         if not more_time():
             break
     assert best is not None
-    for first in range(_MOST_REBUILDS):
+    for first in range(_MAX_REBUILDS):
         if not more_time() or len(best.route) <= _REBUILT:
             break
         taken_out = {(first * (_REBUILT - 1) + k) % len(best.route) for k in range(_REBUILT)}
@@ -69,7 +70,7 @@ def searched(problem: Problem, more_time: MoreTime) -> tuple[SearchedRoute, list
         every = np.ones(best.problem.tracks.n_legs, dtype=np.bool_)
         every[[best.route[place] // 2 for place in taken_out]] = False  # else they would come back
         found = improved(best.problem, greedy_legs(best.problem, every, kept, more_time), more_time)
-        best = found if found.worth_m2 > best.worth_m2 + _LEAST_BETTER_M2 else best
+        best = found if found.worth_m2 > best.worth_m2 + _MIN_BETTER_M2 else best
     return best, began
 
 
@@ -86,8 +87,8 @@ def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> Searched
         if found.route and not more_time():
             break
         fuller = best_route(problem, [*(way // 2 for way in found.route), leg], more_time)
-        told_m2 = _net_m2(problem, fuller)
-        found = SearchedRoute(problem, fuller, told_m2) if told_m2 > found.worth_m2 else found
+        wanted_m2 = _net_m2(problem, fuller)
+        found = SearchedRoute(problem, fuller, wanted_m2) if wanted_m2 > found.worth_m2 else found
     return found
 
 
@@ -98,14 +99,14 @@ def _net_m2(problem: Problem, route: list[int]) -> float:
 
 
 def wanting_m2_of(problem: Problem) -> float:
-    """What could be gained by all there is to gain."""
+    """Compute what could be gained by all there is to gain."""
     one_side = problem.other_side >= np.arange(problem.tracks.n_legs)
     floor_m2 = float(-np.expm1(-problem.cells.need) @ problem.cells.weight_m2)
     return min(floor_m2, problem.enough_m2) + float(problem.contact_m2[one_side].sum())
 
 
 def _fitting(problem: Problem, route: list[int], wanting: Wanting) -> list[int]:
-    """The legs that would still gain most per metre and that the rest of the track could suffice for, by rough ways."""
+    """Choose legs that would still gain most per metre and fit into the rest of the track, by rough ways."""
     tracks = problem.tracks
     exits = np.array([problem.pose, *(ends_of(tracks, way)[1] for way in route)])
     entries = np.concatenate([tracks.run[:, 0], tracks.run[:, 1] + np.array([0.0, 0.0, math.pi])])
@@ -114,5 +115,5 @@ def _fitting(problem: Problem, route: list[int], wanting: Wanting) -> list[int]:
     fits = track_m <= problem.limits.budget_m - route_length_m(problem, route)
     fits[taken] = fits[problem.other_side[taken]] = False
     legs = np.flatnonzero(fits).tolist()
-    gain_m2 = {leg: gain for leg in legs if (gain := wanting.gain_m2(leg)) > _LEAST_BETTER_M2}
-    return sorted(gain_m2, key=lambda leg: (-gain_m2[leg] / track_m[leg], leg))[:_MOST_FITTING]
+    gain_m2 = {leg: gain for leg in legs if (gain := wanting.gain_m2(leg)) > _MIN_BETTER_M2}
+    return sorted(gain_m2, key=lambda leg: (-gain_m2[leg] / track_m[leg], leg))[:_MAX_FITTING]

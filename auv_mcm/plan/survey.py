@@ -1,9 +1,10 @@
-"""The mission planned anew from what is known now: legs that clear what is not clear yet, and second looks at contacts, in one route.
+"""Plan the mission anew from what is known now: legs over sea floor not clear yet and second views of contacts.
 
-A cell that must be cleared wants the miss exponent -ln(1 - required). What a leg adds to the probability that a mine there is found, and
-no more than is wanted, is its gain, measured in square metres of unsearched floor made clear; a look at a contact gains what
-`contact_legs` says in the same measure. Where a mean over the area suffices, what exceeds it gains nothing.
-`tracks` has the legs to choose from, `ladders` and `orienteering` choose and order them. The plan is a proposal: the vehicle decides.
+A cell that must be cleared wants the miss exponent -ln(1 - required). The gain of a leg is what it adds to the
+probability that a mine there is found, up to what is wanted, in square metres of unsearched floor made clear. A view of
+a contact gains what `contact_legs` states in the same measure. Where a mean over the area suffices, what exceeds it
+gains nothing. `tracks` has the legs to choose from, `ladders` and `orienteering` choose and order them. The plan is a
+proposal: the vehicle decides.
 """
 
 from __future__ import annotations
@@ -39,17 +40,19 @@ from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
 from auv_mcm.records import Contact, Waypoint
 
 HIGHEST_REQUIRED: Final = 0.999
-BETTER: Final = 1.1  # a new plan has to be to replace one that is being sailed
-_MOST_CELLS: Final = 2000  # planned with; of more, every so manieth stands for its neighbours
+BETTER: Final = 1.1  # factor by which a new plan must beat one that is being sailed
+_MAX_CELLS: Final = 2000  # planned with; of more cells, every n-th stands for its neighbours
 _ON_TRACK_RAD: Final = math.radians(15.0)
-_LEAST_STEP_M: Final = 1e-3
+_MIN_STEP_M: Final = 1e-3
 _KNOWN_LEGS: Final = 40
 
 
 class SurveyState(NamedTuple):
-    """What is known. area: bool, of the shape of the clearance's arrays (see `clearance_over`), cells that must be cleared; required: the
-    probability, below 1, with which a mine in each has to be found; mean_required: the mean over the cells that suffices, 1 for none;
-    performance: what looks are worth; contacts: with `next_look_deg` where a look may decide.
+    """Hold what is known.
+
+    area: bool, of the shape of the clearance's arrays (see `clearance_over`), cells that must be cleared; required: the
+    probability, below 1, with which a mine in each has to be found; mean_required: the mean over the cells that
+    suffices, 1 for none; performance: what views are worth; contacts: with `next_look_deg` where a view may decide.
     """
 
     clearance: Clearance
@@ -61,7 +64,7 @@ class SurveyState(NamedTuple):
 
 
 class PlannedLeg(NamedTuple):
-    """A straight run in the mission's plane, settling included; contact_id: "" for survey legs."""
+    """Hold a straight run in the mission's plane, settling included. contact_id: "" for survey legs."""
 
     entry: PlanePose
     exit: PlanePose
@@ -71,7 +74,7 @@ class PlannedLeg(NamedTuple):
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
-    """Legs in the order to sail them, way-points on the globe.
+    """Hold legs in sailing order, and way-points on the globe.
 
     length_m: track from the vehicle to the end of the last leg. gain_m2: what they gain, square metres of unsearched floor made clear;
     bound_m2: no plan of the candidate legs gains more. verdict: "" for a plan that leads to the required clearance as far as it can be
@@ -87,11 +90,14 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
-    """The plan from here. It gets better as long as `more_time` says so, asked first when the first legs are known; equal input and equal
-    answers give equal plans.
+    """Plan from here.
 
-    What is left of `previous` is kept unless the new plan gains a tenth more, or as much with a tenth less track.
-    Raises ValueError for an area whose shape is not the clearance's, or a required probability outside (0, HIGHEST_REQUIRED].
+    The plan improves as long as `more_time` returns true; it is first called when the first legs are known. Equal input
+    and equal answers give equal plans. The rest of `previous` is kept unless the new plan gains a tenth more, or as
+    much with a tenth less track.
+
+    Raises ValueError for an area whose shape is not the clearance's, or a required probability outside (0,
+    HIGHEST_REQUIRED].
     """
     if world.area.shape != world.clearance.looks.shape:
         raise ValueError(
@@ -113,7 +119,7 @@ def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan |
     problem = _problem(tracks, looks, cells, world.performance, pose, limits)._replace(enough_m2=_enough_m2(world))
     if not problem.tracks.n_legs:
         if not is_open.any():
-            verdict = _done(world) + f"; {len(asking)} contacts ask for a look that no leg can give"
+            verdict = _done(world) + f"; {len(asking)} contacts request a view that no leg can give"
         else:
             verdict = f"cannot, because {_why_nothing(world, cells, is_open, limits)}"
         return Plan(verdict=verdict)
@@ -126,14 +132,14 @@ def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan |
     kept = _kept_route(problem, known)
     if kept and not _is_better(problem, route, kept):
         route = kept
-    plan = _told(problem, route, looks, world)
+    plan = _plan(problem, route, looks, world)
     return msgspec.structs.replace(plan, bound_m2=max(bound_m2, plan.gain_m2), verdict=_verdict(problem, route, world, is_open))
 
 
 def _open_cells(world: SurveyState, is_open: NDArray[np.bool_], wanted: float) -> Cells:
     clearance = world.clearance
     row, column = np.nonzero(is_open)
-    thin = -(-len(row) // _MOST_CELLS) if len(row) else 1
+    thin = -(-len(row) // _MAX_CELLS) if len(row) else 1
     if thin > 1:  # of a regular pattern whose cells lie in no common row
         at = np.flatnonzero((column + row * (1 + int(math.sqrt(thin)))) % thin == 0)
         row, column = row[at], column[at]
@@ -153,7 +159,7 @@ def _open_cells(world: SurveyState, is_open: NDArray[np.bool_], wanted: float) -
 
 
 def _enough_m2(world: SurveyState) -> float:
-    """What is still to be gained for the mean that is required."""
+    """Compute what is still to be gained for the mean that is required."""
     if world.mean_required >= 1.0:
         return math.inf
     p = world.clearance.p_detected[world.area]
@@ -161,7 +167,7 @@ def _enough_m2(world: SurveyState) -> float:
 
 
 def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: PlanePose, limits: Limits) -> Problem:
-    """Survey legs, then those past contacts."""
+    """Pose the problem: survey legs, then legs past contacts."""
     n_survey = tracks.n_legs
     n_sides = [len(look.runs) for look in looks]
     n = n_survey + sum(n_sides)
@@ -184,7 +190,7 @@ def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: Look
 
 
 def _left_of(previous: Plan | None, pose: PlanePose) -> list[PlannedLeg]:
-    """Legs of the plan before, of one that is being sailed what lies ahead."""
+    """List legs left of the plan before; of one that is being sailed, what lies ahead."""
     if previous is None:
         return []
     legs = list(previous.legs[:_KNOWN_LEGS])
@@ -201,7 +207,7 @@ def _left_of(previous: Plan | None, pose: PlanePose) -> list[PlannedLeg]:
 
 
 def _kept_route(problem: Problem, known: list[PlannedLeg]) -> list[int]:
-    """The legs of the plan before, as far as they can be sailed and still gain something."""
+    """Keep legs of the plan before that can be sailed and still gain something."""
     runs = problem.tracks.run
     route: list[int] = []
     wanting = Wanting(problem)
@@ -226,8 +232,8 @@ def _is_better(problem: Problem, route: list[int], kept: list[int]) -> bool:
     return gain >= 0.999 * kept_gain and BETTER * route_length_m(problem, route) <= route_length_m(problem, kept)
 
 
-def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: SurveyState) -> Plan:
-    """The route as a plan, with words."""
+def _plan(problem: Problem, route: list[int], looks: list[ContactLegs], world: SurveyState) -> Plan:
+    """Make a plan with words of the route."""
     frame = LocalFrame(latitude_deg=world.clearance.origin_latitude_deg, longitude_deg=world.clearance.origin_longitude_deg)
     cells, tracks = problem.cells, problem.tracks
     of_leg = dict(zip(np.flatnonzero(tracks.heading < 0).tolist(), (look for look in looks for _ in look.runs), strict=True))
@@ -254,7 +260,7 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: S
         turn = sample_path(path, ARC_STEP_RAD)
         steps = np.hypot(*np.diff(turn[:, :2], axis=0).T)
         away = np.hypot(*(turn[1:, :2] - entry[:2]).T)
-        points += [(PlanePose(*place), number, "turn") for place in turn[1:][(steps > _LEAST_STEP_M) & (away > _LEAST_STEP_M)].tolist()]
+        points += [(PlanePose(*place), number, "turn") for place in turn[1:][(steps > _MIN_STEP_M) & (away > _MIN_STEP_M)].tolist()]
         points += [(entry, number, "leg_entry"), (leave, number, "leg_exit")]
         length_m += path.length_m + float(tracks.length_m[leg])
         pose = leave
@@ -276,7 +282,7 @@ def _told(problem: Problem, route: list[int], looks: list[ContactLegs], world: S
 
 def _done(world: SurveyState) -> str:
     if not world.area.any():
-        return "done: there is no area to clear and no contact that asks for a look"
+        return "done: there is no area to clear and no contact that requests a view"
     return f"done: required clearance of {world.required:.2f} reached in all of {area_words(world.area.sum() * world.clearance.cell_m**2)}"
 
 
@@ -292,7 +298,7 @@ def _why_nothing(world: SurveyState, cells: Cells, is_open: NDArray[np.bool_], l
 
 
 def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: NDArray[np.bool_]) -> str:
-    """Empty if all that is wanting is got by the route or by legs that a later plan may sail."""
+    """State the verdict; empty if the route, or legs that a later plan may sail, get all that is wanted."""
     cells, tracks, budget_m = problem.cells, problem.tracks, problem.limits.budget_m
     if not route:
         shortest_m = float(tracks.length_m.min())
@@ -301,12 +307,12 @@ def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: ND
             f"the shortest alone takes {shortest_m:.0f} m"
         )
     renewed = np.where(cells.looked, 1.0 - problem.model.other_look_correlation, 1.0)
-    most = np.bincount(tracks.cell, tracks.exponent * renewed[tracks.cell], len(cells.need))
-    never = most < NEARLY_ALL * cells.need
+    max_added = np.bincount(tracks.cell, tracks.exponent * renewed[tracks.cell], len(cells.need))
+    never = max_added < NEARLY_ALL * cells.need
     if never.any():
         wanted = -math.log1p(-world.required)
         n_clear, share = np.count_nonzero(world.area & ~is_open), np.count_nonzero(is_open) / len(cells.need)
-        reach = -np.expm1(-(wanted - cells.need + np.minimum(most, cells.need)))
+        reach = -np.expm1(-(wanted - cells.need + np.minimum(max_added, cells.need)))
         mean = (n_clear * world.required + share * float(reach.sum())) / (n_clear + share * len(reach))
         short_m2, area_m2 = (n * cells.cell_m**2 for n in (share * np.count_nonzero(never), world.area.sum()))
         return (

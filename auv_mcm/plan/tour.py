@@ -1,4 +1,4 @@
-"""The order in which to sail straight legs, and which way to sail each: a short open tour over measured connections.
+"""Order straight legs, and the direction of each: a short open tour over measured connections.
 
 Every contact k can be passed in four ways, numbered 4 k .. 4 k + 3; way i sailed backwards is way i ^ 1. `cost[0, j]` is the length from
 the start to way j's entry, `cost[i + 1, j]` from way i's exit to way j's entry. A path sailed backwards is as long:
@@ -19,28 +19,30 @@ Costs: TypeAlias = NDArray[np.float64]
 WAYS: Final = 4
 EXACT_CONTACTS: Final = 12
 _STRETCH: Final = 8
-_MOST_SWEEPS: Final = 10
-_LEAST_GAIN_M: Final = 1e-6
-_MOST_MOVES: Final = 20_000_000  # moves measured at most: bounds the time for very many contacts, and is the same on every machine
+_MAX_SWEEPS: Final = 10
+_MIN_GAIN_M: Final = 1e-6
+_MAX_MOVES: Final = 20_000_000  # moves measured: bounds the time for very many contacts, equal on every machine
 
 
 def tour_length(tour: list[int], cost: Costs) -> float:
-    """Sum of the connections from the start through the ways in order."""
+    """Sum the connections from the start through the ways in order."""
     return float(sum(cost[before, after - 1] for before, after in pairwise([0, *(way + 1 for way in tour)])))
 
 
 def short_tour(cost: Costs, more_time: Callable[[], bool] = lambda: True) -> list[int]:
-    """One way per contact in sailing order: the shortest tour for few contacts, a nearly shortest one for many."""
+    """Choose one way per contact in sailing order: the shortest tour for few contacts, nearly the shortest for many."""
     return exact_tour(cost) if cost.shape[1] <= WAYS * EXACT_CONTACTS else nearly_shortest_tour(cost, more_time)
 
 
 def exact_tour(cost: Costs) -> list[int]:
-    """The shortest tour. Time and memory double with every contact."""
+    """Find the shortest tour. Time and memory double with every contact."""
     return _shortest_through(0, list(range(cost.shape[1] // WAYS)), None, cost)
 
 
 def nearly_shortest_tour(cost: Costs, more_time: Callable[[], bool] = lambda: True) -> list[int]:
-    """A tour never longer than sailing the contacts as numbered with the best way for each, made better as long as there is more time.
+    """Find a tour never longer than the contacts as numbered, each passed the best way.
+
+    It improves as long as there is more time.
 
     Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and the best ways for the
     order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976), then
@@ -59,7 +61,7 @@ def _inserted(cost: Costs) -> list[int]:
 
 
 def _with_contact(tour: list[int], contact: int, cost: Costs) -> tuple[list[int], float]:
-    """The tour with one more contact where and how it adds least, and what it adds."""
+    """Insert one more contact where it adds the minimum; give the tour and what it adds."""
     ways = WAYS * contact + np.arange(WAYS)
     before = np.array([0, *(way + 1 for way in tour)])
     added = cost[before[:, np.newaxis], ways]
@@ -71,21 +73,21 @@ def _with_contact(tour: list[int], contact: int, cost: Costs) -> tuple[list[int]
 
 
 def _improved(tour: list[int], cost: Costs, more_time: Callable[[], bool]) -> list[int]:
-    moves_left = _MOST_MOVES
+    moves_left = _MAX_MOVES
     length = tour_length(tour, cost)
     while moves_left > 0 and more_time():
         moves_left -= len(tour) * len(tour) * (WAYS + 1)
         shorter = min((_reversed_stretch(tour, cost), _moved_contact(tour, cost)), key=lambda other: tour_length(other, cost))
-        if tour_length(shorter, cost) > length - _LEAST_GAIN_M:
+        if tour_length(shorter, cost) > length - _MIN_GAIN_M:
             shorter = _best_ways([way // WAYS for way in tour], cost)
-            if tour_length(shorter, cost) > length - _LEAST_GAIN_M:
+            if tour_length(shorter, cost) > length - _MIN_GAIN_M:
                 break
         tour, length = shorter, tour_length(shorter, cost)
     return tour
 
 
 def _reversed_stretch(tour: list[int], cost: Costs) -> list[int]:
-    """The best of all tours with one stretch (possibly one leg) sailed backwards."""
+    """Find the best of all tours with one stretch (possibly one leg) sailed backwards."""
     ways = np.array(tour)
     before = np.array([0, *(ways[:-1] + 1)])
     backwards = ways ^ 1
@@ -97,8 +99,8 @@ def _reversed_stretch(tour: list[int], cost: Costs) -> list[int]:
 
 
 def _moved_contact(tour: list[int], cost: Costs) -> list[int]:
-    """The best of all tours with one contact taken out and put back in anywhere, sailed in any way."""
-    best, most = tour, 0.0
+    """Find the best of all tours with one contact moved anywhere, sailed in any way."""
+    best, max_saved = tour, 0.0
     stops = [0, *(way + 1 for way in tour)]
     for place, way in enumerate(tour):
         rest = [*tour[:place], *tour[place + 1 :]]
@@ -106,13 +108,13 @@ def _moved_contact(tour: list[int], cost: Costs) -> list[int]:
         if place + 1 < len(tour):
             saved += cost[way + 1, tour[place + 1]] - cost[stops[place], tour[place + 1]]
         moved, added = _with_contact(rest, way // WAYS, cost)
-        if saved - added > most:
-            best, most = moved, saved - added
+        if saved - added > max_saved:
+            best, max_saved = moved, saved - added
     return best
 
 
 def _stretches_in_best_order(tour: list[int], cost: Costs, more_time: Callable[[], bool]) -> list[int]:
-    for _ in range(_MOST_SWEEPS):
+    for _ in range(_MAX_SWEEPS):
         length = tour_length(tour, cost)
         for first in range(0, len(tour), _STRETCH // 2):
             if not more_time():
@@ -122,13 +124,13 @@ def _stretches_in_best_order(tour: list[int], cost: Costs, more_time: Callable[[
             contacts = [way // WAYS for way in stretch]
             tour = [*tour[:first], *_shortest_through(before, contacts, rest[0] if rest else None, cost), *rest]
         tour = _improved(tour, cost, more_time)
-        if tour_length(tour, cost) > length - _LEAST_GAIN_M:
+        if tour_length(tour, cost) > length - _MIN_GAIN_M:
             break
     return tour
 
 
 def _shortest_through(before: int, contacts: list[int], after: int | None, cost: Costs) -> list[int]:
-    """The shortest way from row `before` of `cost` through all contacts to way `after` (None: ending anywhere).
+    """Find the shortest way from row `before` of `cost` through all contacts to way `after` (None: any end).
 
     Dynamic programming over sets of contacts and the way sailed last (M. Held and R. M. Karp, "A dynamic programming approach to
     sequencing problems", 1962), all sets of equal size at once.
@@ -140,7 +142,7 @@ def _shortest_through(before: int, contacts: list[int], after: int | None, cost:
 
 
 def richest_tour(cost: Costs, runs_m: Costs, worth: Costs, budget_m: float) -> list[int]:
-    """The tour that is worth most of those whose connections and legs are no longer than the budget; of equal ones the shortest. Exact.
+    """Find the tour that is worth most of those within the budget; of equal ones the shortest. Exact.
 
     runs_m: (n_ways,) length of each leg, worth: (n_contacts,). Time and memory double with every contact.
     """
@@ -158,7 +160,10 @@ _Bits: TypeAlias = NDArray[np.int64]
 
 
 def _shortest_to(before: int, contacts: list[int], cost: Costs, runs_m: Costs | None = None) -> tuple[_Bits, _Bits, Costs]:
-    """The ways past the contacts, the bit of each way's contact, and the least length through every set of contacts to every way last."""
+    """Compute the ways past the contacts, each way's contact bit, and the minimum lengths.
+
+    Lengths are through every set of contacts to every way last.
+    """
     ways = np.add.outer(WAYS * np.array(contacts), np.arange(WAYS)).ravel()
     bits = 1 << np.arange(len(ways)) // WAYS
     run_m = np.zeros(len(ways)) if runs_m is None else runs_m[ways]
@@ -176,7 +181,7 @@ def _shortest_to(before: int, contacts: list[int], cost: Costs, runs_m: Costs | 
 
 
 def _traced(done_set: int, last: int, ways: _Bits, bits: _Bits, reach: Costs, cost: Costs) -> list[int]:
-    """The tour through a set of contacts that ends with a way, from its end back."""
+    """Trace the tour through a set of contacts that ends with a way, back from its end."""
     picked = [last]
     while done_set := int(done_set & ~bits[picked[-1]]):
         picked.append(int(np.argmin(reach[done_set] + cost[ways + 1, ways[picked[-1]]])))
@@ -184,7 +189,7 @@ def _traced(done_set: int, last: int, ways: _Bits, bits: _Bits, reach: Costs, co
 
 
 def _best_ways(order: list[int], cost: Costs) -> list[int]:
-    """The way past each contact that makes the tour in this order shortest (dynamic programming over the four ways)."""
+    """Choose the ways that make the tour in this order shortest (dynamic programming over the four ways)."""
     ways = WAYS * np.array(order)[:, np.newaxis] + np.arange(WAYS)
     reach = cost[0, ways[0]]
     choices = []

@@ -1,7 +1,8 @@
-"""Straight legs that may be sailed, and what each would add to the clearance of every cell that it sees.
+"""Lay straight legs that may be sailed, and compute what each adds to the clearance of every cell that it sees.
 
-A leg looks to both sides of its credited run; a cell counts as seen where all of it lies abeam of that run, with the part of its width
-that the swath reaches. Right below the vehicle nothing is seen. Before and after the credited run lies the settling distance.
+A leg looks to both sides of its credited run. A cell counts as seen where all of it lies abeam of that run, with the
+part of its width that the swath reaches. The strip right below the vehicle is not seen. Before and after the credited
+run lies the settling distance.
 """
 
 from __future__ import annotations
@@ -26,17 +27,17 @@ SAME_LOOK_RAD: Final = math.radians(15.0)  # as in `clearance`
 RIGHT: Final = math.pi / 2.0
 _N_HEADINGS: Final = 8
 _IN_TURN: Final = (0, 4, 2, 6, 1, 5, 3, 7)  # headings
-_OWN_HEADING_RAD: Final = math.radians(5.0)  # ripples nearer than this to a heading need none of their own
+_OWN_HEADING_RAD: Final = math.radians(5.0)  # ripples nearer than this to a heading need no heading of their own
 _TURNED_RAD: Final = math.radians(3.0)
 _LINES_PER_SWATH: Final = 8
-_MOST_LINES: Final = 64  # side by side
-_MOST_SAMPLES: Final = 32  # of a line, to find where it is inside the fence
-_LEAST_EXPONENT: Final = 1e-4
+_MAX_LINES: Final = 64  # side by side
+_MAX_SAMPLES: Final = 32  # per line, to find where it is inside the fence
+_MIN_EXPONENT: Final = 1e-4
 _ROUNDING_RAD: Final = 1e-6
 
 
 def bits_alike(look_rad: ArrayLike) -> NDArray[np.uint64]:
-    """Bits of the directions that are nearly the same as those of looks; any shape."""
+    """Compute bits of the directions that are nearly the same as those of views; any shape."""
     return np.asarray(_ALIKE[np.rint(np.asarray(look_rad) * (N_LOOKS / (2.0 * math.pi))).astype(np.int64) % N_LOOKS])
 
 
@@ -52,10 +53,13 @@ _ALIKE: Final = _bits_alike()
 
 
 class Cells(NamedTuple):
-    """Cells that are not cleared yet, (n,) each. need: miss exponent that is wanting. weight_m2: what it is worth, as area, that mines
-    there are found for sure which up to now are not.
+    """Hold (n,) cells that are not cleared yet.
 
-    looked: whether it was looked at before, and thus a further look tells less; towards: in which directions, bits as `look_bit` has them.
+    need: miss exponent that is wanting. weight_m2: what it is worth, as area, to find for sure the mines there that
+    have been missed so far.
+
+    looked: whether the cell was seen before, so that a further view adds less; towards: in which directions, bits as in
+    `look_bit`.
     """
 
     east_m: Array
@@ -97,7 +101,7 @@ class Tracks(NamedTuple):
 
 
 class _Lines(NamedTuple):
-    """Parallel lines; per seen cell its place along the line, in order of line and place."""
+    """Hold parallel lines; per seen cell its place along the line, in order of line and place."""
 
     heading_rad: float
     offset_m: Array
@@ -109,18 +113,21 @@ class _Lines(NamedTuple):
 
 
 def half_extent_m(cell_m: float, heading_rad: float) -> float:
-    """Half the extent of a cell along a heading."""
+    """Compute half the extent of a cell along a heading."""
     return 0.5 * cell_m * (abs(math.sin(heading_rad)) + abs(math.cos(heading_rad)))
 
 
 def look_number(look_rad: float) -> int:
-    """Which of the directions told apart is nearest."""
+    """Find the nearest of the look directions that are distinguished."""
     return round(look_rad / (2.0 * math.pi) * N_LOOKS) % N_LOOKS
 
 
 def headings_rad(cells: Cells) -> list[float]:
-    """Directions to sail in, the opposite of each meant as well: eight evenly spread from the direction in which the cells reach farthest,
-    and along the crests where ripples lie between these."""
+    """Choose headings, the opposite of each included.
+
+    Eight are evenly spread from the direction in which the cells reach farthest; others run along the crests of ripples
+    that lie between these.
+    """
     if not len(cells.need):
         return []
     turned = np.arange(0.0, math.pi / 2.0 - 1e-9, _TURNED_RAD)[:, np.newaxis]
@@ -140,8 +147,10 @@ def headings_rad(cells: Cells) -> list[float]:
 
 
 def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[PlanePose, PlanePose]], more_time: MoreTime) -> Tracks:
-    """Legs over open cells, all of which can be entered and left inside the fence, in as many headings as there is time for, but at least
-    so many that there is a leg. known: runs to be among them."""
+    """Lay legs over open cells that can be entered and left inside the fence.
+
+    As many headings are tried as there is time for, but at least until there is a leg. known: runs to be included.
+    """
     legs = _Legs(cells, limits)
     for heading in headings_rad(cells):
         legs.add(_lines(cells, heading, _offsets(cells, heading, limits), model, limits))
@@ -153,11 +162,11 @@ def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tu
 
 
 def _offsets(cells: Cells, heading: float, limits: Limits) -> Array:
-    """Where lines run from side to side, in metres to the right of the plane's origin."""
+    """Place lines from side to side, in metres to the right of the plane's origin."""
     near_m, far_m = limits.swath
     across = cells.east_m * math.cos(heading) - cells.north_m * math.sin(heading)
     middle, reach = 0.5 * (across.min() + across.max()), 0.5 * (np.ptp(across) + near_m + far_m)
-    step = max(cells.cell_m / 2.0, (far_m - near_m) / _LINES_PER_SWATH, 2.0 * reach / _MOST_LINES)
+    step = max(cells.cell_m / 2.0, (far_m - near_m) / _LINES_PER_SWATH, 2.0 * reach / _MAX_LINES)
     n_beside = int(reach / step)
     return np.asarray(middle + step * np.arange(-n_beside, n_beside + 1))
 
@@ -183,14 +192,14 @@ def _lines(cells: Cells, heading: float, offset_m: Array, model: LookModel, limi
     )
     p = fraction[line, place] * np.clip(np.nan_to_num(p, nan=0.0), 0.0, HIGHEST_P)
     exponent = -np.log1p(-p)
-    kept = exponent > _LEAST_EXPONENT
+    kept = exponent > _MIN_EXPONENT
     line, cell = line[kept], cell[kept]
     start = np.searchsorted(line, np.arange(len(offset_m) + 1))
     return _Lines(heading, offset_m, start, along[cell], cell, exponent[kept], to_right[kept])
 
 
 class _Legs:
-    """Legs as they are found."""
+    """Collect legs as they are found."""
 
     def __init__(self, cells: Cells, limits: Limits) -> None:
         self._cells, self._limits = cells, limits
@@ -229,7 +238,7 @@ class _Legs:
         self._keep(lines)
 
     def any_enterable(self) -> bool:
-        """Whether there is a leg that `tracks` will keep."""
+        """Check whether there is a leg that `tracks` will keep."""
         return bool(self._runs) and bool(enterable(np.array(self._runs[-1:], dtype=np.float64), self._limits).any())
 
     def _keep(self, lines: _Lines) -> None:
@@ -272,7 +281,7 @@ class _Legs:
 
 
 def _box_inside(lines: _Lines, margin_m: float, limits: Limits) -> bool:
-    """Whether all of the lines with their turns are inside the fence: by a rectangle around them that no edge crosses or lies within."""
+    """Check whether all lines with their turns are inside the fence, by a rectangle that no edge crosses or lies in."""
     fence = limits.fence
     if fence is None:
         return True
@@ -289,12 +298,12 @@ def _box_inside(lines: _Lines, margin_m: float, limits: Limits) -> bool:
 
 
 class _Inside:
-    """Where parallel lines are inside the fence and can be entered or left, at samples along them."""
+    """Find where parallel lines are inside the fence and can be entered or left, at samples along them."""
 
     def __init__(self, lines: _Lines, margin_m: float, limits: Limits) -> None:
         assert limits.fence is not None
         low, high = float(lines.along_m.min()) - margin_m, float(lines.along_m.max()) + margin_m
-        n = max(2, min(_MOST_SAMPLES, math.ceil((high - low) / 2.0)))
+        n = max(2, min(_MAX_SAMPLES, math.ceil((high - low) / 2.0)))
         self._at = np.linspace(low, high, n)
         heading = np.array([math.sin(lines.heading_rad), math.cos(lines.heading_rad)])
         right = np.array([heading[1], -heading[0]])
@@ -304,7 +313,7 @@ class _Inside:
         self._turns = self._inside & turns_inside(poses, limits.turn_radius_m, limits).any(axis=-1)
 
     def parts(self, line: int, begin: float, end: float) -> Iterator[tuple[float, float]]:
-        """Stretches of a line between begin and end that are inside, from and to places where a turn fits, as long as can be."""
+        """Find the longest stretches of a line inside the fence, between places where a turn fits."""
         low = max(int(np.searchsorted(self._at, begin + 1e-9, side="right")) - 1, 0)
         high = min(int(np.searchsorted(self._at, end - 1e-9)), len(self._at) - 1)
         outside = np.flatnonzero(~self._inside[line, low : high + 1]) + low
@@ -316,7 +325,7 @@ class _Inside:
 
 
 def enterable(run: Array, limits: Limits) -> NDArray[np.bool_]:
-    """(n,) whether (n, 2, 3) runs lie inside the fence and have room for a turn at both ends."""
+    """Check whether (n, 2, 3) runs lie inside the fence with room for a turn at both ends, (n,)."""
     if limits.fence is None or not len(run):
         return np.ones(len(run), dtype=np.bool_)
     inside = runs_inside(run[:, 0, :2], run[:, 1, :2], limits.fence, limits.fence_margin_m)

@@ -1,1 +1,1 @@
-"""What kind of sea floor passes below."""
+"""Classify the kind of sea floor below."""

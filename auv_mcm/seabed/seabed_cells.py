@@ -1,4 +1,4 @@
-"""The seabed stage: a tile in, the kind of sea floor in each of its cells out."""
+"""Run the seabed stage: a tile in, the kind of sea floor in each of its cells out."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 
 _UNKNOWN: Final = SEABED_TYPES.index("unknown")
 _RIPPLE: Final = SEABED_TYPES.index("ripple")
-_COUPLING: Final = 0.7  # nats that a neighbouring cell of the same kind adds; 1 changes what is right by less than 0.005
+_COUPLING: Final = (
+    0.7  # nats that a neighbouring cell of the same kind adds; a value of 1 changes the share classified right by less than 0.005
+)
 _SWEEPS: Final = 6
 _MIN_CONFIDENCE: Final = 0.6
 """A cell less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been right."""
@@ -45,16 +47,16 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
 
 
 def smoothed(log_p: Array, measured: NDArray[np.bool_]) -> Array:
-    """(n_along, n_across, n_kinds) posteriors: each cell's own evidence, and what its eight neighbours believe.
+    """Combine each cell's own evidence with its eight neighbours: (n_along, n_across, n_kinds) posteriors.
 
-    A Potts field solved by mean field, parallel and with a fixed number of sweeps. Cells that were not measured say nothing.
+    A Potts field solved by mean field, parallel and with a fixed number of sweeps. Cells that were not measured have no effect.
     """
     own = log_p
     posterior = _softmax(own)
     for _ in range(_SWEEPS):
-        told = np.pad(posterior * measured[..., np.newaxis], ((1, 1), (1, 1), (0, 0)))
+        weighted = np.pad(posterior * measured[..., np.newaxis], ((1, 1), (1, 1), (0, 0)))
         n_along, n_across = measured.shape
-        around = sum(told[i : i + n_along, j : j + n_across] for i in range(3) for j in range(3) if (i, j) != (1, 1))
+        around = sum(weighted[i : i + n_along, j : j + n_across] for i in range(3) for j in range(3) if (i, j) != (1, 1))
         posterior = _softmax(own + _COUPLING * around)
     return posterior
 
@@ -65,7 +67,7 @@ def _softmax(log_p: Array) -> Array:
 
 
 def _on_compass(texture: Texture, tile: Tile) -> Array:
-    """Directions across the crests as compass directions, [0, pi), by the heading in the middle of each cell."""
+    """Turn directions across the crests into compass directions, [0, pi), by the heading in the middle of each cell."""
     block_rows = max(1, round(texture.cell_m[0] / CELL_BLOCKS / tile.row_spacing_m))
     row = tile.core_start + (np.arange(texture.ripple_rad.shape[0]) + 0.5) * CELL_BLOCKS * block_rows
     heading = tile.pose.heading_rad[np.minimum(row.astype(int), len(tile.pose) - 1)][:, np.newaxis]

@@ -32,15 +32,18 @@ _FARTHEST: Final = 3.0  # standard deviations; what lies farther out is weighed 
 
 
 class Layer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What each unit adds up: a row of weights per unit, one for each input, and a constant."""
+    """Hold what each unit adds up: a row of weights per unit, one for each input, and a constant."""
 
     weights: tuple[_Row, ...]
     constants: _Row
 
 
 class Gaussian(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the textures that were learnt lie: mean of the inputs, and the lower triangular matrix L that makes them white, in rows of
-    rising length: L (x - mean). novelty: the squared length of that beyond which a texture is like none that was learnt."""
+    """Describe where the textures that were learnt lie.
+
+    Mean of the inputs, and the lower triangular matrix L that makes them white, in rows of rising length: L (x - mean).
+    novelty: the squared length of that beyond which a texture is unlike any that was learnt.
+    """
 
     mean: _Row
     whitening: tuple[_Row, ...]
@@ -81,8 +84,12 @@ class SeabedModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class Odds(NamedTuple):
-    """log_p (..., n_kinds): logarithm of the probability of each kind, in the model's order, all as likely beforehand; distance (...):
-    squared, in standard deviations, from the middle of what was learnt. Without meaning where a feature is NaN."""
+    """Hold the odds of kinds.
+
+    log_p (..., n_kinds): logarithm of the probability of each kind, in the model's order, all equally likely
+    beforehand; distance (...): squared, in standard deviations, from the middle of what was learnt. Undefined where a
+    feature is NaN.
+    """
 
     log_p: Array
     distance: Array
@@ -108,7 +115,7 @@ def standardised(features: Array, cot_grazing: Array, centre: Array, scale: Arra
 
 
 def bounded(x: Array) -> Array:
-    """Draw far inputs in."""
+    """Bound far inputs."""
     return np.clip(x, -_FARTHEST, _FARTHEST)
 
 
@@ -135,7 +142,7 @@ def fitted_gaussian(x: Array, shrinkage: float, ridge: float, kept: float) -> Ga
 
 
 def as_stored(values: Array) -> tuple[float, ...]:
-    """Round to five digits: what floors differ by."""
+    """Round to five digits, which is enough to distinguish floors."""
     return tuple(float(f"{value:.5g}") for value in values)
 
 

@@ -4,7 +4,7 @@ Variances of logarithms at several scales are the lacunarity of D. P. Williams (
 imagery using lacunarity", IEEE TGRS 53, 2015), which one glint cannot upset; complexity and anisotropy together are the axes of M. Geilhufe
 and O. Midtgaard (FFI, "Quantifying the complexity in sonar images for MCM performance estimation", 2014). Ripples are a peak of the
 spectrum. What stands up from the floor is bright first and dark behind, so that differences along the range are skewed; texture that lies
-flat is not. Each cell is measured in windows of three sizes around it: small ones know where a border runs, large ones which kind it is.
+flat is not. Each cell is measured in windows of three sizes around it: small ones locate borders, large ones identify the kind.
 """
 
 from __future__ import annotations
@@ -87,7 +87,9 @@ _MIN_ALTITUDE_M: Final = 0.1
 
 
 class Texture(NamedTuple):
-    """Per cell: features (n_along, n_across, len(NAMES)) float64, NaN where too little is valid, and everywhere without an altitude.
+    """Hold features per cell, (n_along, n_across, len(NAMES)) float64.
+
+    NaN where too little is valid, and everywhere without an altitude.
 
     ripple_rad, wavelength_m (n_along, n_across): of the spectrum's highest peak, whether or not it stands out: direction across the
     crests, 0 along the track and pi / 2 towards far range, [0, pi). cot_grazing (n_across,): ground range of the cells' middles over the
@@ -152,7 +154,7 @@ def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> 
     echo[place] *= usable[place]
     lag = max(1, round(_FINE_LAG_M / tile.column_spacing_m))
     product = np.zeros_like(echo)
-    with np.errstate(under="ignore"):  # what is so dark may count as nothing
+    with np.errstate(under="ignore"):  # echoes that underflow may count as zero
         np.multiply(echo[:, :-lag], echo[:, lag:], out=product[:, :-lag])
         squared = echo * echo
     total, share, square, likeness = (
@@ -338,8 +340,11 @@ def _of_cells(values: Array, shape: tuple[int, int]) -> Array:
 
 
 def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tuple[Array, Array, Array, Array]:
-    """Per two by two cells the logarithm of the highest peak over its ring's mean, that of the share of long wavelengths, and the peak's
-    direction and wavelength. Peaks are looked for between two blocks and four metres. Arrays with their margin."""
+    """Measure peaks and long wavelengths of the spectrum per two by two cells.
+
+    Gives the logarithm of the highest peak over its ring's mean, that of the share of long wavelengths, and the peak's
+    direction and wavelength. Peaks are searched between two blocks and four metres. Arrays with their margin.
+    """
     step = 2 * CELL_BLOCKS
     margin = MARGIN_CELLS * CELL_BLOCKS - (WINDOW_BLOCKS - step) // 2
     n_along, n_across = (math.ceil((n - 2 * MARGIN_CELLS * CELL_BLOCKS) / step) for n in level.shape)
@@ -385,8 +390,10 @@ def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tup
 
 
 def _wavenumbers(block_m: tuple[float, float]) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of the half plane of the spectrum, flattened: cycles per metre along and across, the ring each belongs to, which may be ripples,
-    which are long."""
+    """Compute the wavenumbers of the half plane of the spectrum, flattened.
+
+    Cycles per metre along and across, the ring each belongs to, which may be ripples, which are long.
+    """
     along = np.repeat(np.fft.fftfreq(WINDOW_BLOCKS, block_m[0]), WINDOW_BLOCKS // 2 + 1)
     across = np.tile(np.fft.rfftfreq(WINDOW_BLOCKS, block_m[1]), WINDOW_BLOCKS)
     size = np.hypot(along, across)

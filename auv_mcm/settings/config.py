@@ -1,6 +1,6 @@
-"""One YAML file -> one typed configuration, validated once, at the edge.
+"""Read one YAML file into one typed configuration, validated once, at the edge.
 
-Unknown keys, wrong types and out-of-range values are refused with the key's path. Every field has a default, so an empty
+Unknown keys, wrong types and out-of-range values are rejected with the key's path. Every field has a default, so an empty
 file is a valid configuration; `auv-mcm config --write` prints them all with their meaning.
 """
 
@@ -26,7 +26,7 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class SonarConfig(_Section, frozen=True, kw_only=True):
-    """The sonar's habits: how it stores samples and where it sits on the vehicle."""
+    """Describe how the sonar stores samples and where it sits on the vehicle."""
 
     transfer: Annotated[
         Literal["auto", "amplitude", "intensity", "log"],
@@ -49,7 +49,7 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
         Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd"),
     ] = None
     blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
-    max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="range used at most, slant or ground, m")] = 200.0
+    max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="maximum range used, slant or ground, m")] = 200.0
     subsystem: Annotated[
         Literal[20, 21, 22] | None,
         Meta(
@@ -69,7 +69,7 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
 
 
 class NavigationConfig(_Section, frozen=True, kw_only=True):
-    """Interpolation limits and the 1-sigma errors that go into a contact's covariance."""
+    """Set the interpolation limits and the 1-sigma errors that go into a contact's covariance."""
 
     max_extrapolation_s: Annotated[
         float,
@@ -90,7 +90,7 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
 
 
 class WaterfallConfig(_Section, frozen=True, kw_only=True):
-    """The metric grid and when a row or pixel earns coverage."""
+    """Set the metric grid, and when a row or pixel earns coverage."""
 
     row_spacing_m: Annotated[float, Meta(ge=0.01, le=2.0, description="along-track pixel, m")] = 0.12
     column_spacing_m: Annotated[float, Meta(ge=0.005, le=2.0, description="ground-range pixel, m")] = 0.06
@@ -102,12 +102,10 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     max_spacing_ratio: Annotated[
         float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
     ] = 2.0
-    min_grazing_deg: Annotated[
-        float, Meta(ge=0.0, le=60.0, description="shallower than this nothing is looked for or covered, degrees")
-    ] = 1.0
-    max_grazing_deg: Annotated[float, Meta(ge=10.0, le=90.0, description="steeper than this is low resolution (near nadir), degrees")] = (
-        70.0
-    )
+    min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="minimum grazing angle of detection and coverage, degrees")] = 1.0
+    max_grazing_deg: Annotated[
+        float, Meta(ge=10.0, le=90.0, description="maximum grazing angle; steeper is low resolution (near nadir), degrees")
+    ] = 70.0
 
     def __post_init__(self) -> None:
         if self.min_grazing_deg >= self.max_grazing_deg:
@@ -115,7 +113,7 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
 
 
 class DetectConfig(_Section, frozen=True, kw_only=True):
-    """Contrasts of highlight and shadow and, where there is a model for the pixels, a trained cascade."""
+    """Set detection: contrasts of highlight and shadow and, where a model fits the pixels, a trained cascade."""
 
     model: Annotated[
         str,
@@ -159,31 +157,31 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[
-        int, Meta(ge=0, le=100_000, description="candidates measured per tile and side at most, best first; the rest is counted")
+        int, Meta(ge=0, le=100_000, description="maximum number of candidates measured per tile and side, best first; the rest is counted")
     ] = 256
     suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
-    max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="longer than this an object is no mine, m")] = 3.5
+    max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="maximum length of a mine, m")] = 3.5
 
 
 class ConfirmConfig(_Section, frozen=True, kw_only=True):
-    """Confirmation of detections: contours, Markov field, shapes."""
+    """Set confirmation of detections: contours, Markov field, shapes."""
 
     enabled: Annotated[bool, Meta(description="false: contacts carry the detector's p_mine and no class")] = True
     min_p_mine: Annotated[
-        float, Meta(ge=0.0, le=1.0, description="p_mine below which a detection is looked at no further, at any step")
+        float, Meta(ge=0.0, le=1.0, description="threshold of p_mine, at any step, below which confirmation of a detection ends")
     ] = 0.01
     max_per_tile: Annotated[
         int,
         Meta(
             ge=0,
             le=100_000,
-            description="detections worth a look that are looked at per tile and side at most, best first; the rest is counted",
+            description="maximum number of detections confirmed per tile and side, best first; the rest is counted",
         ),
     ] = 128
 
 
 class ContactsConfig(_Section, frozen=True, kw_only=True):
-    """Association of detections to contacts, which of them are reported, and which are called mines."""
+    """Set how detections join contacts, which contacts are reported, and which are called."""
 
     min_p_mine: Annotated[
         float,
@@ -210,7 +208,7 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
 
 
 class PlanConfig(_Section, frozen=True, kw_only=True):
-    """What is asked of the vehicle: second looks at contacts and, where there is an area to clear, a survey of it."""
+    """Set what is requested of the vehicle: second views of contacts and, with an area to clear, its survey."""
 
     cell_m: Annotated[float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")] = 4.0
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
@@ -233,33 +231,31 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
         if len(self.area_deg) < 3:
             raise ValueError("plan: area_deg needs at least three corners [latitude, longitude]")
         if not all(math.isfinite(value) for corner in self.area_deg for value in corner):
-            raise ValueError("plan: area_deg holds a corner that is no number")
+            raise ValueError("plan: area_deg holds a corner that is not a finite number")
         east_m, north_m = zip(*_about_first(self.area_deg, self.area_deg[0]), strict=True)
         if max(map(math.hypot, east_m, north_m)) > _FARTHEST_CORNER_M:
             raise ValueError(f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one mission")
         twice_m2 = sum(east_m[n - 1] * north_m[n] - east_m[n] * north_m[n - 1] for n in range(len(east_m)))
         if abs(twice_m2) < 2.0:
-            raise ValueError("plan: area_deg is no area; give its corners in order, edges must not cross")
+            raise ValueError("plan: area_deg encloses no area: give its corners in order, without crossing edges")
         n_cells = (max(east_m) - min(east_m)) * (max(north_m) - min(north_m)) / self.cell_m**2
-        if n_cells > _MOST_CELLS:
-            raise ValueError(
-                f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MOST_CELLS}: give a larger cell_m"
-            )
+        if n_cells > _MAX_CELLS:
+            raise ValueError(f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MAX_CELLS}: give a larger cell_m")
 
 
 _FARTHEST_CORNER_M: Final = 50_000.0  # farther out the mission's plane bends straight lines
-_MOST_CELLS: Final = 1_000_000
+_MAX_CELLS: Final = 1_000_000
 _DEGREE_M: Final = 111_320.0
 
 
 def _about_first(corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[float, float]) -> list[tuple[float, float]]:
-    """East and north, m, on a plane good enough to judge sizes; across the antimeridian as well."""
+    """Project to east and north, m, on a plane good enough to judge sizes; across the antimeridian as well."""
     shrunk = math.cos(math.radians(first_deg[0]))
     return [(math.remainder(lon - first_deg[1], 360.0) * _DEGREE_M * shrunk, (lat - first_deg[0]) * _DEGREE_M) for lat, lon in corners_deg]
 
 
 class ServiceConfig(_Section, frozen=True, kw_only=True):
-    """Queues and pacing of the running service."""
+    """Set queues and pacing of the running service."""
 
     queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="maximum number of pings waiting for perception")] = 512
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
@@ -269,7 +265,7 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
 
 
 class Config(_Section, frozen=True, kw_only=True):
-    """The whole configuration."""
+    """Hold the whole configuration."""
 
     mission: Annotated[str, Meta(max_length=200, description="name shown in reports")] = ""
     sonar: SonarConfig = SonarConfig()
@@ -292,13 +288,15 @@ class Config(_Section, frozen=True, kw_only=True):
 
 
 def _are_apart(area_deg: tuple[tuple[float, float], ...], fence_deg: tuple[tuple[float, float], ...]) -> bool:
-    """Whether a straight line to the north or east lies between them."""
+    """Check whether a straight line to the north or east lies between them."""
     ways = [list(zip(*_about_first(corners, area_deg[0]), strict=True)) for corners in (area_deg, fence_deg)]
     return any(max(ways[0][k]) <= min(ways[1][k]) or max(ways[1][k]) <= min(ways[0][k]) for k in (0, 1))
 
 
 def parse_config(text: str, place: str) -> Config:
-    """Configuration from YAML text; `place` names it in messages. An empty key or section means its default.
+    """Parse a configuration from YAML text; `place` names it in messages.
+
+    An empty key or section means its default.
 
     Raises UsageError with the key's path for unknown and repeated keys, wrong types and out-of-range values.
     """
@@ -311,10 +309,13 @@ def parse_config(text: str, place: str) -> Config:
 
 
 def config_yaml(config: Config) -> str:
-    """`config` as YAML text that parse_config reads back, each key preceded by its meaning, range and default."""
+    """Write `config` as YAML text that parse_config reads back.
+
+    Each key is preceded by its meaning, range and default.
+    """
     lines = [
         "# Configuration of auv-mcm. Every key may be left out; its default then holds.",
-        "# 'auv-mcm check --config FILE' tells whether a file is valid.",
+        "# 'auv-mcm check --config FILE' checks a file.",
         "",
     ]
     root = inspect.type_info(Config)
@@ -336,12 +337,12 @@ def config_yaml(config: Config) -> str:
 
 
 def port_keys() -> list[str]:
-    """Every key of one of the `ports`, with its kind, range, default and meaning, a line each."""
+    """Describe every key of one of the `ports`, one line each: kind, range, default and meaning."""
     return _keys_of(inspect.type_info(PortConfig), "")
 
 
 def config_schema() -> str:
-    """JSON Schema (draft 2020-12) of the configuration, for editors and scripts."""
+    """Give the JSON Schema (draft 2020-12) of the configuration, for editors and scripts."""
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Config)}
     return json.dumps(schema, indent=2) + "\n"
 
@@ -352,7 +353,7 @@ _HELP = "'auv-mcm config --write' prints every key with its meaning and range"
 
 
 def _without_empty(data: Any, kind: inspect.Type) -> Any:
-    """Without the known keys that have no value, at any depth."""
+    """Remove known keys that have no value, at any depth."""
     kind = _bare(kind)
     if isinstance(kind, inspect.StructType) and isinstance(data, dict):
         kinds = {field.name: field.type for field in kind.fields}
@@ -372,7 +373,7 @@ def _refuse_control_characters(data: Any, path: str, place: str) -> None:
 
 
 def _bare(kind: inspect.Type) -> inspect.Type:
-    """The kind without its description; of one that may be empty, the section that it may be."""
+    """Strip the description of a kind; of one that may be empty, give the section that it may be."""
     if isinstance(kind, inspect.Metadata):
         kind = kind.type
     if isinstance(kind, inspect.UnionType):
@@ -402,7 +403,7 @@ def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
 
 
 def _kind(kind: inspect.Type) -> str:
-    """What a key takes, in words."""
+    """Describe in words what a key takes."""
     if isinstance(kind, inspect.Metadata):
         kind = kind.type
     if isinstance(kind, inspect.LiteralType):
@@ -428,7 +429,10 @@ def _kind(kind: inspect.Type) -> str:
 
 
 def _scalar(value: Any) -> str:
-    """YAML of one value on one line; empty for None. Exponents get a decimal point, which YAML 1.1 readers insist on."""
+    """Write one value as YAML on one line; empty for None.
+
+    Exponents get a decimal point, which YAML 1.1 readers insist on.
+    """
     if value is None:
         return ""
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""The `ports:` section of the configuration: which device is at the end of which wire, and how it is set and mounted."""
+"""Define the `ports:` section of the configuration: the device at the end of each wire, its settings and mounting."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class NavUnitSettings(_Settings, frozen=True, kw_only=True):
-    """One navigation unit. Signs come first, then offsets: measured on the vehicle = sign * told + offset."""
+    """Set up one navigation unit.
+
+    Signs come first, then offsets: measured on the vehicle = sign * reported + offset.
+    """
 
     priority: Annotated[int, Meta(ge=0, le=99, description="of the units that deliver a quantity the lowest healthy one serves")] = 1
     delivers: Annotated[tuple[Quantity, ...], Meta(description="quantities that are taken from this unit")] = QUANTITIES
@@ -57,7 +60,7 @@ class NavUnitSettings(_Settings, frozen=True, kw_only=True):
         bool, Meta(description="take the times between measurements from the unit's own clock, which is free of the link's delays")
     ] = False
     gives_utc: Annotated[
-        bool, Meta(description="nmea0183 only: UTC is that of its ZDA, sent each second, instead of this computer's; of one unit at most")
+        bool, Meta(description="nmea0183 only: UTC is that of its ZDA, sent each second, instead of this computer's; for one unit only")
     ] = False
     pulse_link: Annotated[
         str | None,
@@ -66,30 +69,30 @@ class NavUnitSettings(_Settings, frozen=True, kw_only=True):
         ),
     ] = None
     surface_only: Annotated[bool, Meta(description="a satellite receiver: its positions are refused under water")] = False
-    position_sigma_m: Annotated[float, Meta(ge=0.0, le=1000.0, description="1-sigma per axis where the unit tells none, m")] = 3.0
-    heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma where the unit tells none, degrees")] = 1.0
-    speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=5.0, description="1-sigma where the unit tells none, m/s")] = 0.05
+    position_sigma_m: Annotated[float, Meta(ge=0.0, le=1000.0, description="1-sigma per axis where the unit reports none, m")] = 3.0
+    heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma where the unit reports none, degrees")] = 1.0
+    speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=5.0, description="1-sigma where the unit reports none, m/s")] = 0.05
     valid_s: Annotated[float, Meta(gt=0.0, le=60.0, description="without a new value for longer than this a quantity is lost, s")] = 1.5
 
 
 class SonarPortConfig(_Settings, frozen=True, kw_only=True):
-    """How a sonar is told to ping, at the start and whenever it comes back, and what it looks at."""
+    """Set how a sonar is commanded to ping, at the start and whenever it comes back, and which sides it covers."""
 
     range_m: Annotated[
         Annotated[float, Meta(gt=0.0, le=1000.0)] | None,
-        Meta(description="slant range to set, m; empty: nothing is sent, and the sonar pings as others have set it"),
+        Meta(description="slant range to set, m; empty: no command is sent, and the sonar pings as others have set it"),
     ] = None
     gain: Annotated[
         Annotated[int, Meta(ge=0, le=100)] | None,
         Meta(description="the device's own index, percentage or dB; empty: automatic or as it is"),
     ] = None
-    enabled: Annotated[bool, Meta(description="false: it is told not to ping")] = True
+    enabled: Annotated[bool, Meta(description="false: the sonar is commanded not to ping")] = True
     n_samples: Annotated[int, Meta(ge=1, le=12_000, description="per side and ping, where the device lets it be set")] = 1200
     sound_speed_mps: Annotated[float, Meta(ge=1400.0, le=1600.0, description="for its ranges, m/s")] = 1500.0
     command_link: Annotated[
         str | None, Meta(description="a wire of its own for commands, as EdgeTech's TCP port 1600 beside 1601; empty: they go to link")
     ] = None
-    ping_interval_s: Annotated[float, Meta(ge=0.02, le=10.0, description="between two pings of a sonar that pings only when asked, s")] = (
+    ping_interval_s: Annotated[float, Meta(ge=0.02, le=10.0, description="between two pings of a sonar that pings only on request, s")] = (
         0.2
     )
     sides: Annotated[
@@ -99,7 +102,7 @@ class SonarPortConfig(_Settings, frozen=True, kw_only=True):
 
 
 class PortConfig(_Settings, frozen=True, kw_only=True):
-    """One wire and the device at its end."""
+    """Set up one wire and the device at its end."""
 
     name: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="in messages, counters and recordings")]
     link: Annotated[str, Meta(description="the wire, e.g. serial:///dev/ttyUSB0?baud=115200 or tcp://192.168.2.92:51200")]
@@ -122,16 +125,14 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
         if unit is not None and unit.gives_utc and self.device != "nmea0183":
             raise ValueError(f"port '{self.name}': navigation.gives_utc is for a device 'nmea0183', and this one is a '{self.device}'")
         if unit is not None and unit.pulse_link is not None and not unit.gives_utc:
-            raise ValueError(
-                f"port '{self.name}': navigation.pulse_link says where pulses come, but not that they count: add gives_utc: true"
-            )
+            raise ValueError(f"port '{self.name}': navigation.pulse_link names a pulse that is not used: add gives_utc: true")
         for name in VEHICLE_NAMES:
             if name != self.device and getattr(self, name) is not None:
                 raise ValueError(f"port '{self.name}': a section '{name}' is for a device '{name}', and this one is a '{self.device}'")
 
 
 def check_together(ports: tuple[PortConfig, ...]) -> None:
-    """Raises ValueError for ports that cannot be used together."""
+    """Check that ports can be used together. Raises ValueError if they cannot."""
     names = [port.name for port in ports]
     for name in names:
         if names.count(name) > 1:

@@ -1,4 +1,4 @@
-"""YAML for files that people write by hand: nothing is guessed, nothing silently dropped."""
+"""Read YAML that people write by hand: no value is guessed, none silently dropped."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from auv_mcm.errors import UsageError
 
 
 def read_text(path: Path, what: str) -> str:
-    """Read the text of a file; `what` it should be, for messages. Raises UsageError if it cannot be read or is not UTF-8."""
+    """Read the text of a file; `what` names the file's role in messages.
+
+    Raises UsageError if it cannot be read or is not UTF-8.
+    """
     try:
         return path.read_text("utf-8")
     except OSError as error:
@@ -27,7 +30,9 @@ def read_text(path: Path, what: str) -> str:
 
 
 def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
-    """Read the mapping in a YAML text, {} for an empty one; `place` names it in messages, `expected` says what it should be.
+    """Read the mapping in a YAML text, {} for an empty one.
+
+    `place` names the text in messages, `expected` describes what it should hold.
 
     Raises UsageError for text that is not YAML, repeated keys, aliases, and numbers that are not finite, with the key's path.
     """
@@ -73,7 +78,10 @@ _STEP: Final = re.compile(r"\.(?P<name>\w+)|\[(?P<index>\d+|\.\.\.)\]")
 
 
 def _kinds_at(root: inspect.Type, path: str) -> list[inspect.Type]:
-    """The types that may stand at a path such as `.ports[0].device`; several below a union, none where the path leads nowhere."""
+    """List the types that may stand at a path such as `.ports[0].device`.
+
+    Several below a union, none where the path leads nowhere.
+    """
     kinds = _alternatives(root)
     for step in _STEP.finditer(path):
         kinds = [below for kind in kinds for below in _below(kind, step)]
@@ -96,7 +104,7 @@ def _below(kind: inspect.Type, step: re.Match[str]) -> list[inspect.Type]:
 
 
 def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
-    """The type without its description; the members of a union."""
+    """Strip a type's description; give the members of a union."""
     match kind:
         case inspect.Metadata():
             return _alternatives(kind.type)
@@ -106,7 +114,7 @@ def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
 
 
 def _known_keys(name: str, kinds: list[inspect.Type], root: inspect.Type) -> str:
-    """Suggest what an unknown key should be: the same key in its own section, else the nearest one, else all that there are."""
+    """Suggest what an unknown key should be: the same key in its own section, else the nearest one, else all keys."""
     known = list(dict.fromkeys(key for kind in kinds if isinstance(kind, inspect.StructType) for key in _keys(kind)))
     elsewhere = [path for path in _paths(root) if path.rpartition(".")[2] == name]
     if near := elsewhere[:1] or difflib.get_close_matches(name, known, n=1):
@@ -120,7 +128,7 @@ def _keys(kind: inspect.StructType) -> list[str]:
 
 
 def _paths(kind: inspect.Type, before: str = "") -> Iterator[str]:
-    """Paths of all keys below a section, lists left out."""
+    """List paths of all keys below a section, lists left out."""
     for section in _alternatives(kind):
         if isinstance(section, inspect.StructType):
             for field in section.fields:
@@ -129,7 +137,10 @@ def _paths(kind: inspect.Type, before: str = "") -> Iterator[str]:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.2 scalars, so that 1e-4 is a number and `no`, `1:30` or a date is plain text. Repeated keys and aliases are refused."""
+    """Load YAML 1.2 scalars: 1e-4 is a number and `no`, `1:30` or a date is plain text.
+
+    Repeated keys and aliases are rejected.
+    """
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 (PyYAML's own class attribute)
 

@@ -1,4 +1,4 @@
-"""The `vehicle:` section of the configuration: what the payload may ask of the vehicle, and within which bounds."""
+"""Define the `vehicle:` section of the configuration: what the payload may request, and within which bounds."""
 
 from __future__ import annotations
 
@@ -19,21 +19,19 @@ class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class VehicleConfig(_Settings, frozen=True, kw_only=True):
-    """What the payload may ask of the vehicle. Without `command: true` it tells contacts and health and asks for nothing."""
+    """Set what the payload may request. Without `command: true` it reports contacts and health and requests nothing."""
 
-    command: Annotated[bool, Meta(description="ask for control to look again at contacts; needs a fence")] = False
+    command: Annotated[bool, Meta(description="request control to view contacts again; needs a fence")] = False
     fence_deg: Annotated[
         tuple[tuple[Latitude, Longitude], ...],
         Meta(description="corners [latitude, longitude] of the area that no command leads out of, in order; degrees"),
     ] = ()
     fence_margin_m: Annotated[float, Meta(ge=0.0, le=1000.0, description="commands keep as far inside the fence, m")] = 5.0
     altitude_m: Annotated[float, Meta(gt=0.0, le=200.0, description="altitude that is commanded, m")] = 5.0
-    min_altitude_m: Annotated[float, Meta(gt=0.0, le=200.0, description="nothing lower is commanded, and no control is kept below, m")] = (
+    min_altitude_m: Annotated[float, Meta(gt=0.0, le=200.0, description="minimum altitude commanded; below it control is returned, m")] = (
         2.0
     )
-    max_depth_m: Annotated[float, Meta(gt=0.0, le=6000.0, description="nothing deeper is commanded, and no control is kept below, m")] = (
-        100.0
-    )
+    max_depth_m: Annotated[float, Meta(gt=0.0, le=6000.0, description="maximum depth commanded; below it control is returned, m")] = 100.0
     speed_mps: Annotated[float, Meta(gt=0.0, le=10.0, description="speed that is commanded, m/s")] = 1.5
     arrival_radius_m: Annotated[float, Meta(gt=0.0, le=100.0, description="arrival radius: a way-point this near counts as reached, m")] = (
         3.0
@@ -48,7 +46,7 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
         float, Meta(gt=0.0, le=86400.0, description="maximum uninterrupted control time, after which control is returned, s")
     ] = 1800.0
     ask_again_s: Annotated[
-        float, Meta(ge=1.0, le=3600.0, description="control that was refused or taken back is asked for again not sooner, s")
+        float, Meta(ge=1.0, le=3600.0, description="minimum time before control that was refused or revoked is requested again, s")
     ] = 60.0
     state_valid_s: Annotated[
         float, Meta(gt=0.0, le=60.0, description="without a position of the vehicle for so long control is returned, s")
@@ -63,7 +61,7 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
         if self.fence_deg and len(self.fence_deg) < 3:
             raise ValueError("vehicle: fence_deg needs at least three corners [latitude, longitude]")
         if not all(math.isfinite(value) for corner in self.fence_deg for value in corner):
-            raise ValueError("vehicle: fence_deg holds a corner that is no number")
+            raise ValueError("vehicle: fence_deg holds a corner that is not a finite number")
         if self.altitude_m < self.min_altitude_m:
             raise ValueError(f"vehicle: altitude_m ({self.altitude_m}) must not be below min_altitude_m ({self.min_altitude_m})")
         if self.command_valid_s > self.plan_valid_s:
@@ -71,13 +69,15 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
 
 
 class ImcSettings(_Settings, frozen=True, kw_only=True):
-    """How to talk to a vehicle that speaks IMC."""
+    """Set how to address a vehicle that speaks IMC."""
 
     source_id: Annotated[int, Meta(ge=0x6000, le=0x7FFF, description="our own IMC address, 24576 to 32767")] = 0x6000
     vehicle_id: Annotated[
         int,
         Meta(
-            ge=0, le=0xFFFE, description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or tells its state"
+            ge=0,
+            le=0xFFFE,
+            description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its state",
         ),
     ] = 0
     own_plan: Annotated[
@@ -91,12 +91,12 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
         float, Meta(ge=2.0, le=60.0, description="the vehicle takes control back after so long without a reference of ours, s")
     ] = 5.0
     acknowledges: Annotated[
-        bool, Meta(description="the vehicle knows messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone")
+        bool, Meta(description="the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone")
     ] = False
 
 
 class CanSettings(_Settings, frozen=True, kw_only=True):
-    """Who is who on a CAN bus whose messages deploy/auv_mcm.dbc describes."""
+    """Set the addresses on a CAN bus whose messages deploy/auv_mcm.dbc describes."""
 
     payload_address: Annotated[int, Meta(ge=0, le=253, description="last byte of the identifiers of what the payload sends")] = 96
     vehicle_address: Annotated[
@@ -104,7 +104,9 @@ class CanSettings(_Settings, frozen=True, kw_only=True):
     ] = 32
     nmea2000_addresses: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=251)], ...],
-        Meta(description="NMEA 2000 units on this bus that tell where the vehicle is; empty: its controller tells by VEHICLE_STATE"),
+        Meta(
+            description="NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports it by VEHICLE_STATE"
+        ),
     ] = ()
 
     def __post_init__(self) -> None:
@@ -113,7 +115,7 @@ class CanSettings(_Settings, frozen=True, kw_only=True):
 
 
 class IverSettings(_Settings, frozen=True, kw_only=True):
-    """An Iver under Remote Helm."""
+    """Set up an Iver under Remote Helm."""
 
     remote_helm_version: Annotated[
         int, Meta(ge=1, le=99, description="major version on the vehicle; before 5 it takes depths in feet, from 5 on in metres")
@@ -122,17 +124,17 @@ class IverSettings(_Settings, frozen=True, kw_only=True):
     command_timeout_s: Annotated[
         int, Meta(ge=1, le=120, description="the vehicle keeps its own plan again so long after a command that no other follows, s")
     ] = 5
-    poll_s: Annotated[float, Meta(ge=0.1, le=2.0, description="the vehicle's state is asked for so often, s")] = 0.5
+    poll_s: Annotated[float, Meta(ge=0.1, le=2.0, description="period of requests for the vehicle's state, s")] = 0.5
     contact_sentence: Annotated[
-        str, Meta(pattern="^(P[A-Z0-9]{3,5})?$", description="name of the sentence for contacts and health; empty: neither is told")
+        str, Meta(pattern="^(P[A-Z0-9]{3,5})?$", description="name of the sentence for contacts and health; empty: neither is reported")
     ] = "PMCM"
 
 
 class ReconSettings(_Settings, frozen=True, kw_only=True):
-    """A REMUS by RECON."""
+    """Set up a REMUS by RECON."""
 
     contact_type: Annotated[
-        str, Meta(pattern="^[ABDF-PRTUW-Z]?$", description="type letter of the frame for contacts; empty: contacts are not told")
+        str, Meta(pattern="^[ABDF-PRTUW-Z]?$", description="type letter of the frame for contacts; empty: contacts are not reported")
     ] = "K"
 
 
@@ -140,11 +142,11 @@ BLUEFIN_SENTENCES: Final = (
     "ABT BOY CON CPD CTD DCL DVR EMB GBP GHP KIL LOG MSG NPU RBO RCA RCB RCE RCN RES "
     "RGP RMB RMP RNS RTC SAN SEM SIL SMC SPD STS SUS TMR TOP TRK TRM VEL VER"
 )
-"""What payloads may say under Bluefin's standard payload interface, each after `BP`; none of these may name something else."""
+"""Sentences that payloads may send under Bluefin's standard payload interface, each after `BP`; none of these may name something else."""
 
 
 class BluefinSettings(_Settings, frozen=True, kw_only=True):
-    """A Bluefin by its standard payload interface."""
+    """Set up a Bluefin by its standard payload interface."""
 
     granted_by: Annotated[
         Literal["BFCTL", "BFMIS", "BFMSC"],
@@ -154,7 +156,7 @@ class BluefinSettings(_Settings, frozen=True, kw_only=True):
         ),
     ] = "BFCTL"
     contact_sentence: Annotated[
-        str, Meta(pattern="^(BP[A-Z]{3})?$", description="name of the sentence for contacts; empty: contacts are not told")
+        str, Meta(pattern="^(BP[A-Z]{3})?$", description="name of the sentence for contacts; empty: contacts are not reported")
     ] = "BPMCM"
 
     def __post_init__(self) -> None:

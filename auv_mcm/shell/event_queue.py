@@ -13,11 +13,11 @@ _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and not
 
 
 class EventQueue:
-    """Events on their way from the source to perception: at most `max_pings` pings and a proportionate number of others.
+    """Hold events between source and perception: at most `max_pings` pings and a proportionate number of others.
 
     A source that can wait puts its events in and is held back while there is no room. A live source cannot wait and pushes them: the
-    oldest event of the same kind is dropped, counted as `service.ping_dropped` or `service.event_dropped`, for the newest says where
-    the vehicle is now. One task takes events out.
+    oldest event of the same kind is dropped, counted as `service.ping_dropped` or `service.event_dropped`, because the newest gives
+    the vehicle's present position. One task takes events out.
     """
 
     def __init__(self, max_pings: int, counters: Counter[str], see: Callable[[SourceEvent], None] = lambda event: None) -> None:

@@ -1,4 +1,4 @@
-"""Append lines of JSON to a file so that each is durable before anybody hears of it."""
+"""Append lines of JSON to a file so that each is durable before it is announced."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from auv_mcm.shell.whole_files import finite
 
 
 class Journal:
-    """Append-only lines of JSON, on disk when `append` returns. The file is locked as long as the process lives; see `is_in_use`."""
+    """Append lines of JSON, on disk when `append` returns.
+
+    The file is locked as long as the process lives; see `is_in_use`.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = open_for_append(path)
@@ -38,13 +41,16 @@ class Journal:
         return False
 
     def append(self, records: Iterable[Any]) -> None:
-        """Raises OSError, as on a full disk; the file then ends in a whole line, and the records are written with the next ones."""
+        """Append records. Raises OSError, as on a full disk.
+
+        The file then ends in a whole line, and the records are written with the next ones.
+        """
         lines = [json.dumps(finite(record), ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for record in records]
         self._owed += "".join(lines).encode("utf-8", "replace")
         self._write_owed()
 
     def close(self) -> None:
-        """Raises OSError if lines are still owed and cannot be written."""
+        """Close the file. Raises OSError if lines are still owed and cannot be written."""
         try:
             self._write_owed()
         finally:

@@ -22,7 +22,7 @@ from auv_mcm.settings.config import PlanConfig
 
 
 def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
-    """Count contacts, and the area covered: summed over tiles, so that sea floor seen twice counts twice."""
+    """Count contacts, and sum the covered area over tiles: sea floor seen twice counts twice."""
     covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
     counted: Counter[str] = Counter()
     for contact in contacts:
@@ -58,7 +58,7 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
 
 
 def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:
-    """Sum up the search over all that was seen; empty if nothing was.
+    """Sum up the search over all that was seen; empty if there is none.
 
     mines_found: the sum of p_mine of contacts called mine-like. mines_left: see `remaining_mines`.
     """
@@ -93,7 +93,10 @@ def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> d
 
 
 def area_totals(clearance: Clearance | None, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:
-    """How the search of the area to be cleared stands at the end; empty if there is none. verdict: of planning, while it went on."""
+    """State how the search of the area to be cleared stands at the end; empty if there is no area.
+
+    verdict: of planning, while it went on.
+    """
     if not plan.area_deg:
         return {}
     state = area_state(over_area(clearance, plan.area_deg, plan.cell_m), plan.required_clearance)
@@ -113,13 +116,13 @@ def notice_lists(notices: Iterable[Notice]) -> dict[str, list[dict[str, str]]]:
     """List `notices`, which ask a person to do something, apart from `remarks`, which are for the record."""
     lists: dict[str, list[dict[str, str]]] = {"notices": [], "remarks": []}
     for notice in notices:
-        told = {"code": notice.code, "text": notice.text, "place": notice.place}
-        lists["remarks" if notice.for_the_record else "notices"].append(told)
+        fields = {"code": notice.code, "text": notice.text, "place": notice.place}
+        lists["remarks" if notice.for_the_record else "notices"].append(fields)
     return lists
 
 
 def clearance_notices(clearance: Clearance | None) -> list[Notice]:
-    """What a person should know about the map of clearance."""
+    """Raise notices about the map of clearance."""
     if clearance is None or not clearance.n_elsewhere:
         return []
     text = (

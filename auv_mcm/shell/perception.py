@@ -1,4 +1,4 @@
-"""Perception in a process of its own, so that nothing it computes delays the ports of the main process.
+"""Run perception in a process of its own, so that its computations never delay the ports of the main process.
 
 The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
 feeds its pipeline and answers each message with the events that came of it, tiles left out and a picture in place of what it is drawn
@@ -6,8 +6,8 @@ from. The answer also gives the ring space back. The process is spawned, not for
 The shared memory has no name: it goes with the last of the two processes, however they end, all killed at once included.
 
 Contacts and coverage go to a file that the parent opened and both hold, so that a long mission needs no more memory than a short one.
-Their places in it cross with the answers. A contact crosses as well, without its pictures: what announces it must not wait for the
-disk to give it back, and nothing is lost where the disk takes no more.
+Their places in it cross with the answers. A contact crosses as well, without its pictures: its announcement must not wait for the
+disk to give it back, and no contact is lost where the disk takes no more.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fi
 _ALIGNMENT: Final = 64
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
 _PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
-_MOST_PLANNING_S: Final = 1.0  # while pings wait
+_MAX_PLANNING_S: Final = 1.0  # while pings wait
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 _NO_OUTLINE: Final = np.empty((0, 2))
 
@@ -72,7 +72,7 @@ _Shared: TypeAlias = "ctypes.Array[ctypes.c_ubyte]"
 
 
 class Perceiving(Protocol):
-    """What a pipeline offers; see auv_mcm.pipeline."""
+    """Define what a pipeline offers; see auv_mcm.pipeline."""
 
     @property
     def counters(self) -> Counter[str]: ...
@@ -91,18 +91,18 @@ class Perceiving(Protocol):
 
 
 MakePipeline: TypeAlias = "Callable[[Config, Contacts], Perceiving]"
-"""Given where to keep contacts."""
+"""Makes a pipeline, given where to keep contacts."""
 
 
 def standard_pipeline(config: Config, kept: Contacts) -> Perceiving:
-    """The one pipeline there is, imported only in the process that runs it."""
+    """Make the standard pipeline, imported only in the process that runs it."""
     from auv_mcm.pipeline import Pipeline
 
     return Pipeline(config, kept=kept)
 
 
 class Fed(NamedTuple):
-    """Answer to one event, or to the end of the mission: what became final because of it.
+    """Answer one event, or the end of the mission, with what became final because of it.
 
     events: contacts, without what their pictures are made of, and notices. snippets: a PNG picture per contact id. places: in the file
     of records, of the contacts by number, without those that the disk did not take. patches: coverage, in that file too.
@@ -115,13 +115,13 @@ class Fed(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """Answer to a request for a plan."""
+    """Answer a request for a plan."""
 
     proposal: Proposal
 
 
 class Finished(NamedTuple):
-    """The last answer."""
+    """Give the last answer."""
 
     counters: Counter[str]
     places: dict[str, Any]  # by range and strength, for the summary
@@ -131,18 +131,18 @@ class Finished(NamedTuple):
 
 
 class PerceptionError(errors.HardwareError):
-    """The perception process failed or died."""
+    """Report that the perception process failed or died."""
 
 
 class Ring:
-    """Who holds which bytes of a buffer that is used round and round; space is given back in the order it was taken."""
+    """Track who holds which bytes of a ring buffer; space is given back in the order it was taken."""
 
     def __init__(self, n_bytes: int) -> None:
         self.n_bytes = n_bytes
         self._taken: deque[tuple[int, int]] = deque()
 
     def take(self, n_bytes: int) -> int | None:
-        """Offset of `n_bytes` in one piece, or None as long as there is no room."""
+        """Take `n_bytes` in one piece and give their offset, or None as long as there is no room."""
         n_bytes = max(-(-n_bytes // _ALIGNMENT), 1) * _ALIGNMENT
         if not self._taken:
             start, limit = 0, self.n_bytes
@@ -160,12 +160,12 @@ class Ring:
         return start
 
     def give_back(self) -> None:
-        """The oldest piece is free again."""
+        """Free the oldest piece."""
         self._taken.popleft()
 
 
 class Perception:
-    """The parent's end. One task feeds, another takes the answers; used inside a running event loop."""
+    """Run the parent's end. One task feeds, another takes the answers; used inside a running event loop."""
 
     def __init__(
         self,
@@ -188,7 +188,7 @@ class Perception:
 
     @property
     def in_flight(self) -> int:
-        """Messages the worker has not answered yet."""
+        """Count messages the worker has not answered yet."""
         return len(self._in_flight)
 
     async def start(self) -> None:
@@ -235,22 +235,25 @@ class Perception:
         self._send(self._in_ring(event, offset) if isinstance(event, Ping) else event)
 
     def ask(self, request: PlanRequest) -> bool:
-        """Have a plan made from the contacts that there are by then. False: there is none to come, for the worker ends or is gone."""
+        """Request a plan from the contacts known by then.
+
+        False: none will come, because the worker ends or is gone.
+        """
         if self._finishing or self._dead is not None:
             return False
         self._in_flight.append(False)
-        with contextlib.suppress(errors.AuvMcmError):  # who reads the answers is told
+        with contextlib.suppress(errors.AuvMcmError):  # the reader of the answers gets the error
             self._send(request)
         return True
 
     async def finish(self) -> None:
-        """Tell the worker that no event follows; its last answer is Finished."""
+        """Signal the worker that no event follows; its last answer is Finished."""
         self._finishing = True
         self._in_flight += [False, False]  # what was still in the chain comes first, the end of it after
         self._send(None)
 
     async def answer(self) -> Fed | Planned | Finished:
-        """The next answer: Fed for each event and for `finish`, Planned for each `ask`, then Finished.
+        """Receive the next answer: Fed for each event and for `finish`, Planned for each `ask`, then Finished.
 
         Raises PerceptionError if the worker failed or died.
         """
@@ -340,7 +343,7 @@ class _RingPing(NamedTuple):
 
 
 class _Failure(NamedTuple):
-    """An exception of the worker, in words: not every exception survives pickling."""
+    """Hold an exception of the worker, in words: not every exception survives pickling."""
 
     kind: str
     text: str
@@ -355,7 +358,7 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
 
 
 def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, records: RecordFile) -> None:
-    """The worker process."""
+    """Run the worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.nice(_NICENESS)
@@ -393,7 +396,7 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         png = b"" if clearance is None else _clearance_png(clearance)
         connection.send(Finished(pipeline.counters + of_disk, pipeline.places, pipeline.operating_point, clearance, png))
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        pass  # the parent is gone: nobody left to answer
+        pass  # the parent is gone: no reader for an answer
     except errors.AuvMcmError as error:
         connection.send(_Failure(type(error).__name__, str(error)))
     except Exception as error:
@@ -424,10 +427,10 @@ def _clear_area(config: Config, model: Performance) -> ClearArea | None:
 
 
 def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | None, request: PlanRequest, config: Config) -> Proposal:
-    """Contacts matter more than plans: a planner that fails does not take perception with it."""
+    """Make a plan. Contacts matter more than plans: a planner that fails does not stop perception."""
     from auv_mcm.plan.propose import propose
 
-    busy_s, late_s = time.thread_time() + _PLANNING_S, time.monotonic() + _MOST_PLANNING_S
+    busy_s, late_s = time.thread_time() + _PLANNING_S, time.monotonic() + _MAX_PLANNING_S
     try:
         asking = pipeline.asking(config.plan.min_p_mine)
         if area is not None:
@@ -439,7 +442,7 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
 
 
 def _note_coverage(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea | None) -> None:
-    """Take up the cells of patches, which stay in this process, in the map of what was searched."""
+    """Add the cells of patches, which stay in this process, to the map of what was searched."""
     for event in events:
         if isinstance(event, CoveragePatch):
             searched.add(event)

@@ -1,4 +1,4 @@
-"""Find out what a session that was cut off, or whose disk was full, left out of its results, and say how to get it."""
+"""Find out what a session that was cut off, or whose disk was full, left out of its results, and report how to get it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RECORDING: Final = "recording"
 JOURNAL: Final = "contacts.jsonl"
 """The file, among the results, of contacts as they were announced."""
 SUMMARY: Final = "summary.json"
-"""The file that is written last: its presence says that the session came to its end."""
+"""The file that is written last: its presence shows that the session came to its end."""
 
 BALLAST_BYTES: Final = 16 << 20  # contacts.geojson takes about 1 kB a contact, contacts.csv 0.2 kB
 _MIN_BALLAST_BYTES: Final = 1 << 16

@@ -1,4 +1,4 @@
-"""Name what the payload uses of drivers and bench, as `module:name`; each is imported when it is asked for."""
+"""Name what the payload uses of drivers and bench, as `module:name`; each is imported on first use."""
 
 from __future__ import annotations
 

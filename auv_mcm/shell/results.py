@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 def plan_waypoints(contacts: Iterable[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]) -> tuple[Waypoint, ...]:
-    """The re-inspection plan from the last known pose; empty and counted if there is none."""
+    """Make the re-inspection plan from the last known pose; empty and counted if there is no pose."""
     from auv_mcm.plan.reinspect import plan_reinspection
 
     pose = (tally.latitude_deg, tally.longitude_deg, tally.direction_rad)
@@ -43,7 +43,7 @@ def plan_waypoints(contacts: Iterable[Contact], tally: Tally, config: PlanConfig
 def write_results(
     folder: Path, contacts: Iterable[Contact], coverage: Iterable[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
 ) -> None:
-    """Contacts, coverage and way-points in `folder`, each file whole or not at all.
+    """Write contacts, coverage and way-points in `folder`, each file whole or not at all.
 
     contacts, coverage: gone through several times; one at a time where they come in the order in which they are written.
     """
@@ -67,12 +67,15 @@ def result_writers(
 
 
 def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:
-    """The records themselves where they come in order, so that not all of them have to be held at once."""
+    """Give the records themselves where they come in order, so that not all of them are held at once."""
     return records if all(key(before) <= key(after) for before, after in pairwise(records)) else sorted(records, key=key)
 
 
 def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -> None:
-    """`clearance.geojson`, and `clearance.png` where anything was searched; a picture of an earlier replay goes."""
+    """Write `clearance.geojson`, and `clearance.png` where anything was searched.
+
+    A picture of an earlier replay is removed.
+    """
     write_file(folder / "clearance.geojson", clearance_geojson(clearance))
     if picture:
         write_file(folder / "clearance.png", picture)

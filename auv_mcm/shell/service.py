@@ -1,8 +1,9 @@
-"""The running service: a source -> a bounded queue -> perception in its own process -> a journal, then the console.
+"""Run the service: a source -> a bounded queue -> perception in its own process -> a journal, then the console.
 
-The event loop does input and output only, a thread what may wait for the disk. A contact is on disk before anybody hears of it. SIGINT or
-SIGTERM stops the source; what is queued is still worked off and everything is written. A second signal ends at once; the journal is
-complete even then. What was found lies on disk until the end: the memory of a mission does not grow with its length.
+The event loop does input and output only; a thread does what may wait for the disk. A contact is on disk before it is
+announced. SIGINT or SIGTERM stops the source; what is queued is still worked off and everything is written. A second
+signal ends at once; the journal is complete even then. Contacts lie on disk until the end: the memory of a mission does
+not grow with its length.
 """
 
 from __future__ import annotations
@@ -52,14 +53,17 @@ log = logging.getLogger(__name__)
 
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
-_ATTEND_S: Final = 0.5  # between two looks at what the vehicle should know
+_ATTEND_S: Final = 0.5  # s between two updates of the vehicle
 _SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
 _CLUTTER: Final = 1
 _NO_CLUTTER: Final = 2
 
 
 class Service:
-    """One mission, from opening the source to the last file. `console` takes a line per notice and per contact that is not clutter."""
+    """Run one mission, from opening the source to the last file.
+
+    `console` takes a line per notice and per contact that is not clutter.
+    """
 
     def __init__(
         self,
@@ -77,7 +81,7 @@ class Service:
         self._make_pipeline = make_pipeline
         self._counters: Counter[str] = Counter()
         self._tally = Tally()
-        self._told = bytearray()  # by number of a contact: what it was announced as
+        self._announced_as = bytearray()  # by number of a contact: what it was announced as
         self._notices: list[Notice] = []
         self._stop = asyncio.Event()
         self._source_failure: AuvMcmError | None = None
@@ -90,7 +94,7 @@ class Service:
         self._clearance_png = b""
         self._recorder: Recorder | None = None
         self._vehicle_link: VehicleLink | None = None
-        self._n_dropped_told = 0
+        self._n_dropped_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
 
     def stop(self) -> None:
@@ -122,7 +126,7 @@ class Service:
                 starting = tasks.create_task(perception.start())
                 await asyncio.to_thread(self._start_recording)
                 self._start_vehicle_link()
-                tasks.create_task(self._take_in(queue))  # what comes in while perception starts is not lost
+                tasks.create_task(self._take_in(queue))  # events that come in while perception starts are not lost
                 await starting
                 gc.collect()
                 gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
@@ -147,16 +151,16 @@ class Service:
         return self._folder
 
     def _close(self, perception: Perception, journal: Journal) -> HardwareError | None:
-        """Write everything that is known. Returns an error that says what the disk did not take."""
+        """Write everything that is known. Returns an error that names what the disk did not take."""
         perception.close()
         if self._recorder is not None:
             self._recorder.close()
-            self._tell_of_recording()
+            self._report_recording()
             if not self._is_finished and self._recorder.counters["session.bytes_recorded"]:
                 self._announce(in_recording(self._folder, "perception did not come to its end"))
         self._disk.shutdown()
         with contextlib.suppress(OSError):
-            self._folder.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
+            self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
         self._ballast.release()
         try:
             missing = self._write()
@@ -184,10 +188,10 @@ class Service:
             await asyncio.sleep(_ATTEND_S)
 
     def _faults(self, queue: EventQueue) -> list[str]:
-        """What the vehicle should know of the payload's troubles."""
+        """Give the payload's faults that the vehicle should know."""
         faults = self._source.faults() if isinstance(self._source, LiveSource) else []
-        n_dropped, self._n_dropped_told = self._n_dropped_told, self._counters["service.ping_dropped"]
-        if self._n_dropped_told > n_dropped or 2 * queue.pings > self._config.service.queue_pings:
+        n_dropped, self._n_dropped_reported = self._n_dropped_reported, self._counters["service.ping_dropped"]
+        if self._n_dropped_reported > n_dropped or 2 * queue.pings > self._config.service.queue_pings:
             faults.append("perception is behind")
         return faults
 
@@ -202,13 +206,13 @@ class Service:
         self._recorder = start_recording(self._folder / RECORDING, self._config, self._clock)
         self._source.record_with(self._recorder.record)
 
-    def _tell_of_recording(self) -> None:
+    def _report_recording(self) -> None:
         if self._recorder is not None:
             for notice in self._recorder.take_notices():
                 self._announce(notice)
 
     async def _take_in(self, queue: EventQueue) -> None:
-        """Source to queue, until the source ends or the service is told to stop."""
+        """Move events from source to queue, until the source ends or the service is stopped."""
         reading = asyncio.ensure_future(self._source.run(queue))
         stopping = asyncio.ensure_future(self._stop.wait())
         try:
@@ -253,7 +257,7 @@ class Service:
             return  # what perception answered before it failed comes first; _publish meets the failure in its turn
 
     async def _publish(self, perception: Perception, journal: Journal) -> None:
-        """Answers of perception to the journal, then to the console."""
+        """Write answers of perception to the journal, then to the console."""
         while not isinstance(answer := await perception.answer(), Finished):
             if isinstance(answer, Planned):
                 if self._vehicle_link is not None:
@@ -283,7 +287,7 @@ class Service:
         try:
             await self._on_disk(partial(journal.append, records))
         except OSError as error:
-            # A full disk is no reason to keep a mine to oneself.
+            # Contacts are announced even where the disk is full.
             self._counters["service.journal_failed"] += 1
             log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
         try:
@@ -297,7 +301,7 @@ class Service:
         await asyncio.get_running_loop().run_in_executor(self._disk, write)
 
     def _say(self, line: str) -> None:
-        """A console that went away, with its terminal or its disk, must not take the mission with it."""
+        """Write a line to the console. One that went away, with its terminal or its disk, must not end the mission."""
         try:
             self._console(line)
         except (OSError, ValueError) as error:
@@ -309,8 +313,8 @@ class Service:
         match event:
             case Contact():
                 number, now = contact_number(event.id), _CLUTTER if event.classification == "clutter" else _NO_CLUTTER
-                self._told.extend(bytes(max(number + 1 - len(self._told), 0)))
-                before, self._told[number] = self._told[number], now
+                self._announced_as.extend(bytes(max(number + 1 - len(self._announced_as), 0)))
+                before, self._announced_as[number] = self._announced_as[number], now
                 if _NO_CLUTTER not in (before, now):
                     return  # in the journal and the results; a person watching needs the others
                 word = "updated" if before else "new"
@@ -328,15 +332,15 @@ class Service:
     async def _watch_lag(self) -> None:
         """How late the loop wakes up: what a byte at a port waits."""
         while True:
-            asked_s = self._clock.monotonic_s()
+            requested_s = self._clock.monotonic_s()
             await asyncio.sleep(_LAG_PROBE_S)
-            self._lag_s = max(self._lag_s, self._clock.monotonic_s() - asked_s - _LAG_PROBE_S)
+            self._lag_s = max(self._lag_s, self._clock.monotonic_s() - requested_s - _LAG_PROBE_S)
 
     async def _report_health(self, queue: EventQueue, perception: Perception) -> None:
         pings = 0
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
-            self._tell_of_recording()
+            self._report_recording()
             log.info("health %s", self._health(queue, perception))
             # A lossless source, such as a recorded mission, waits on purpose while perception works.
             if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
@@ -344,7 +348,7 @@ class Service:
             pings, self._lag_s = self._tally.pings, 0.0
 
     def _health(self, queue: EventQueue, perception: Perception) -> str:
-        contacts, clutter = self._told.count(_NO_CLUTTER), self._told.count(_CLUTTER)
+        contacts, clutter = self._announced_as.count(_NO_CLUTTER), self._announced_as.count(_CLUTTER)
         return (
             f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
             f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} lag_ms={self._lag_s * 1e3:.1f}"
@@ -429,7 +433,7 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
 
 
 def _session_folder(parent: Path, clock: Clock) -> Path:
-    """A new folder per run, so that a restart never overwrites what an earlier run found; `latest` points to it."""
+    """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it."""
     make_directory(parent)
     stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
     for attempt in range(1, 1000):

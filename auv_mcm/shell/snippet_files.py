@@ -36,14 +36,14 @@ def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
 
 
 class Snippets:
-    """`snippets/<id>.png`, written as pictures come; the last one of a contact stays."""
+    """Write `snippets/<id>.png` as pictures come; the last one of a contact stays."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / _SNIPPETS
         self._owed: dict[str, bytes] = {}  # pictures that could not be written
 
     def write(self, pictures: Mapping[str, bytes] = MappingProxyType({})) -> None:
-        """Raises OSError, as on a full disk; what could not be written is tried again with the next ones."""
+        """Write pictures. Raises OSError, as on a full disk; failed ones are tried again with the next."""
         self._owed |= pictures
         with own_directory(self._folder) as snippets:
             for contact_id, picture in list(self._owed.items()):
@@ -52,7 +52,7 @@ class Snippets:
 
 
 def _write_snippet(snippets: int, contact_id: str, picture: bytes) -> None:
-    """Without waiting for the disk: there are thousands."""
+    """Write one picture without waiting for the disk: there are thousands."""
     with replacing(Path(f"{contact_id}.png"), directory=snippets, durable=False) as file:
         file.write(picture)
 

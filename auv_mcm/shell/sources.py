@@ -20,7 +20,7 @@ def parse_source_uri(text: str) -> SourceUri:
     """Parse `service.source`: `ports`, or scheme:path?option=value&... Raises UsageError."""
     known = "ports, " + ", ".join(f"{scheme}:" for scheme in sorted(SOURCES) if scheme != "ports")
     if not text:
-        raise UsageError("service.source is empty: say where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
+        raise UsageError("service.source is empty: name where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
     if text == "ports":
         return SourceUri(text, text, "", {})
     try:

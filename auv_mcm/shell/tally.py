@@ -14,7 +14,7 @@ MAX_STEP_S: Final = 60.0
 
 
 class Tally:
-    """Totals of everything fed to a pipeline, and the last pose known, from which a plan of further legs starts."""
+    """Sum up everything fed to a pipeline, and keep the last pose known, from which a plan of further legs starts."""
 
     def __init__(self) -> None:
         self.pings = 0
@@ -32,7 +32,7 @@ class Tally:
 
     @property
     def direction_rad(self) -> float:
-        """Heading, or the course over ground where no heading was ever measured; NaN if neither is known."""
+        """Give the heading, or the course over ground where no heading was ever measured; NaN if neither is known."""
         return self.heading_rad if math.isfinite(self.heading_rad) else self._course_rad
 
     def add(self, event: SourceEvent) -> None:

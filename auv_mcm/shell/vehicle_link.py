@@ -1,6 +1,6 @@
 """Connect the service to the vehicle: report contacts at once and health as it changes, and request legs.
 
-The pilot, behind `VehiclePilot`, knows the dialect of the vehicle and whether it grants anything.
+The pilot, behind `VehiclePilot`, holds the dialect of the vehicle and whether it grants control.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from auv_mcm.settings.config import Config
 from auv_mcm.source import Health, VehiclePilot
 
 _POSITION_LOST_S: Final = 3.0
-_LAST_WORDS_S: Final = 0.5  # what was said last goes out, and is said again where it was not acknowledged
+_LAST_WORDS_S: Final = 0.5  # s for the last report to go out, and again where it was not acknowledged
 
 
 class VehicleLink:
-    """Begins with `start` and ends with `part`, which every way out of the service takes."""
+    """Link service and vehicle from `start` to `part`, which every way out of the service takes."""
 
     def __init__(self, config: Config, vehicle: VehiclePilot, clock: Clock) -> None:
         self.vehicle = vehicle
@@ -41,26 +41,26 @@ class VehicleLink:
 
     @property
     def plan(self) -> tuple[Waypoint, ...] | None:
-        """What was proposed last, None if nothing ever was."""
+        """Give the last plan proposed, None if there was none."""
         return self._look_again.plan if self._proposed else None
 
     def health(self) -> str:
-        """For the health line; after parting, how it was then."""
+        """Give the link's state for the health line; after parting, the last state."""
         area = self._look_again.area
         return (self._parted or self.vehicle.health()) + ("" if area is None else f" {area.words()}")
 
     @property
     def verdict(self) -> str:
-        """What the search of the area came to, "" if that is not known."""
+        """Give the verdict on the search of the area, "" if it is not known."""
         return "" if self._look_again.area is None else self._look_again.area.verdict
 
     def start(self, serve: Coroutine[Any, Any, None]) -> None:
-        """serve: talks to the vehicle until cancelled."""
+        """Start the link. serve: talks to the vehicle until cancelled."""
         self._serving = asyncio.ensure_future(serve)
         self._report_health("starting", "the payload starts")
 
     def see(self, event: SourceEvent) -> None:
-        """Whatever the source gives, as it comes."""
+        """Take any event of the source, as it comes."""
         if not isinstance(event, NavSample):
             return
         if math.isfinite(event.heading_rad):
@@ -76,7 +76,7 @@ class VehicleLink:
             self._look_again.learn(contact)
 
     def attend(self, faults: Sequence[str], ask: Callable[[PlanRequest], bool]) -> list[Notice]:
-        """Called twice a second while perception runs: what else is to be said. ask: has a plan made, for `take`."""
+        """Report and request what is due, twice a second while perception runs. ask: has a plan made, for `take`."""
         now_s = self._clock.monotonic_s()
         position_lost = now_s - self._position_s > _POSITION_LOST_S
         faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
@@ -92,7 +92,7 @@ class VehicleLink:
         return [*self.vehicle.take_notices(), *self._look_again.take_notices()]
 
     def take(self, proposal: Proposal) -> None:
-        """The plan that was asked for."""
+        """Take the plan that was requested."""
         plan = self._look_again.take(proposal, self._clock.monotonic_s())
         if plan is not None and not self._ending:
             self._proposed = True

@@ -1,10 +1,10 @@
-"""First bottom return from the samples themselves.
+"""Track the first bottom return from the samples themselves.
 
 Per ping, every slant range is scored as the change point between water column and sea floor: a likelihood ratio for a step
 in the mean of ln I (variance of single-look ln I: pi^2/6), both sides summed since both see the same altitude. The logarithm
 keeps a short ring-down or a fish from outweighing metres of dark water, and makes the score independent of gain. A best-path
-search over pings then takes the sequence of ranges that fits all pings together. An altitude reading favours its
-neighbourhood, no more: recorders disagree with the first return by metres.
+search over pings then takes the sequence of ranges that fits all pings together. An altitude reading only favours its
+neighbourhood: recorders disagree with the first return by metres.
 """
 
 from __future__ import annotations
@@ -38,9 +38,12 @@ _SEEN_PINGS: Final = 4
 
 
 class BottomTrack(NamedTuple):
-    """first_return_m, sigma_m: (n_pings,) float64 slant range of the first bottom return and its 1-sigma.
-    level_return_m: (n_pings,) float64, the same without what rises from the bottom for a few metres of track.
-    seen: (n_pings,) bool, whether this ping and those around it showed it."""
+    """Hold the tracked bottom.
+
+    first_return_m, sigma_m: (n_pings,) float64 slant range of the first bottom return and its 1-sigma. level_return_m:
+    (n_pings,) float64, the same without what rises from the bottom for a few metres of track. seen: (n_pings,) bool,
+    whether this ping and those around it showed it.
+    """
 
     first_return_m: NDArray[np.float64]
     level_return_m: NDArray[np.float64]
@@ -49,7 +52,9 @@ class BottomTrack(NamedTuple):
 
 
 def change_point_scores(log_intensity: NDArray[np.float64], valid: NDArray[np.bool_], blank_bins: int) -> NDArray[np.float64]:
-    """Log-likelihood ratio (n_pings, n_bins) float64 >= 0 that the bottom starts at each bin; 0 where it cannot.
+    """Compute the log-likelihood ratio (n_pings, n_bins) float64 >= 0 that the bottom starts at each bin.
+
+    0 where it cannot start.
 
     log_intensity: (n_pings, n_bins) float64, read where valid. Two-sample Gaussian likelihood ratio for a rise of the mean
     from the 0.5 m before bin k to the 0.5 m from it; zero unless the 0.5 m from k also stands at least ln 2 above the mean of
@@ -60,7 +65,10 @@ def change_point_scores(log_intensity: NDArray[np.float64], valid: NDArray[np.bo
 
 
 class _Path(NamedTuple):
-    """bins: (n_pings,) int64; evidence: (n_pings,) float64 score of the best of the bin and its neighbours."""
+    """Hold a path.
+
+    bins: (n_pings,) int64; evidence: (n_pings,) float64 score of the best of the bin and its neighbours.
+    """
 
     bins: NDArray[np.int64]
     evidence: NDArray[np.float64]
@@ -70,7 +78,7 @@ _NO_PATH: Final = _Path(np.empty(0, dtype=np.int64), np.empty(0))
 
 
 class BottomTracker:
-    """Fixed-lag best-path tracker; feed blocks of pings in order, each block's path is returned with the next call."""
+    """Track the best path at a fixed lag: feed blocks of pings in order, each path comes with the next call."""
 
     def __init__(self, blank_m: float) -> None:
         self._blank_bins = max(1, round(blank_m / BIN_M))
@@ -100,7 +108,7 @@ class BottomTracker:
         return done
 
     def flush(self) -> BottomTrack | None:
-        """Path of the last block, and forget the mission so far."""
+        """Give the path of the last block, and drop the mission so far."""
         done = None
         if self._held is not None and self._cost is not None:
             done = self._finish_held(int(self._cost.argmax()), _NO_PATH)
@@ -114,7 +122,7 @@ class BottomTracker:
         start, stop = self._before.bins.shape[0], self._before.bins.shape[0] + path.bins.shape[0]
         bins = np.concatenate([self._before.bins, path.bins, after.bins])
         evidence = np.concatenate([self._before.evidence, path.evidence, after.evidence])
-        # In noise single pings look convincing, in weak contrast single pings do not: a few together tell.
+        # In noise single pings look convincing, in weak contrast they do not: a few together decide.
         seen = _running_means(evidence, _SEEN_PINGS, start, stop) >= _EVIDENCE
         smooth = _running_medians(bins, _SMOOTHING_PINGS, start, stop)
         level = self._levelled(_running_medians(bins, _LEVEL_PINGS, start, stop))
@@ -124,7 +132,7 @@ class BottomTracker:
         return BottomTrack(smooth * BIN_M, level * BIN_M, sigma, seen)
 
     def _levelled(self, medians: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The medians followed by no more than a hundredth per ping, which any dive stays below and no rock does."""
+        """Follow the medians by at most a hundredth per ping, which any dive stays below and no rock does."""
         level = np.empty_like(medians)
         for ping, median in enumerate(medians.tolist()):
             before = median if self._level is None else self._level
@@ -143,7 +151,7 @@ class BottomTracker:
             independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
             log_intensity = np.log(_not_below_floor(means.intensity))
             ratios = change_point_scores(log_intensity, means.valid, self._blank_bins)
-            # Every side of every ping has the same say: a loud fish, on one side, must not outvote the other and its neighbours.
+            # Every side of every ping has the same weight: a loud fish, on one side, must not outvote the other and its neighbours.
             add_votes(score, ratios, independent, _SIDE_VOTE, _EVIDENCE)
         known = np.isfinite(altitude_m) & (altitude_m > 0.0)
         if known.any():
@@ -151,7 +159,7 @@ class BottomTracker:
             altitude = np.where(known, altitude_m, 1.0)[:, None]
             outside = (centre_m > _ALTITUDE_RATIO * altitude) | (centre_m * _ALTITUDE_RATIO < altitude)
             score -= _OUTSIDE_GATE * (outside & known[:, None])
-            # Where no step shows, the reading is all there is.
+            # Where no step shows, only the reading is left.
             pull = np.maximum(centre_m, BIN_M) / altitude
             np.abs(np.log(pull, out=pull), out=pull)
             pull *= _ALTITUDE_PULL * known[:, None]
@@ -173,7 +181,7 @@ def _not_below_floor(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Path:
-    """The best path that ends in bin `end` of the block's last ping."""
+    """Trace the best path that ends in bin `end` of the block's last ping."""
     bins = backtrack(end, back)
     pings = np.arange(bins.shape[0])
     evidence = np.maximum.reduce([score[pings, np.clip(bins + offset, 0, score.shape[1] - 1)] for offset in (-1, 0, 1)])
@@ -181,7 +189,10 @@ def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Pat
 
 
 def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
-    """Means over `reach` pings to either side of pings [start, stop), (stop - start,) float64; at the ends over those there are."""
+    """Average over `reach` pings to either side of pings [start, stop), (stop - start,) float64.
+
+    At the ends fewer pings are averaged.
+    """
     whole_start = min(max(start, reach), stop)
     whole_stop = max(min(stop, values.shape[0] - reach), whole_start)
     means = np.empty(stop - start)
@@ -194,7 +205,7 @@ def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: in
 
 
 def _running_medians(bins: NDArray[np.int64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
-    """Medians over `reach` pings to either side of pings [start, stop), (stop - start,) float64.
+    """Take medians over `reach` pings to either side of pings [start, stop), (stop - start,) float64.
 
     A rock under the array is not the bottom everything else lies on. At the ends of `bins` the window shrinks evenly, so that a
     steady dive is not bent.

@@ -25,7 +25,7 @@ _USUAL_SPAN_DB: Final = 45.0
 _SPAN_SIGMA: Final = 0.5  # nats
 _EIGHT_BITS: Final = 255.0
 _DB_GRID_NATS: Final = np.linspace(-2.0, 2.0, 161)  # about the prior's middle
-# Logarithmic recorders that smooth or decimate what they have logged: their skewness does not tell the looks.
+# Logarithmic recorders that smooth or decimate what they have logged: their skewness does not give the looks.
 _UNLAWFUL_SHARE: Final = 0.12
 _UNLAWFUL_SKEWNESS: Final = -0.05
 _UNLAWFUL_SIGMA: Final = 0.12
@@ -34,7 +34,7 @@ _INTERVAL: Final = (0.05, 0.95)
 
 
 class _Model(NamedTuple):
-    """Say how shapes follow the law: share of skewness that is found, 1-sigma of ln std and of relative skewness."""
+    """Model how shapes follow the law: share of skewness that is found, 1-sigma of ln std and of relative skewness."""
 
     skewness_kept: float
     log_std_sigma: float
@@ -122,5 +122,8 @@ def _log_likelihoods(
 
 
 def _log_student(residual: Any, sigma: Any) -> Any:
-    """Student's t with four degrees of freedom: what a model leaves out shows as a deviate of five, not never."""
+    """Compute Student's t with four degrees of freedom, ln.
+
+    What a model leaves out shows as a deviate of five, not never.
+    """
     return -2.5 * np.log1p(np.square(residual / sigma) / 4.0) - np.log(sigma)

@@ -24,7 +24,7 @@ _EVEN_SHARE: Final = 0.1  # about what water column and noise take up, which are
 _LOG_EVEN_SHARE: Final = 0.15  # texture is taken away, and third cumulants of logarithms are the noisier
 _MIN_EVEN: Final = 8
 _EVEN_LEVEL: Final = 1.05  # of the variance of the most even tenth, below which any other region counts as even, too
-# Of both ends of what regions show, of samples over their mean and of logarithms: a fish or a target is in few of them.
+# Share trimmed at both ends, of samples over their mean and of logarithms: a fish or a target is in few regions.
 # Linear samples have the longer tails.
 _RELATIVE_TRIM: Final = 0.1
 _LOG_TRIM: Final = 0.03
@@ -37,7 +37,7 @@ _ROUNDS: Final = 3  # of solving for slope and correlation in turn; the third ch
 # 0.02 over flat floors of single looks, 0.3 of 8 looks, above 1 where ripples leave nothing even.
 _TEXTURE_LOG_STD_SIGMA: Final = 0.05
 _TEXTURE_SKEWNESS_SIGMA: Final = 0.1  # of the skewness
-_MIN_SPECKLE_SHARE: Final = 0.5  # of the variance at stride 2, whatever the extrapolation says
+_MIN_SPECKLE_SHARE: Final = 0.5  # minimum share of the variance at stride 2, whatever the extrapolation gives
 
 
 def relative_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64]) -> Shape | None:
@@ -140,12 +140,15 @@ def _lowest(values: Floats, n: int) -> NDArray[np.int64]:
 
 
 def _error_of_mean(groups: Floats) -> float:
-    """1-sigma of the mean of values of groups, from their median absolute deviation: one group may hold a wreck."""
+    """Estimate 1-sigma of the mean of values of groups, from their median absolute deviation.
+
+    One group may hold a wreck.
+    """
     deviation = np.median(np.abs(groups - np.median(groups)))
     return float(_SIGMA_PER_MAD * deviation / np.sqrt(len(groups) - 1))
 
 
 def _trimmed(values: Floats, trim: float) -> Floats:
-    """Trimmed mean of each column of (n, 2) values."""
+    """Take the trimmed mean of each column of (n, 2) values."""
     cut = int(trim * len(values))
     return np.asarray(np.sort(values, axis=0)[cut : len(values) - cut].mean(axis=0))

@@ -1,4 +1,4 @@
-"""Pings onto the mission-fixed along-track grid.
+"""Resample pings onto the mission-fixed along-track grid.
 
 Grid row k covers along-track distance [k, k + 1) * row_spacing_m from mission start, so tile boundaries never move a sample.
 A ping stands for the stretch half-way to its neighbours; beside a longer gap than permitted, and at the ends of a segment, for as
@@ -27,7 +27,9 @@ LEVEL_COLUMNS: Final = 8  # pixels per value of a level across the track: 0.48 m
 
 
 class SideImage(NamedTuple):
-    """intensity: (n, n_columns) float32, 0 where not VALID; mask: (n, n_columns) uint8.
+    """Hold the image of one side.
+
+    intensity: (n, n_columns) float32, 0 where not VALID; mask: (n, n_columns) uint8.
 
     offset: (n, ceil(n_columns / LEVEL_COLUMNS)) float32, nats: the angle response taken off the intensity less that of the whole mission so
     far. None where it was never measured.
@@ -39,7 +41,7 @@ class SideImage(NamedTuple):
 
 
 class Swath(NamedTuple):
-    """n pings, or n grid rows, of all sides over ground range, with their poses.
+    """Hold n pings, or n grid rows, of all sides over ground range, with their poses.
 
     along_m: (n,) float64 distance from mission start, strictly increasing. first_return_m, first_return_sigma_m: (n,) float64.
     ping_number: (n,) int64.
@@ -58,11 +60,12 @@ class Swath(NamedTuple):
 
 
 def concatenate_poses(poses: list[PoseTrack]) -> PoseTrack:
+    """Join poses of consecutive pings or rows."""
     return PoseTrack(**{name: np.concatenate([getattr(pose, name) for pose in poses]) for name in PoseTrack.__struct_fields__})
 
 
 def slice_swath(swath: Swath, rows: slice) -> Swath:
-    """The rows `rows` of a swath."""
+    """Take the rows `rows` of a swath."""
     return Swath(
         swath.along_m[rows],
         slice_pose(swath.pose, rows),
@@ -77,7 +80,10 @@ def slice_swath(swath: Swath, rows: slice) -> Swath:
 
 
 def concatenate_swaths(swaths: list[Swath]) -> Swath:
-    """Swaths one after another; narrower ones are widened by pixels without data, and so are sides that some of them lack."""
+    """Join swaths one after another.
+
+    Narrower ones are widened by pixels without data, and so are sides that some of them lack.
+    """
     if len(swaths) == 1:
         return swaths[0]
     sides: dict[Side, SideImage] = {}
@@ -119,7 +125,7 @@ def unknown_offset(shape: tuple[int, int]) -> NDArray[np.float32]:
 
 
 class AlongTrackGrid:
-    """Streams pings of one segment into grid rows. Rows come out once no later ping can change them."""
+    """Stream pings of one segment into grid rows. Rows come out once no later ping can change them."""
 
     def __init__(self, row_spacing_m: float, max_gap_m: float) -> None:
         self._row_spacing_m = row_spacing_m
@@ -129,13 +135,13 @@ class AlongTrackGrid:
         self._previous_along_m = -math.inf  # of the ping before the held ones
 
     def add(self, pings: Swath) -> tuple[int, Swath] | None:
-        """First row index and finished rows, or None if none is finished yet."""
+        """Take pings; give the first row index and finished rows, or None if none is finished yet."""
         held = pings if self._held is None else concatenate_swaths([self._held, pings])
         self._held = held
         return self._emit(last=False)
 
     def close(self) -> tuple[int, Swath] | None:
-        """The remaining rows of the segment; the grid is ready for another segment afterwards."""
+        """Give the remaining rows of the segment; the grid is ready for another segment afterwards."""
         rows = self._emit(last=True) if self._held is not None else None
         self._held, self._next_row, self._previous_along_m = None, None, -math.inf
         return rows
@@ -145,7 +151,7 @@ class AlongTrackGrid:
         held, spacing = self._held, self._row_spacing_m
         along = held.along_m
         start, stop = self._stretches(along)
-        # The newest ping's stretch, and where its neighbour's ends, are known only with the next.
+        # The newest ping's stretch, and its neighbour's end, are known only with the next ping.
         known = along.shape[0] - (1 if last else 2)
         if known < 0:
             return None
@@ -166,7 +172,7 @@ class AlongTrackGrid:
         return first_row, rows
 
     def _stretches(self, along_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Start and end of the track every held ping stands for, (n,) each."""
+        """Compute start and end of the track every held ping stands for, (n,) each."""
         step = np.diff(along_m, prepend=self._previous_along_m, append=np.inf)
         half = np.where(step <= 2.0 * self._half_gap_m, 0.5 * step, np.inf)
         before, after = half[:-1], half[1:]
@@ -212,7 +218,9 @@ def _average_rows(
 
 
 def _place_between(along_m: NDArray[np.float64], wanted_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Index of the ping before each wanted distance and the fraction of the way to the next, ends for what lies beyond them.
+    """Find the ping before each wanted distance, and the fraction of the way to the next.
+
+    Distances beyond the ends give the ends.
 
     Fractions are multiples of 2^-30, so that index plus fraction is exact and does not depend on how many pings went before.
     """

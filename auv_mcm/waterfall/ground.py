@@ -1,4 +1,4 @@
-"""Area-averaging resampling along range: slant samples to any range grid, exactly and in O(samples).
+"""Resample along range by area averages: slant samples to any range grid, exactly and in O(samples).
 
 A trace is taken as constant over each sample, so its cumulative sum is piecewise linear and the mean over an interval is a
 difference of two interpolated sums: no aliasing where the destination is coarser, plain lookup where it is finer.
@@ -15,7 +15,7 @@ from auv_mcm.kernels.waterfall import Sampled, means, sums_to_the_end
 
 
 class Traces(NamedTuple):
-    """Cumulative sums of one side of n pings that share sample count and spacing.
+    """Hold cumulative sums of one side of n pings that share sample count and spacing.
 
     sum_intensity: (n_pings, n_samples + 1) float64, sum of valid intensity before each sample edge.
     sum_weight: the same of validity (0 or 1), or None when every sample is valid. sum_saturated: of clipping, or None; ends after the last
@@ -41,7 +41,7 @@ def make_traces(
     first_range_m: float,
     spacing_m: float,
 ) -> Traces:
-    """Cumulative sums of (n_pings, n_samples) intensity, which must be 0 where not valid.
+    """Compute cumulative sums of (n_pings, n_samples) intensity, which must be 0 where not valid.
 
     Added up from the far end, so that ring-down, a hundred decibels above the sea floor, does not take its last digits.
     """
@@ -56,7 +56,10 @@ def sum_of_clipped(saturated: NDArray[np.bool_]) -> NDArray[np.float64] | None:
 
 
 class RangeMeans(NamedTuple):
-    """Means over range intervals, each (n_pings, n_columns): intensity float64 (0 where invalid), valid bool, saturated bool."""
+    """Hold means over range intervals, (n_pings, n_columns) each.
+
+    intensity float64 (0 where invalid), valid bool, saturated bool.
+    """
 
     intensity: NDArray[np.float64]
     valid: NDArray[np.bool_]
@@ -64,7 +67,7 @@ class RangeMeans(NamedTuple):
 
 
 def mean_between(traces: Traces, edges_m: NDArray[np.float64], edge_row: NDArray[np.int64] | None = None) -> RangeMeans:
-    """Mean intensity between neighbouring slant ranges.
+    """Average intensity between neighbouring slant ranges.
 
     edges_m: (n_pings, n_columns + 1) or (1, n_columns + 1) float64 slant range, non-decreasing along columns; or (n, n_columns + 1) with
     edge_row: (n_pings,) int64, the row each ping takes. A column is valid when valid samples cover at least half of it, and saturated
@@ -78,7 +81,7 @@ def mean_between(traces: Traces, edges_m: NDArray[np.float64], edge_row: NDArray
 
 
 def ground_edges_m(first_return_m: NDArray[np.float64], n_columns: int, column_spacing_m: float) -> NDArray[np.float64]:
-    """Slant ranges (n_pings, n_columns + 1) float64 of ground-range pixel edges over a flat bottom.
+    """Compute slant ranges (n_pings, n_columns + 1) float64 of ground-range pixel edges over a flat bottom.
 
     r = sqrt(y^2 + r0^2) with r0 the slant range of the first bottom return (n_pings,); np.hypot does not cancel near nadir.
     """

@@ -32,8 +32,8 @@ Law = Literal["amplitude", "intensity", "log"]
 LAWS: Final[tuple[Law, ...]] = ("amplitude", "intensity", "log")
 
 _TEXTURE_NATS: Final = 0.1  # of ln intensity, left in the most even regions of simulated floors
-# Intensity is rare in records, and the sonars that send it mostly say so. A recorded amplitude of odd statistics (an Iver2's) must not pass
-# for it: that sets how rare.
+# Intensity is rare in records, and the sonars that send it mostly state it. A recorded amplitude of odd statistics
+# (an Iver2's) must not pass for it: that sets how rare.
 _PRIOR: Final[dict[Law, float]] = {"amplitude": 0.63, "intensity": 0.02, "log": 0.35}
 _WIDE_SHARE: Final = 0.02  # of a law's probability, for recorders that follow no law of speckle
 # Where the skewness of even regions lies below that of pure speckle (range-correlated samples, trimming, what texture is left), and how
@@ -46,10 +46,10 @@ _LOG_STD_SIGMA: Final = 0.05
 
 
 class LawOdds(NamedTuple):
-    """Posterior probability of each law in the order of LAWS, and what follows if it is a logarithm.
+    """Hold the posterior probability of each law in the order of LAWS, and what follows if it is a logarithm.
 
     db_per_count: posterior median, NaN without usable samples; db_interval: its 5 to 95 % interval. looks_interval: the same of the looks
-    of the likeliest law. n_regions: that could be used; 0 where nothing but the prior speaks.
+    of the likeliest law. n_regions: that could be used; 0 where only the prior counts.
     """
 
     probability: tuple[float, float, float]
@@ -63,12 +63,12 @@ class LawOdds(NamedTuple):
         return LAWS[max(range(len(LAWS)), key=self.probability.__getitem__)]
 
     def of(self, law: Law) -> float:
-        """Probability of a law."""
+        """Give the probability of a law."""
         return self.probability[LAWS.index(law)]
 
 
 def weigh_laws(speckle: Speckle) -> LawOdds:
-    """Posterior odds of the laws, given what speckle shows; the prior where it shows nothing."""
+    """Compute posterior odds of the laws, given what speckle shows; the prior where it shows nothing."""
     evidence = dict.fromkeys(LAWS, 0.0)
     looks = dict.fromkeys(LAWS, LOOKS_PRIOR)
     if speckle.relative is not None:
@@ -100,7 +100,10 @@ _LOG_NEVER: Final = -math.log(1e6)  # negative samples in a linear record are da
 
 
 def _relative_likelihood(law: Law, shape: Shape) -> tuple[NDArray[np.float64], float]:
-    """Density of (ln(std / mean), skewness) by looks, prior included, and that of recorders that follow no law."""
+    """Compute the density of (ln(std / mean), skewness) by looks, prior included.
+
+    And that of recorders that follow no law.
+    """
     log_cv, skewness = math.log(shape.std), shape.skewness
     cv_sigma = math.hypot(_LOG_STD_SIGMA, shape.log_std_sigma)
     if law == "log":
@@ -134,12 +137,15 @@ def _normal(deviate: Any) -> Any:
 
 
 def _student(deviate: Any) -> Any:
-    """Student's t with four degrees of freedom, unnormalised: what a model leaves out shows as a deviate of five, not never."""
+    """Compute Student's t with four degrees of freedom, unnormalised.
+
+    What a model leaves out shows as a deviate of five, not never.
+    """
     return (1.0 + np.square(deviate) / 4.0) ** -2.5
 
 
 def _nakagami() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """std / mean of amplitude by looks, and its skewness over that."""
+    """Compute std / mean of amplitude by looks, and its skewness over that."""
     first, third = (np.exp(ln_gamma(LOOKS + 0.5 * k) - ln_gamma(LOOKS)) * LOOKS ** (-0.5 * k) for k in (1, 3))
     variance = 1.0 - first**2
     skewness = (third - 3.0 * first * variance - first**3) / variance**1.5
@@ -154,6 +160,6 @@ _GAMMA_RATIO: Final = np.full(len(LOOKS), 2.0)
 
 @functools.cache
 def _log_skewness() -> NDArray[np.float64]:
-    """Skewness of logarithmic samples by looks, with the texture left in even regions."""
+    """Compute the skewness of logarithmic samples by looks, with the texture left in even regions."""
     log_std, skewness = (values[0] for values in log_std_and_skewness(np.array([math.inf])))
     return np.asarray(_LOG_SKEWNESS_KEPT * skewness / (1.0 + _TEXTURE_NATS**2 * np.exp(-2.0 * log_std)) ** 1.5)

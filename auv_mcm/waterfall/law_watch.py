@@ -1,7 +1,8 @@
 """Decide what samples mean from the first pings, and keep checking while pings come.
 
-What is decided depends on the pings alone, in their order: not on how they were delivered. With nothing configured, several hundred pings
-decide, or as many as come within half a minute where pings are rare; should later ones strongly speak against it, the law turns.
+The decision depends on the pings alone, in their order, not on their delivery. Without a configured law, several hundred
+pings decide, or as many as come within half a minute where pings are rare. The law turns if later pings strongly
+contradict it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from auv_mcm.waterfall.speckle import summarise
 DECIDE_PINGS: Final = 256
 _MAX_PINGS: Final = 512  # where the first do not decide
 _MIN_PINGS: Final = 64
-_LOOK_AGAIN_PINGS: Final = 128  # after the first look: each costs 12 ms of processor time
+_LOOK_AGAIN_PINGS: Final = 128  # pings between checks after the first: each check costs 12 ms of processor time
 _DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that contacts do not wait for minutes
 _MAX_S: Final = 60.0
 _DECISIVE: Final = 0.99
@@ -40,14 +41,14 @@ _SPREAD_BLOCKS: Final = 32
 
 
 class LawVerdict(NamedTuple):
-    """The transfer from here on, None if it stays, and what a person should know."""
+    """Hold the transfer from here on, None if it stays, and notices for a person."""
 
     transfer: Transfer | None
     notices: tuple[Notice, ...]
 
 
 class LawWatch:
-    """Takes every ping of a mission once, in order; says what its samples are and when they turn out to be something else."""
+    """Watch every ping of a mission once, in order, and decide what its samples are and when they change."""
 
     def __init__(self, sonar: SonarConfig) -> None:
         self._sonar = sonar
@@ -61,7 +62,7 @@ class LawWatch:
         self._transfer: Transfer | None = None
         self._kind_known = False  # by configuration or protocol
         self._is_checked = False
-        self._next_check = 0  # block count of the next look
+        self._next_check = 0  # block count of the next check
         self._next_decibels = 0
         self._in_doubt = False
 
@@ -80,7 +81,7 @@ class LawWatch:
         return None if self._is_checked else self._check("")
 
     def _note_time(self, ping: Ping) -> None:
-        """After a hole in time another recorder may be speaking, as in several logs replayed as one mission."""
+        """Restart after a hole in time: another recorder may follow, as in several logs replayed as one mission."""
         step_s = abs(ping.time_s - self._last_s)
         if self._transfer is not None and step_s > max(_GAP_S, _GAP_STEPS * self._step_s):
             self._blocks.clear()
@@ -163,7 +164,7 @@ class LawWatch:
             self._next_decibels = self._next_check
         else:
             self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
-        # What is older may speak of another recorder.
+        # Older blocks may come from another recorder.
         while len(self._blocks) > DECIDE_PINGS // BLOCK_PINGS:
             self._blocks.popleft()
         return LawVerdict(self._transfer, (_turned(held, self._transfer, odds, place),))
@@ -172,7 +173,7 @@ class LawWatch:
         held = self._transfer
         if held is None or held.kind != "log" or self._sonar.db_per_count is not None or self._n_blocks < self._next_decibels:
             return False
-        # Looked at after twice as many pings each time: an estimate that wavers must not start statistics anew again and again.
+        # Checked after twice as many pings each time: an estimate that wavers must not restart statistics again and again.
         self._next_decibels = 2 * self._n_blocks
         low, high = odds.db_interval
         outside = not low <= held.db_per_count <= high
@@ -220,7 +221,7 @@ def measure_block(pings: Sequence[Ping]) -> Regions:
 
 
 def weigh_pings(pings: Sequence[Ping]) -> LawOdds:
-    """Odds of the laws from up to 512 pings spread over those given, in blocks of 16 that follow each other."""
+    """Weigh the laws from up to 512 pings spread over those given, in blocks of 16 that follow each other."""
     starts = np.linspace(0, max(len(pings) - BLOCK_PINGS, 0), _SPREAD_BLOCKS).astype(int)
     runs = [pings[start : start + BLOCK_PINGS] for start in sorted(set(starts.tolist()))]
     whole = [run for run in runs if len(run) == BLOCK_PINGS and len({_form(ping) for ping in run}) == 1]
@@ -228,7 +229,7 @@ def weigh_pings(pings: Sequence[Ping]) -> LawOdds:
 
 
 def settled_transfer(sonar: SonarConfig, odds: LawOdds) -> Transfer:
-    """The configured transfer or, where that is left open, the likeliest."""
+    """Give the configured transfer or, where that is left open, the likeliest."""
     kind = odds.likeliest if sonar.transfer == "auto" else sonar.transfer
     if kind != "log":
         return Transfer(kind)

@@ -1,4 +1,4 @@
-"""Where the pixels of a block of pings lie: slant ranges and grazing angles, worked out once per height of the sonar.
+"""Lay out the pixels of a block of pings: slant ranges and grazing angles, computed once per height of the sonar.
 
 The first return is tracked in bins of 5 cm and smoothed by medians, so that pings in a row mostly share it to the bit; what follows
 from it alone is the same for them and for both sides.
@@ -21,14 +21,17 @@ _MIN_RETURN_M = 0.05
 
 
 class RepeatedValues(NamedTuple):
-    """Values of pings, without those that repeat the ping before: values (n,), row (n_pings,) int64, which of them a ping has."""
+    """Hold values of pings without repetitions.
+
+    values: (n,), without those that repeat the ping before; row: (n_pings,) int64, the value of each ping.
+    """
 
     values: NDArray[Any]
     row: NDArray[np.int64]
 
 
 class PixelGeometry(NamedTuple):
-    """Pixels of n_columns across the track.
+    """Hold the geometry of n_columns pixels across the track.
 
     return_m: first returns; edges_m: (n returns, n_columns + 1) float64, slant range of the pixels' edges.
     level_m: first returns without what rises from the bottom, which the angle response must not follow; tangent: (n levels, n_columns)
@@ -56,6 +59,6 @@ def pixel_geometry(track: BottomTrack, n_columns: int, waterfall: WaterfallConfi
 
 
 def runs(values: NDArray[Any]) -> RepeatedValues:
-    """Leave out values (n_pings,) that equal the one before."""
+    """Drop values (n_pings,) that equal the one before."""
     starts = np.concatenate([[True], values[1:] != values[:-1]])
     return RepeatedValues(values[starts], np.cumsum(starts) - 1)

@@ -1,4 +1,4 @@
-"""Per-ping quality control: what of a recorded trace may be believed, with a counted reason for everything refused."""
+"""Check the quality of each recorded trace; count a reason for every sample and trace rejected."""
 
 from __future__ import annotations
 
@@ -19,12 +19,19 @@ _FLAT_LOG_VARIANCE: Final = 0.02  # sixty-four looks of pure speckle still have 
 _MANY_SATURATED: Final = 0.05
 _ABSURD_RATIO: Final = 1e10
 _NEAR_M: Final = 2.0
-_SOME, _FEW, _SPARSE = 128, 8, 8  # samples that tell a trace's level, that tell two traces apart; one in how many tells a trace varies
-_LEAST_OF_HIGHEST: Final = np.float32(1e-6)
+_SOME, _FEW, _SPARSE = (
+    128,
+    8,
+    8,
+)  # samples that give a trace's level, that distinguish two traces; one in how many shows that a trace varies
+_MIN_OF_HIGHEST: Final = np.float32(1e-6)
 
 
 class CheckedTrace(NamedTuple):
-    """intensity: (n_samples,) float32 linear, 0 where not valid; valid, saturated: (n_samples,) bool. Or all (n_traces, n_samples)."""
+    """Hold one checked trace, or all of shape (n_traces, n_samples).
+
+    intensity: (n_samples,) float32 linear, 0 where not valid; valid, saturated: (n_samples,) bool.
+    """
 
     intensity: NDArray[np.float32]
     valid: NDArray[np.bool_]
@@ -32,7 +39,7 @@ class CheckedTrace(NamedTuple):
 
 
 def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """Samples a hundred decibels above the middle one, None if there are none.
+    """Find samples a hundred decibels above the middle one, None if there are none.
 
     No echo is that strong, and in a running sum it would leave no digits for the others.
     """
@@ -47,7 +54,7 @@ def _absurd(intensity: NDArray[np.float32]) -> NDArray[np.bool_] | None:
 
 
 class TraceChecker:
-    """Checks the traces of one side in order; counts what it refuses in `counters`."""
+    """Check the traces of one side in order; count rejections in `counters`."""
 
     def __init__(self, side: Side, transfer: Transfer, full_scale: float | None, counters: Counter[str]) -> None:
         self._side = side
@@ -60,7 +67,7 @@ class TraceChecker:
         self._rising: dict[np.dtype[Any], bool] = {}
 
     def check(self, trace: EchoTrace) -> CheckedTrace:
-        """Linear intensity with validity and saturation of one recorded trace."""
+        """Compute linear intensity with validity and saturation of one recorded trace."""
         checked = self.check_all([trace])
         return CheckedTrace(checked.intensity[0], checked.valid[0], checked.saturated[0])
 
@@ -68,7 +75,7 @@ class TraceChecker:
         """Check traces of one layout, which follow each other, and add them up along range.
 
         Samples of one or two bytes without a sign, which nearly all recorders store, have few values: what each stands for is looked up
-        as it is added up, and only what `check_all` would refuse is checked one by one.
+        as it is added up, and only what `check_all` would reject is checked one by one.
         """
         layout = traces[0].first_range_m, traces[0].spacing_m
         kind = traces[0].samples.dtype
@@ -97,7 +104,7 @@ class TraceChecker:
         return self._rising[kind]
 
     def check_all(self, traces: Sequence[EchoTrace]) -> CheckedTrace:
-        """The same of several traces of one layout, which follow each other; arrays (n_traces, n_samples)."""
+        """Check several traces of one layout, which follow each other; arrays (n_traces, n_samples)."""
         if len({trace.samples.dtype for trace in traces}) > 1:
             apart = [self.check(trace) for trace in traces]
             intensities, valids, saturateds = zip(*apart, strict=True)
@@ -159,11 +166,11 @@ class TraceChecker:
             self._counters[f"quality.{self._side}_ping_mostly_saturated"] += n_mostly
 
     def _stuck(self, samples: NDArray[Any]) -> NDArray[np.bool_]:
-        """Which traces (n_traces, n_samples) repeat the one before."""
+        """Find traces (n_traces, n_samples) that repeat the one before."""
         floats = samples.dtype.kind == "f"
         stuck = np.zeros(len(samples), dtype=np.bool_)
         stuck[0] = self._previous is not None and np.array_equal(samples[0], self._previous, equal_nan=floats)
-        # A few samples tell most traces apart.
+        # A few samples distinguish most traces.
         some = samples[:, :: max(samples.shape[1] // _FEW, 1)]
         alike = (some[1:] == some[:-1]) | ((some[1:] != some[1:]) & (some[:-1] != some[:-1]))
         for ping in np.flatnonzero(alike.all(axis=1)) + 1:
@@ -172,7 +179,7 @@ class TraceChecker:
 
 
 def _may_be_absurd(some: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which traces `_absurd` must look at: those whose highest sample is so far above the lowest of some, (n_traces, n)."""
+    """Find traces `_absurd` must check: their highest sample is so far above the lowest of some, (n_traces, n)."""
     lowest = np.where(some > 0.0, some, np.float32(np.inf)).min(axis=1, initial=np.inf).astype(np.float64)
     return np.asarray(np.isfinite(lowest) & (highest > _ABSURD_RATIO * lowest))
 
@@ -182,7 +189,11 @@ def _stacked(traces: Sequence[EchoTrace]) -> NDArray[Any]:
 
 
 def _may_be_dead(sparse: NDArray[np.float32], n_samples: int, highest: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which traces `_dead` must look at: all samples together vary at least as much as some of them do by themselves, times their share.
+    """Find traces that `_dead` must check.
+
+    All samples together vary at least as much as some of them do by themselves, times their share.
+
+    All samples together vary at least as much as some of them do by themselves, times their share.
 
     sparse: (n_traces, n) intensity of some of the n_samples.
     """
@@ -190,17 +201,17 @@ def _may_be_dead(sparse: NDArray[np.float32], n_samples: int, highest: NDArray[n
     if is_dark.all():  # there may be no sample at all
         return np.asarray(is_dark)
     share = sparse.shape[1] / n_samples
-    some = np.log(np.maximum(sparse / np.where(is_dark, np.float32(1.0), highest)[:, np.newaxis], _LEAST_OF_HIGHEST))
+    some = np.log(np.maximum(sparse / np.where(is_dark, np.float32(1.0), highest)[:, np.newaxis], _MIN_OF_HIGHEST))
     return np.asarray(is_dark | ~(some.var(axis=1) * share > 2.0 * _FLAT_LOG_VARIANCE))
 
 
 def _dead(intensity: NDArray[np.float32], highest: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which traces (n_traces, n_samples) hold no picture of anything."""
+    """Find traces (n_traces, n_samples) that hold no picture."""
     dead = ~(highest > 0.0)
     if dead.all():
         return np.asarray(dead)
     unsure = ~dead & _may_be_dead(intensity[:, ::_SPARSE], intensity.shape[1], highest)
     # Any level step across the trace clears this; only a constant or nearly constant trace does not.
     for ping in np.flatnonzero(unsure):
-        dead[ping] = np.log(np.maximum(intensity[ping] / highest[ping], _LEAST_OF_HIGHEST)).var() < _FLAT_LOG_VARIANCE
+        dead[ping] = np.log(np.maximum(intensity[ping] / highest[ping], _MIN_OF_HIGHEST)).var() < _FLAT_LOG_VARIANCE
     return dead

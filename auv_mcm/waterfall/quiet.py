@@ -1,7 +1,7 @@
-"""Find where a record holds nothing but noise, such as in the water column, and measure its speckle there.
+"""Find where a record holds only noise, such as in the water column, and measure its speckle there.
 
 Noise has the speckle of the sea floor, as all of it passes the same receiver, but no texture. Such cells lie far below
-the middle of the trace, and samples a few range cells apart have nothing to do with each other.
+the middle of the trace, and samples a few range cells apart are independent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from auv_mcm.waterfall.shape import Shape
 _FAR_BELOW_STD: Final = 4.0  # of samples, from the middle of the trace: 23 dB of a single look, 6 dB of 8 looks
 _MIN_BLOCKS: Final = 3
 _MIN_CELLS: Final = 4
-# Where the bottom comes nearer, or a fish swims, a block is left out; a cell that loses half of its blocks is.
+# Where the bottom comes nearer, or a fish swims, a block is left out; so is a cell that loses half of its blocks.
 _MAX_BLOCK_VARIANCE: Final = 2.0  # of the cell's median; of a single look 3 sigma
 _STEADY_SHARE: Final = 0.5
 _MAX_COVARIANCE: Final = 0.04  # of the variance; a flat floor of single looks has 0.02, a rippled one of 8 looks over 1

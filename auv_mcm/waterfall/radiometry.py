@@ -1,8 +1,8 @@
-"""Radiometric normalisation: remove electronic gain steps and the sonar's angle response, then the local seabed level.
+"""Normalise radiometry: remove electronic gain steps and the sonar's angle response, then the local seabed level.
 
 First pass, while pings stream: one curve per side of mean log intensity against grazing angle, learnt recursively, so that a
-change of altitude does not smear it. Second pass, on the metric grid: division by the masked mean over a few metres. Nothing
-depends on absolute gain.
+change of altitude does not smear it. Second pass, on the metric grid: division by the masked mean over a few metres. The result
+does not depend on absolute gain.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _SLACK_NATS: Final = 1e-3  # more than a logarithm's rounding
 
 
 class AngleCurve:
-    """Recursive mean of ln I per half degree of grazing angle for one side.
+    """Learn the recursive mean of ln I per half degree of grazing angle for one side.
 
     Samples are clipped to +-3 nats around the curve, so that neither targets nor shadows drag it far.
     """
@@ -57,7 +57,7 @@ class AngleCurve:
         tangent: NDArray[np.float64],
         tangent_row: NDArray[np.int64] | None = None,
     ) -> NDArray[np.float64]:
-        """Learn from a block of pings; returns the curve at each row of `tangent`, the same shape, float64, nats.
+        """Learn from a block of pings; return the curve at each row of `tangent`, the same shape, float64, nats.
 
         That is the curve as it was before this block, for angles already known, so that a shadow does not brighten itself.
         log_intensity, usable: (n_pings, n_columns), which pixels to learn from. tangent: of the grazing angle, the same shape; or
@@ -90,7 +90,7 @@ class AngleCurve:
 
 
 class GainStepFilter:
-    """Takes electronic gain steps out: a jump that shows in the water column and on the sea floor alike.
+    """Take electronic gain steps out: a jump that shows in the water column and on the sea floor alike.
 
     A jump on the sea floor alone is a change of the sea floor and stays.
     """
@@ -103,7 +103,7 @@ class GainStepFilter:
         self._since_step: list[float] = []  # its recorded levels after it
 
     def corrections(self, seabed_level: NDArray[np.float64], water_level: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-        """Correction in nats to subtract from ln I per ping, (n_pings,) float64, and the number of gain steps found.
+        """Compute the correction in nats to subtract from ln I per ping, (n_pings,) float64, and count gain steps.
 
         seabed_level, water_level: (n_pings,) float64 median ln I of sea floor and of the water column as recorded, NaN where there
         are too few samples.
@@ -161,20 +161,20 @@ def _finite_end(levels: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _median(values: Collection[float]) -> float:
-    """Median of a few finite values, which numpy takes fifty times as long for."""
+    """Take the median of a few finite values, which numpy takes fifty times as long for."""
     in_order = sorted(values)
     return 0.5 * (in_order[(len(in_order) - 1) // 2] + in_order[len(in_order) // 2])
 
 
 def ping_levels(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Median of the usable values of each row, (n_rows,) float64; NaN where fewer than 24 are usable."""
+    """Take the median of the usable values of each row, (n_rows,) float64; NaN where fewer than 24 are usable."""
     return medians_of_rows(values, None if usable.all() else usable, _MIN_LEVEL_SAMPLES)
 
 
 def local_mean(
     intensity: NDArray[np.float32], usable: NDArray[np.bool_], row_spacing_m: float, column_spacing_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Masked mean over the 7.5 m x 7.5 m around each pixel, (n_rows, n_columns) float64, and where it is known, bool.
+    """Average over the 7.5 m x 7.5 m around each pixel, masked: (n_rows, n_columns) float64, and where known, bool.
 
     intensity, usable: (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable. Pixels above six
     times the mean that single-look speckle of the local geometric mean would have count as that much: one glint must not darken
@@ -196,7 +196,7 @@ def level_out(
 ) -> Levelled:
     """Divide an image by the local mean of its usable pixels, which are VALID and not SATURATED; see `local_mean`.
 
-    intensity, mask: (n_rows, n_columns). columns: those of which the mean is wanted itself.
+    intensity, mask: (n_rows, n_columns). columns: those whose mean is returned as well.
     """
     half = _half_box(row_spacing_m, column_spacing_m)
     usable = (mask & (VALID | SATURATED)) == VALID
@@ -215,7 +215,7 @@ def _clip_glints(level: NDArray[np.float32], usable: NDArray[np.bool_], half: tu
     log_level = np.clip(level, np.float32(math.exp(-_CLIP_NATS)), np.float32(math.exp(_CLIP_NATS)))
     np.log(log_level, out=log_level)
     log_level *= usable
-    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms tells which may.
+    # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms shows which may.
     places, log_limits = bright_spots(log_level, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
     flat = level.ravel()
     flat[places] = np.minimum(flat[places], np.exp(log_limits).astype(np.float32))

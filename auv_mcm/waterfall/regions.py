@@ -119,7 +119,7 @@ def _measure_side(samples: NDArray[Any], side: int) -> RegionTable:
 
 
 def _percentiles(samples: NDArray[Any]) -> tuple[float, float]:
-    """The 1st and 99th percentile of samples of any shape, at least one, interpolated as numpy.quantile does."""
+    """Take the 1st and 99th percentile of samples of any shape, one or more, interpolated as numpy.quantile does."""
     if samples.dtype.kind != "u" or samples.dtype.itemsize > _COUNTED_BYTES:
         low, high = np.quantile(samples, _PERCENTILES)
         return float(low), float(high)

@@ -18,7 +18,7 @@ _N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a sing
 
 
 class SampleCheck:
-    """Traces of one side in order; counts in `counters`.
+    """Check traces of one side in order; count in `counters`.
 
     Floating-point samples are scaled by a power of two where their squares would not fit into float32: nothing depends on absolute gain.
     """

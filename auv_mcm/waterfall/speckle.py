@@ -1,6 +1,6 @@
 """Summarise what speckle does to recorded samples, apart from the sea floor's own texture.
 
-Two kinds of places show it: the most even regions (`even`), whatever the law, and cells that hold nothing but noise
+Two kinds of places show it: the most even regions (`even`), whatever the law, and cells that hold only noise
 (`quiet`), where a logarithm's speckle can be seen without any texture.
 """
 
@@ -106,7 +106,7 @@ def summarise(blocks: Sequence[Regions]) -> Speckle:
 
 
 def _slope(mean: NDArray[np.float64], variance: NDArray[np.float64]) -> tuple[float, float]:
-    """Slope of ln std against ln mean over the more even regions of each level, and its 1-sigma."""
+    """Fit the slope of ln std against ln mean over the more even regions of each level, and its 1-sigma."""
     if len(mean) < _MIN_REGIONS:
         return 0.0, np.inf
     level, spread = np.log(mean), 0.5 * np.log(variance)

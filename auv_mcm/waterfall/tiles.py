@@ -1,4 +1,4 @@
-"""Cuts the stream of grid rows into overlapping metric tiles with the local seabed level divided out."""
+"""Cut the stream of grid rows into overlapping metric tiles with the local seabed level divided out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from auv_mcm.waterfall.radiometry import level_out
 
 
 class TileCutter:
-    """Holds rows until a tile's core and its overlap on both ends are there.
+    """Hold rows until a tile's core and its overlap on both ends are there.
 
     The cores of tiles partition the mission grid at multiples of `tile_rows` (shifted by `origin_row`); the overlap holds what any
     decision about a core pixel can depend on, so where the boundaries lie does not matter to the result.
@@ -41,7 +41,7 @@ class TileCutter:
         return tiles
 
     def close(self) -> list[Tile]:
-        """The tiles of the remaining rows; the cutter is ready for another segment afterwards."""
+        """Give the tiles of the remaining rows; the cutter is ready for another segment afterwards."""
         tiles: list[Tile] = []
         while self._pieces and self._core_row < self._stop_row:
             tiles += self._cut(min(self._next_boundary(), self._stop_row))
@@ -49,7 +49,7 @@ class TileCutter:
         return tiles
 
     def next_segment_row(self) -> int:
-        """First row another segment may start at, so that no two tiles share an index."""
+        """Give the first row another segment may start at, so that no two tiles share an index."""
         return self._next_boundary()
 
     @property

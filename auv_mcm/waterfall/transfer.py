@@ -1,6 +1,6 @@
-"""What a recorded number means, amplitude, intensity or a logarithm, and how it becomes intensity.
+"""Convert recorded numbers, amplitude, intensity or a logarithm, to intensity.
 
-Which of them it is, where nobody says, `law` weighs and `law_watch` decides.
+Where it is not stated which of them they are, `law` weighs and `law_watch` decides.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _MAX_INTENSITY: Final = np.float64(1e38)
 
 
 def to_intensity(samples: NDArray[Any], transfer: Transfer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Linear intensity (n_samples,) float32 and its validity (n_samples,) bool of recorded samples.
+    """Convert recorded samples to linear intensity (n_samples,) float32 and its validity (n_samples,) bool.
 
     Non-finite samples, absurdly large ones, and negative ones unless logarithmic, are invalid and zero in the result.
     """

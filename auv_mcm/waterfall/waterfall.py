@@ -1,4 +1,4 @@
-"""The waterfall stage: blocks of pings with poses in, metric tiles out."""
+"""Run the waterfall stage: blocks of pings with poses in, metric tiles out."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _HeldBlock(NamedTuple):
 
 
 class Waterfall:
-    """Streams blocks of pings into tiles; counts everything it refuses in `counters`."""
+    """Stream blocks of pings into tiles; count everything rejected in `counters`."""
 
     def __init__(self, config: Config, transfer: Transfer, overlap_m: float, counters: Counter[str]) -> None:
         self._config = config
@@ -43,7 +43,7 @@ class Waterfall:
         self._held: _HeldBlock | None = None
 
     def read_as(self, transfer: Transfer) -> None:
-        """Read samples as `transfer` says from the next segment on, and forget what was learnt from how they were read before."""
+        """Read samples as `transfer` states from the next segment on, and drop what was learnt before."""
         self._checkers = {side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES}
         self._curves = {side: AngleCurve() for side in SIDES}
         self._references = {side: AngleCurve(REFERENCE_PINGS) for side in SIDES}
@@ -62,7 +62,7 @@ class Waterfall:
         return tiles
 
     def close_segment(self) -> list[Tile]:
-        """The remaining tiles of a segment."""
+        """Give the remaining tiles of a segment."""
         track = self._tracker.flush()
         tiles = self._finish_block(track) if track is not None else []
         rest = self._grid.close()
@@ -72,7 +72,7 @@ class Waterfall:
         return tiles + self._cutter.close()
 
     def next_segment_m(self) -> float:
-        """Along-track distance at which the next segment may start."""
+        """Give the along-track distance at which the next segment may start."""
         return self._cutter.next_segment_row() * self._config.waterfall.row_spacing_m
 
     def _traces(self, side: Side, pings: list[Ping]) -> Traces | None:
@@ -120,12 +120,12 @@ class Waterfall:
         if gain.any():
             log_intensity -= gain[:, None]
         curve = self._curves[side].learn(log_intensity, learnable, geometry.tangent, level_row)
-        # What is taken off, once for pings in a row that share their height and gain.
+        # The correction, computed once for pings in a row that share their height and gain.
         gains = runs(gain)
         both = runs(level_row * len(gains.values) + gains.row)
         level, corrected = np.divmod(both.values, len(gains.values))
         intensity = scale_rows(ground.intensity, np.exp(-gains.values[corrected, None] - curve[level]), both.row)
-        # A few columns are enough for what changes as slowly as the angle response.
+        # A few columns are enough for an angle response, which changes slowly.
         n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
         log_few, learnable_few = np.take(log_intensity, some, axis=1), np.take(learnable, some, axis=1)
@@ -133,7 +133,7 @@ class Waterfall:
         return SideImage(intensity, mask, (curve[:, some] - reference).astype(np.float32)[level_row])
 
     def _turning(self, side: Side, block: PingBlock, first_return_m: NDArray[np.float64]) -> Turning:
-        """Rotation that spreads or squeezes the pings on the bottom.
+        """Compute the rotation that spreads or squeezes the pings on the bottom.
 
         Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate / v.
         """
@@ -144,7 +144,10 @@ class Waterfall:
         return Turning(pitch, yaw, fast)
 
     def _water_level(self, traces: Traces, first_return_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Median ln I of the water column between ring-down and bottom per ping, (n_pings,) float64; NaN where too short."""
+        """Take the median ln I of the water column between ring-down and bottom per ping, (n_pings,) float64.
+
+        NaN where it is too short.
+        """
         spacing_m = 0.05
         n_bins = int(np.max(first_return_m) * _WATER_FRACTION / spacing_m)
         edges = self._config.sonar.blank_m + np.arange(max(n_bins, 1) + 1, dtype=np.float64) * spacing_m
@@ -154,5 +157,5 @@ class Waterfall:
 
 
 def _logarithms(values: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Natural logarithms of usable values, which are positive; 0 elsewhere."""
+    """Take natural logarithms of usable values, which are positive; 0 elsewhere."""
     return np.asarray(np.log(values if usable.all() else np.where(usable, values, 1.0)))

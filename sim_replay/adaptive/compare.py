@@ -15,7 +15,7 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.dubins import PlanePose
-from auv_mcm.plan.orienteering import LEAST_ALIKE
+from auv_mcm.plan.orienteering import MIN_ALIKE
 from sim_replay.adaptive.decide import by_replanning
 from sim_replay.adaptive.flight import AdaptiveFlight, fly_adaptive, fly_fixed
 from sim_replay.adaptive.lawnmower import LawnmowerLegs, shortest_lawnmower, worst_seabed
@@ -100,7 +100,7 @@ class Flights(NamedTuple):
 def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
     """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The replanned flight goes
     on until the order is met and its map is ABOVE what the lawnmower would come to on the same sea floor, as the map has it by then. Maps
-    and plans count of a look from where one was had before LEAST_ALIKE as nothing new.
+    and plans count of a look from where one was had before MIN_ALIKE as nothing new.
 
     Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with.
     """
@@ -114,7 +114,7 @@ def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
     if lawnmower is None:
         raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
     origin, legs = local_frame(scene.origin), lawnmower.legs
-    careful = msgspec.structs.replace(model, same_look_correlation=max(model.same_look_correlation, LEAST_ALIKE))
+    careful = msgspec.structs.replace(model, same_look_correlation=max(model.same_look_correlation, MIN_ALIKE))
 
     def wanted(ground: Clearance) -> float:
         return max(order.required, would_come_to(ground, legs, origin, careful, limits) + ABOVE)

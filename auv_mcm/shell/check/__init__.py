@@ -1,6 +1,6 @@
-"""The self-check of an installation: one line per part.
+"""Check an installation: one line per part.
 
-Nothing but the standard library is imported before the packages have been looked at, so that a missing one is a finding.
+Only the standard library is imported before the packages have been checked, so that a missing one is a finding.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ def run_checks(
     write: Callable[[str], None],
     check_logs: Callable[[Config], Iterable[Finding]] = lambda config: (),
 ) -> int:
-    """Look at everything, write a table line by line, and return the exit code: 0, or SelfCheckError's if anything failed.
+    """Check everything, write a table line by line, and return the exit code.
+
+    The code is 0, or SelfCheckError's if any check failed.
 
     A configuration that cannot be read is one of the findings. check_logs: gives the findings about recorded logs.
     """
@@ -79,12 +81,12 @@ def _as_configured(config: Config | None) -> Iterator[Finding]:
     if config.ports and config.service.source in ("", "ports"):
         yield from _looked_at("ports", lambda: load(PORT_CHECK)(config))
     elif config.ports:
-        yield Finding("ports", "ok", f"not looked at, for service.source is {config.service.source}")
+        yield Finding("ports", "ok", f"not checked, because service.source is {config.service.source}")
     yield from _looked_at("perception process", partial(_perception, config))
 
 
 def _looked_at(name: str, look: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
-    """The findings of one look, or that it could not be taken."""
+    """Give the findings of one check, or report that it could not be made."""
     try:
         yield from look()
     except (AuvMcmError, OSError, ImportError) as error:

@@ -1,4 +1,4 @@
-"""Look at the computer that the service runs on: its clock, and the disk that results go to."""
+"""Check the computer that the service runs on: its clock, and the disk that results go to."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose
 _FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
 
 _UNSYNCHRONISED: Final = 0x40  # STA_UNSYNC of linux/timex.h
-_TIME_ERROR: Final = 5  # TIME_ERROR, what adjtimex returns for a clock that nothing disciplines
+_TIME_ERROR: Final = 5  # TIME_ERROR, what adjtimex returns for a clock that is not disciplined
 
 
 class Discipline(NamedTuple):
@@ -33,7 +33,7 @@ class Discipline(NamedTuple):
 def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, unit_gives_utc: bool) -> Finding:
     """Judge the system's clock.
 
-    utc_s: what it shows. discipline: what the kernel says of it, None if that is not known. package: folder of files that cannot be from
+    utc_s: what it shows. discipline: what the kernel reports of it, None if that is not known. package: folder of files that cannot be from
     the future. unit_gives_utc: a navigation unit gives UTC, so that times are not this computer's.
     """
     shown = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if 0.0 <= utc_s < 2.5e11 else f"{utc_s:g} s"
@@ -53,7 +53,7 @@ def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, un
 
 
 def clock_discipline() -> Discipline | None:
-    """Ask the kernel whether the clock is synchronised; None where it does not say. Changes nothing."""
+    """Query the kernel whether the clock is synchronised; None where it does not state it. Changes nothing."""
     timex = (ctypes.c_long * 64)()  # struct timex: modes, offset, freq, maxerror (us), esterror, status, ...; modes 0 reads
     try:
         state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
@@ -66,7 +66,7 @@ def clock_discipline() -> Discipline | None:
 
 
 def output_finding(folder: Path) -> Finding:
-    """Judge the directory for results: whether it can be made or written to, and how much room there is. Leaves nothing behind."""
+    """Check whether the directory for results can be made or written to, and its free space. Leaves nothing behind."""
     name, key = "output directory", "service.output_directory"
     existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(parent))
     if not existing.is_dir():

@@ -15,7 +15,7 @@ from auv_mcm.shell.check.finding import Finding
 
 DISTRIBUTION: Final = "auv-mcm"
 _BASE: Final = ""
-_MAKERS: Final = "dev"  # an extra for those who change the code: nothing of it runs
+_MAKERS: Final = "dev"  # an extra for those who change the code: the payload does not run it
 _IMPORTED_AS: Final = {
     "opencv-contrib-python-headless": "cv2",
     "pyserial": "serial",
@@ -61,7 +61,7 @@ def parse_requirements(declared: Sequence[str]) -> dict[str, list[Requirement]]:
 
 
 def package_findings() -> Iterator[Finding]:
-    """Look at every package that the base needs, and at those of each extra that is installed."""
+    """Check every package that the base needs, and those of each extra that is installed."""
     try:
         by_extra = parse_requirements(metadata.requires(DISTRIBUTION) or [])
     except metadata.PackageNotFoundError:

@@ -71,23 +71,23 @@ def test_cells_hold_what_pixels_hold(heading_deg: float, seed: int, side: Side, 
     mask[first : first + 40, near:] = VALID | TURN
     tile = tile_of(mask, track(200, heading_deg=heading_deg), side, (20, 170) if core else None)
     cells, expected = cells_of(tile), by_pixels(tile)
-    told = {
+    reported = {
         (int(east), int(north)): (float(fraction) * CELL_M**2, float(ground))
         for east, north, fraction, ground in zip(cells.east_index, cells.north_index, cells.fraction, cells.ground_range_m, strict=True)
     }
     seen_m2 = sum(area for area, _ in expected.values())
     # Whole blocks in a cell that does not hold a whole number of them make it fuller than full, which is cut off.
-    assert 0.94 * seen_m2 <= sum(area for area, _ in told.values()) <= 1.001 * seen_m2
+    assert 0.94 * seen_m2 <= sum(area for area, _ in reported.values()) <= 1.001 * seen_m2
     for cell, (area, ground) in expected.items():
-        told_area, told_ground = told.get(cell, (0.0, ground))
+        area_reported, ground_reported = reported.get(cell, (0.0, ground))
         # A block of half a metre lies in one cell as a whole: at most a strip of half a block along the cell's edges is misplaced.
-        assert told_area == pytest.approx(area, abs=2.5)
+        assert area_reported == pytest.approx(area, abs=2.5)
         if area > 0.5 * CELL_M**2:
-            assert told_ground == pytest.approx(ground, abs=0.5)
+            assert ground_reported == pytest.approx(ground, abs=0.5)
 
 
 @pytest.mark.parametrize(("side", "heading_deg", "look_deg"), [("starboard", 0.0, 90.0), ("port", 0.0, 270.0), ("starboard", 300.0, 30.0)])
-def test_cells_tell_the_direction_looked_in(side: Side, heading_deg: float, look_deg: float) -> None:
+def test_cells_show_the_direction_looked_in(side: Side, heading_deg: float, look_deg: float) -> None:
     cells = cells_of(tile_of(plain(), track(200, heading_deg=heading_deg), side))
     assert np.rad2deg(cells.look_rad) == pytest.approx(look_deg, abs=0.01)
     assert cells.altitude_m == pytest.approx(FIRST_RETURN_M)

@@ -47,9 +47,9 @@ def test_rectangles_hold_every_cell_once_and_nothing_else(values: NDArray[np.int
     assert np.array_equal(n_held, values >= 0)
 
 
-def test_the_map_tells_where_what_was_found_with_which_probability() -> None:
-    told = json.loads(clearance_geojson(clearance(np.array([[0.1, 0.1, 0.93], [0.1, 0.1, 0.93]]))))
-    low, high = told["features"]
+def test_the_map_shows_where_what_was_found_with_which_probability() -> None:
+    reported = json.loads(clearance_geojson(clearance(np.array([[0.1, 0.1, 0.93], [0.1, 0.1, 0.93]]))))
+    low, high = reported["features"]
     assert low["properties"] == {"seabed": "flat", "p_low": 0.0, "p_high": 0.25, "p_mean": 0.1, "cells": 4, "m2": 64.0}
     assert high["properties"]["p_low"] == 0.9
     ring = np.array(low["geometry"]["coordinates"][0])
@@ -59,13 +59,13 @@ def test_the_map_tells_where_what_was_found_with_which_probability() -> None:
 
 def test_what_was_not_seen_is_left_out() -> None:
     assert json.loads(clearance_geojson(None))["features"] == []
-    told = json.loads(clearance_geojson(clearance(np.full((1, 3), 0.5), np.array([[1, 0, 2]], dtype=np.uint8))))
-    assert sum(each["properties"]["cells"] for each in told["features"]) == 2
+    reported = json.loads(clearance_geojson(clearance(np.full((1, 3), 0.5), np.array([[1, 0, 2]], dtype=np.uint8))))
+    assert sum(each["properties"]["cells"] for each in reported["features"]) == 2
 
 
 def test_a_map_across_the_antimeridian_is_cut_there() -> None:
-    told = json.loads(clearance_geojson(clearance(np.full((2, 9), 0.5), longitude_deg=180.0)))
-    assert told["features"][0]["geometry"]["type"] == "MultiPolygon"
+    reported = json.loads(clearance_geojson(clearance(np.full((2, 9), 0.5), longitude_deg=180.0)))
+    assert reported["features"][0]["geometry"]["type"] == "MultiPolygon"
 
 
 def test_every_probability_has_its_band() -> None:

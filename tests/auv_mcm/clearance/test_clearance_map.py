@@ -34,7 +34,7 @@ class Model(NamedTuple):
         return np.asarray(1.0 - ground_range_m.astype(np.float64) / 50.0)
 
 
-class Told(NamedTuple):
+class Reported(NamedTuple):
     """One patch, as a test draws it."""
 
     start_s: float
@@ -43,9 +43,9 @@ class Told(NamedTuple):
     places: list[tuple[int, int, float, float]]  # east, north, fraction, ground range
 
 
-def patch(told: Told, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0) -> CoveragePatch:
-    n = len(told.places)
-    east, north, fraction, ground = (np.array([place[i] for place in told.places]) for i in range(4))
+def patch(reported: Reported, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0) -> CoveragePatch:
+    n = len(reported.places)
+    east, north, fraction, ground = (np.array([place[i] for place in reported.places]) for i in range(4))
     cells = SurveyedCells(
         origin_latitude_deg=origin_deg,
         origin_longitude_deg=5.0,
@@ -55,17 +55,17 @@ def patch(told: Told, *, seabed: SeabedType = "flat", confidence: float = 0.9, o
         fraction=fraction.astype(np.float32),
         ground_range_m=ground.astype(np.float32),
         altitude_m=np.full(n, 5.0, dtype=np.float32),
-        look_rad=np.full(n, math.radians(told.look_deg), dtype=np.float32),
+        look_rad=np.full(n, math.radians(reported.look_deg), dtype=np.float32),
         seabed=np.full(n, SEABED_TYPES.index(seabed), dtype=np.uint8),
         confidence=np.full(n, confidence, dtype=np.float32),
         ripple_rad=np.full(n, np.nan, dtype=np.float32),
         wavelength_m=np.full(n, np.nan, dtype=np.float32),
     )
     return CoveragePatch(
-        side=told.side,
+        side=reported.side,
         tile_index=0,
-        start_s=told.start_s,
-        stop_s=told.start_s + 30.0,
+        start_s=reported.start_s,
+        stop_s=reported.start_s + 30.0,
         rings_deg=(),
         covered_m2=0.0,
         lost_m2={},
@@ -77,28 +77,28 @@ def snapshot(*patches: CoveragePatch, model: Model | None = None) -> Clearance:
     searched = ClearanceMap(model or Model())
     for each in patches:
         searched.add(each)
-    told = searched.snapshot()
-    assert told is not None
-    return told
+    reported = searched.snapshot()
+    assert reported is not None
+    return reported
 
 
-def p_at(told: Clearance, east: int, north: int) -> float:
-    return float(told.p_detected[north - told.first_north, east - told.first_east])
+def p_at(reported: Clearance, east: int, north: int) -> float:
+    return float(reported.p_detected[north - reported.first_north, east - reported.first_east])
 
 
-def one_by_one(patches: list[Told], model: Model) -> dict[tuple[int, int], float]:
+def one_by_one(patches: list[Reported], model: Model) -> dict[tuple[int, int], float]:
     """Exponent per cell: passes in order, a look per pass and cell, each less what earlier ones told."""
     looks: dict[tuple[int, int], dict[int, list[tuple[float, float, float]]]] = defaultdict(lambda: defaultdict(list))
     last: dict[Side, tuple[int, float, float]] = {}
     n_passes = 0
-    for told in patches:
-        known = last.get(told.side)
-        if known is None or abs(told.start_s - known[2]) > 60.0 or abs((told.look_deg - known[1] + 180.0) % 360.0 - 180.0) > 15.0:
-            known = (n_passes, told.look_deg, 0.0)
+    for reported in patches:
+        known = last.get(reported.side)
+        if known is None or abs(reported.start_s - known[2]) > 60.0 or abs((reported.look_deg - known[1] + 180.0) % 360.0 - 180.0) > 15.0:
+            known = (n_passes, reported.look_deg, 0.0)
             n_passes += 1
-        last[told.side] = (known[0], known[1], told.start_s + 30.0)
-        for east, north, fraction, ground in told.places:
-            looks[east, north][known[0]].append((fraction, 1.0 - ground / 50.0, told.look_deg))
+        last[reported.side] = (known[0], known[1], reported.start_s + 30.0)
+        for east, north, fraction, ground in reported.places:
+            looks[east, north][known[0]].append((fraction, 1.0 - ground / 50.0, reported.look_deg))
     exponents = {}
     for cell, by_pass in looks.items():
         before: list[float] = []
@@ -117,26 +117,26 @@ def one_by_one(patches: list[Told], model: Model) -> dict[tuple[int, int], float
     return exponents
 
 
-def drawn(seed: int) -> list[Told]:
+def drawn(seed: int) -> list[Reported]:
     rng = np.random.Generator(np.random.PCG64(seed))
-    told = []
+    reported = []
     start_s = 0.0
     for _ in range(int(rng.integers(1, 9))):
         start_s += float(rng.choice([30.0, 200.0]))
         chosen = rng.choice(25, int(rng.integers(1, 20)), replace=False)
         places = [(int(c) % 5 - 2, int(c) // 5 - 3, float(rng.uniform(0.05, 1.0)), float(rng.uniform(0.0, 49.0))) for c in chosen]
-        told.append(
-            Told(start_s, "port" if rng.uniform() < 0.5 else "starboard", float(rng.choice([0.0, 8.0, 90.0, 181.0, 355.0])), places)
+        reported.append(
+            Reported(start_s, "port" if rng.uniform() < 0.5 else "starboard", float(rng.choice([0.0, 8.0, 90.0, 181.0, 355.0])), places)
         )
-    return told
+    return reported
 
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), same=st.floats(0.0, 1.0), other=st.floats(0.0, 1.0))
 def test_looks_add_up_as_one_by_one(seed: int, same: float, other: float) -> None:
-    told, model = drawn(seed), Model(same, other)
-    clearance = snapshot(*(patch(each) for each in told), model=model)
-    expected = one_by_one(told, model)
+    reported, model = drawn(seed), Model(same, other)
+    clearance = snapshot(*(patch(each) for each in reported), model=model)
+    expected = one_by_one(reported, model)
     assert int(clearance.seen.sum()) == len(expected)
     for (east, north), exponent in expected.items():
         assert clearance.exponent[north - clearance.first_north, east - clearance.first_east] == pytest.approx(exponent, rel=1e-5, abs=1e-6)
@@ -145,10 +145,10 @@ def test_looks_add_up_as_one_by_one(seed: int, same: float, other: float) -> Non
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_more_looks_never_lower_clearance(seed: int) -> None:
-    told = drawn(seed)
+    reported = drawn(seed)
     searched = ClearanceMap(Model())
     before: dict[tuple[int, int], float] = {}
-    for each in told:
+    for each in reported:
         searched.add(patch(each))
         now = searched.snapshot()
         assert now is not None
@@ -161,32 +161,32 @@ def test_more_looks_never_lower_clearance(seed: int) -> None:
 
 
 def test_one_sure_look_clears_no_further_than_looks_can() -> None:
-    assert p_at(snapshot(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 0.0)]))), 0, 0) == pytest.approx(HIGHEST_P)
+    assert p_at(snapshot(patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 0.0)]))), 0, 0) == pytest.approx(HIGHEST_P)
 
 
 def test_a_look_from_the_other_side_counts_more_than_the_same_again() -> None:
-    first = Told(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)])
-    again, opposite = (Told(500.0, "port", look, [(0, 0, 1.0, 25.0)]) for look in (12.0, 190.0))
-    once, twice, both = (p_at(snapshot(*map(patch, told)), 0, 0) for told in ([first], [first, again], [first, opposite]))
+    first = Reported(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)])
+    again, opposite = (Reported(500.0, "port", look, [(0, 0, 1.0, 25.0)]) for look in (12.0, 190.0))
+    once, twice, both = (p_at(snapshot(*map(patch, reported)), 0, 0) for reported in ([first], [first, again], [first, opposite]))
     assert once < twice < both
     assert once == pytest.approx(0.5)
 
 
 def test_a_cell_seen_in_two_tiles_of_a_pass_is_seen_once() -> None:
-    halves = [Told(start, "port", 10.0, [(0, 0, 0.5, 25.0)]) for start in (0.0, 30.0)]
-    told = snapshot(*map(patch, halves))
-    assert p_at(told, 0, 0) == pytest.approx(0.5)
-    assert int(told.looks.max()) == 1
+    halves = [Reported(start, "port", 10.0, [(0, 0, 0.5, 25.0)]) for start in (0.0, 30.0)]
+    reported = snapshot(*map(patch, halves))
+    assert p_at(reported, 0, 0) == pytest.approx(0.5)
+    assert int(reported.looks.max()) == 1
 
 
-def test_the_surest_look_tells_the_sea_floor() -> None:
+def test_the_surest_look_shows_the_sea_floor() -> None:
     place = [(0, 0, 1.0, 25.0)]
-    told = snapshot(
-        patch(Told(0.0, "port", 0.0, place), seabed="rough", confidence=0.6),
-        patch(Told(500.0, "port", 90.0, place), seabed="ripple", confidence=0.8),
-        patch(Told(900.0, "port", 180.0, place), seabed="flat", confidence=0.7),
+    reported = snapshot(
+        patch(Reported(0.0, "port", 0.0, place), seabed="rough", confidence=0.6),
+        patch(Reported(500.0, "port", 90.0, place), seabed="ripple", confidence=0.8),
+        patch(Reported(900.0, "port", 180.0, place), seabed="flat", confidence=0.7),
     )
-    assert SEABED_TYPES[int(told.seabed[0, 0])] == "ripple"
+    assert SEABED_TYPES[int(reported.seabed[0, 0])] == "ripple"
 
 
 def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:
@@ -197,9 +197,9 @@ def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:
 
 def test_cells_of_another_mission_are_refused() -> None:
     searched = ClearanceMap(Model())
-    searched.add(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)])))
+    searched.add(patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)])))
     with pytest.raises(ValueError, match="two missions"):
-        searched.add(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)]), origin_deg=44.0))
+        searched.add(patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 25.0)]), origin_deg=44.0))
 
 
 def test_directions_a_hair_apart_share_a_bit_and_opposite_ones_never_do() -> None:
@@ -212,8 +212,8 @@ def test_directions_a_hair_apart_share_a_bit_and_opposite_ones_never_do() -> Non
 
 
 def test_the_map_holds_the_directions_that_each_cell_was_looked_at_in() -> None:
-    told = [Told(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)]), Told(500.0, "port", 100.0, [(0, 0, 1.0, 25.0), (1, 0, 1.0, 25.0)])]
-    towards = snapshot(*map(patch, told)).towards
+    reported = [Reported(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)]), Reported(500.0, "port", 100.0, [(0, 0, 1.0, 25.0), (1, 0, 1.0, 25.0)])]
+    towards = snapshot(*map(patch, reported)).towards
     north, east = look_bit(np.radians([10.0, 100.0]))
     assert towards.tolist() == [[north | east, east]]
 
@@ -223,20 +223,22 @@ def test_cells_seen_far_from_the_others_are_not_laid_out_but_counted() -> None:
     far = [(east + 14_000, north - 9_000, 1.0, 10.0) for east in range(5) for north in range(5)]
     tracemalloc.start()
     try:
-        told = snapshot(patch(Told(0.0, "port", 0.0, far)), patch(Told(1000.0, "port", 0.0, site)))
+        reported = snapshot(patch(Reported(0.0, "port", 0.0, far)), patch(Reported(1000.0, "port", 0.0, site)))
         _, peak_bytes = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert peak_bytes < 20e6
-    assert told.looks.shape == (30, 40)
-    assert (told.looks == 1).all()
-    assert told.n_elsewhere == 25
-    alone = snapshot(patch(Told(1000.0, "port", 0.0, site)))
-    np.testing.assert_array_equal(told.exponent, alone.exponent)
+    assert reported.looks.shape == (30, 40)
+    assert (reported.looks == 1).all()
+    assert reported.n_elsewhere == 25
+    alone = snapshot(patch(Reported(1000.0, "port", 0.0, site)))
+    np.testing.assert_array_equal(reported.exponent, alone.exponent)
     assert alone.n_elsewhere == 0
 
 
 def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:
-    told = snapshot(patch(Told(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])), patch(Told(1000.0, "port", 0.0, [(900, 700, 1.0, 10.0)])))
-    assert told.looks.shape == (701, 901)
-    assert told.n_elsewhere == 0
+    reported = snapshot(
+        patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])), patch(Reported(1000.0, "port", 0.0, [(900, 700, 1.0, 10.0)]))
+    )
+    assert reported.looks.shape == (701, 901)
+    assert reported.n_elsewhere == 0

@@ -47,17 +47,17 @@ def tables(exponent: float = 1.0) -> Performance:
     )
 
 
-def one_by_one(told: Performance, kind: str, ground_m: float, altitude_m: float, look_rad: float, ripple_rad: float) -> float:
+def one_by_one(reported: Performance, kind: str, ground_m: float, altitude_m: float, look_rad: float, ripple_rad: float) -> float:
     """Read by hand, without arrays."""
     if not (altitude_m > 0.0 and math.isfinite(ground_m)) or math.degrees(math.atan2(altitude_m, ground_m)) > 70.0:
         return 0.0
-    range_m: float = ground_m * (told.altitude_m / altitude_m) ** told.altitude_exponent
-    if range_m > told.edges_m[-1]:
+    range_m: float = ground_m * (reported.altitude_m / altitude_m) ** reported.altitude_exponent
+    if range_m > reported.edges_m[-1]:
         return 0.0
 
     def of(floor: Any) -> float:
-        middles = [(near + far) / 2.0 for near, far in zip(told.edges_m[:-1], told.edges_m[1:], strict=True)]
-        p: list[float] = [band.p for band in told.floors[floor]]
+        middles = [(near + far) / 2.0 for near, far in zip(reported.edges_m[:-1], reported.edges_m[1:], strict=True)]
+        p: list[float] = [band.p for band in reported.floors[floor]]
         if range_m <= middles[0]:
             return p[0]
         for k in range(1, len(middles)):
@@ -95,28 +95,28 @@ PLACES = st.tuples(
 @settings(max_examples=40)
 @given(st.lists(PLACES, min_size=1, max_size=20), st.sampled_from([0.0, 0.5, 1.0]))
 def test_arrays_of_places_read_as_each_alone(places: list[tuple[str, float, float, float, float]], exponent: float) -> None:
-    told = tables(exponent)
+    reported = tables(exponent)
     kind = np.array([SEABED_TYPES.index(place[0]) for place in places], dtype=np.uint8)
     columns = [np.array([place[i] for place in places]) for i in range(1, 5)]
-    p = told.p_look(kind, *columns)
+    p = reported.p_look(kind, *columns)
     assert p.dtype == np.float64
     # A grazing angle of 70 degrees, or the last edge, may fall to either side by rounding.
     ground, altitude = columns[0], columns[1]
     on_edge = np.isclose(ground * math.tan(math.radians(70.0)), altitude) | np.isclose(
-        ground * (told.altitude_m / altitude) ** exponent, told.edges_m[-1]
+        ground * (reported.altitude_m / altitude) ** exponent, reported.edges_m[-1]
     )
-    expected = np.array([one_by_one(told, *place) for place in places])
+    expected = np.array([one_by_one(reported, *place) for place in places])
     np.testing.assert_allclose(np.where(on_edge, 0.0, p), np.where(on_edge, 0.0, expected), atol=1e-12)
 
 
 @settings(max_examples=40)
 @given(PLACES)
 def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious(place: tuple[str, float, float, float, float]) -> None:
-    told = tables()
+    reported = tables()
     _, *where = place
-    p = {name: float(told.p_look(index, *where)) for index, name in enumerate(SEABED_TYPES)}
+    p = {name: float(reported.p_look(index, *where)) for index, name in enumerate(SEABED_TYPES)}
     for index, name in enumerate(SEABED_TYPES):
-        low, high = (float(end) for end in told.interval(index, *where))
+        low, high = (float(end) for end in reported.interval(index, *where))
         assert 0.0 <= low <= p[name] + 1e-12
         assert p[name] <= high + 1e-12
         assert high <= 1.0
@@ -134,26 +134,26 @@ def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(
 
 
 def test_a_lower_flight_reads_the_table_farther_out() -> None:
-    told = tables()
-    assert told.p_look(0, 15.0, 3.0, 0.0, math.nan) == told.p_look(0, 30.0, 6.0, 0.0, math.nan) == pytest.approx(0.7)
+    reported = tables()
+    assert reported.p_look(0, 15.0, 3.0, 0.0, math.nan) == reported.p_look(0, 30.0, 6.0, 0.0, math.nan) == pytest.approx(0.7)
     assert tables(exponent=0.0).p_look(0, 15.0, 3.0, 0.0, math.nan) == pytest.approx(0.9)
 
 
 def test_ripples_are_read_by_the_angle_to_them_whichever_way_round() -> None:
-    told = tables()
+    reported = tables()
     for turn in (0.0, math.pi):
-        assert told.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn, 0.3) == pytest.approx(0.8)
-        assert told.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn + math.pi / 2.0, 0.3) == pytest.approx(0.2)
-    assert told.p_look(RIPPLE, 15.0, 6.0, 0.3, math.nan) == pytest.approx(0.2)
+        assert reported.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn, 0.3) == pytest.approx(0.8)
+        assert reported.p_look(RIPPLE, 15.0, 6.0, 0.3 + turn + math.pi / 2.0, 0.3) == pytest.approx(0.2)
+    assert reported.p_look(RIPPLE, 15.0, 6.0, 0.3, math.nan) == pytest.approx(0.2)
     assert aspect_rad(3.1, 0.0) == pytest.approx(math.pi - 3.1)
     assert np.isnan(aspect_rad(0.0, math.nan))
 
 
 def test_scalars_and_nothing_at_all_are_read() -> None:
-    told: LookModel = tables()
+    reported: LookModel = tables()
     none = np.empty(0, dtype=np.float32)
-    assert told.p_look(np.empty(0, dtype=np.uint8), none, none, none, none).shape == (0,)
-    assert told.same_look_correlation == 0.4
+    assert reported.p_look(np.empty(0, dtype=np.uint8), none, none, none, none).shape == (0,)
+    assert reported.same_look_correlation == 0.4
 
 
 def test_a_seabed_that_is_none_is_refused() -> None:
@@ -166,10 +166,10 @@ def test_tables_come_back_from_json_as_they_were() -> None:
 
 
 def test_the_shipped_tables_know_every_floor_and_are_no_better_than_sure() -> None:
-    told = shipped_performance()
+    reported = shipped_performance()
     for name in FLOORS:
-        assert all(0.0 < band.p < 1.0 for band in told.floors[name])
-    flat, rough = (told.p_look(SEABED_TYPES.index(name), 25.0, told.altitude_m, 0.0, np.nan) for name in ("flat", "rough"))
+        assert all(0.0 < band.p < 1.0 for band in reported.floors[name])
+    flat, rough = (reported.p_look(SEABED_TYPES.index(name), 25.0, reported.altitude_m, 0.0, np.nan) for name in ("flat", "rough"))
     assert 0.0 < rough < flat < 1.0
 
 
@@ -181,7 +181,7 @@ _BAND = {"n_looks": 4, "n_found": 2, "p": 0.5, "low": 0.2, "high": 0.8}
 
 
 @pytest.mark.parametrize(
-    ("data", "says"),
+    ("data", "statement"),
     [
         (b"", "truncated"),
         (b"\xff\xfe", "malformed|utf"),
@@ -200,6 +200,6 @@ _BAND = {"n_looks": 4, "n_found": 2, "p": 0.5, "low": 0.2, "high": 0.8}
         (_broken(more=1), "more"),
     ],
 )
-def test_a_file_that_is_no_table_is_named_with_what_to_run(data: bytes, says: str) -> None:
-    with pytest.raises(BadInputError, match=rf"^p\.json: .*({says}).*calibrate performance"):
+def test_a_file_that_is_no_table_is_named_with_what_to_run(data: bytes, statement: str) -> None:
+    with pytest.raises(BadInputError, match=rf"^p\.json: .*({statement}).*calibrate performance"):
         parse_performance(data, "p.json")

@@ -17,13 +17,13 @@ def test_intervals_are_those_of_missions_played_out(expected: float) -> None:
     """A Poisson count about a mean that differs from mission to mission."""
     rng = np.random.Generator(np.random.PCG64(1))
     left = rng.poisson(rng.gamma(SHAPE, expected / SHAPE, 400_000))
-    told = remaining_about(expected)
-    assert told.p_none == pytest.approx((left == 0).mean(), abs=0.005)
-    assert (left <= told.at_most_95).mean() >= 0.95 - 0.002
-    assert (left <= told.at_most_95 - 1).mean() < 0.95 + 0.002
-    assert ((left >= told.low) & (left <= told.high)).mean() >= 0.95 - 0.004
-    assert (left > told.high).mean() <= 0.025 + 0.002
-    assert (left < told.low).mean() <= 0.025 + 0.002
+    reported = remaining_about(expected)
+    assert reported.p_none == pytest.approx((left == 0).mean(), abs=0.005)
+    assert (left <= reported.at_most_95).mean() >= 0.95 - 0.002
+    assert (left <= reported.at_most_95 - 1).mean() < 0.95 + 0.002
+    assert ((left >= reported.low) & (left <= reported.high)).mean() >= 0.95 - 0.004
+    assert (left > reported.high).mean() <= 0.025 + 0.002
+    assert (left < reported.low).mean() <= 0.025 + 0.002
 
 
 @given(p=st.floats(0.05, 0.98), more=st.floats(0.0, 1.0), doubtful=st.lists(st.floats(0.0, 0.2), max_size=30))
@@ -48,14 +48,14 @@ def test_a_whole_search_without_a_doubt_leaves_nothing() -> None:
 
 
 def test_a_search_that_can_find_nothing_leaves_anything_possible() -> None:
-    told = remaining_mines([], np.zeros(100))
-    assert math.isinf(told.expected)
-    assert told.p_none == 0.0
+    reported = remaining_mines([], np.zeros(100))
+    assert math.isinf(reported.expected)
+    assert reported.p_none == 0.0
 
 
 def test_what_is_no_probability_is_refused() -> None:
     for doubtful, p in (([1.5], 0.5), ([math.nan], 0.5), ([0.1], 1.5), ([0.1], math.nan)):
-        with pytest.raises(ValueError, match="no probability"):
+        with pytest.raises(ValueError, match="outside 0 to 1"):
             remaining_mines(doubtful, np.full(3, p))
 
 

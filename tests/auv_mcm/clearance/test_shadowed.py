@@ -101,7 +101,7 @@ def test_ripples_and_speckle_hide_no_floor() -> None:
         assert not in_large_shadow(tile_of(speckled(3, mean), np.full(SHAPE, VALID, dtype=np.uint8))).any()
 
 
-def test_hidden_floor_earns_no_coverage_and_is_told() -> None:
+def test_hidden_floor_earns_no_coverage_and_is_reported() -> None:
     mean = np.ones(SHAPE)
     mean[60:160, 200:300] = 0.01
     tile = tile_of(speckled(4, mean), np.full(SHAPE, VALID, dtype=np.uint8))

@@ -1,4 +1,4 @@
-"""Which of the fixes of one source are believed, on a line where 10 m/s can be travelled."""
+"""Which of the fixes of one source are accepted, on a line where 10 m/s can be travelled."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_first_fixes_wait_until_they_span_long_enough_and_are_accepted_toget
 
 
 @pytest.mark.parametrize("n_wrong", [1, 2])
-def test_the_majority_of_the_first_fixes_is_believed_wherever_the_wrong_ones_stand(n_wrong: int) -> None:
+def test_the_majority_of_the_first_fixes_is_accepted_wherever_the_wrong_ones_stand(n_wrong: int) -> None:
     for first in range(6 - n_wrong):
         places = [500.0 if first <= t < first + n_wrong else 0.0 for t in range(8)]
         decisions = decided(places)

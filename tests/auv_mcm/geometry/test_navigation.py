@@ -163,7 +163,7 @@ def test_nothing_is_extrapolated() -> None:
     assert track.stale.tolist() == [False, True, True]
 
 
-def test_an_empty_buffer_knows_nothing() -> None:
+def test_an_empty_buffer_holds_nothing() -> None:
     buffer = NavBuffer(NavigationConfig())
     track = at(buffer, 0.0, 1.0)
     for name in ("latitude_deg", "longitude_deg", "heading_rad", "depth_m", "speed_mps", "altitude_m"):
@@ -196,7 +196,7 @@ def test_samples_at_the_same_instant_are_merged_and_the_first_value_stays() -> N
 # --- what is missing -------------------------------------------------------------------------------------------------
 
 
-def test_missing_attitude_is_level_and_said_once() -> None:
+def test_missing_attitude_is_level_and_reported_once() -> None:
     buffer = filled(without(here(i, east=i), "pitch_rad", "roll_rad", "depth_m") for i in range(5))
     for _ in range(3):
         track = at(buffer, 1.0, 2.0)
@@ -370,7 +370,7 @@ def test_one_time_stamp_from_the_future_does_not_silence_the_source(position: in
     assert_same(at(buffer, 0.2, 2.2, 4.4), at(filled(good), 0.2, 2.2, 4.4))
 
 
-def test_a_pause_of_an_hour_is_believed_when_a_second_sample_confirms_it() -> None:
+def test_a_pause_of_an_hour_is_accepted_when_a_second_sample_confirms_it() -> None:
     buffer = filled([here(0.0), here(1.0), here(3600.0, east=500.0), here(3601.0, east=502.0)])
     assert not buffer.counters
     assert east_north(at(buffer, 3600.5))[0, 0] == pytest.approx(501.0, abs=1e-5)
@@ -413,7 +413,7 @@ def test_a_jump_is_refused_until_fixes_agree_long_enough() -> None:
 
 @pytest.mark.parametrize("displacement_m", [50.0, 1_000.0, 55_000.0, 5_000_000.0])
 @pytest.mark.parametrize("n_wrong", [1, 3, 20])
-def test_an_excursion_that_comes_back_is_never_believed(displacement_m: float, n_wrong: int) -> None:
+def test_an_excursion_that_comes_back_is_never_accepted(displacement_m: float, n_wrong: int) -> None:
     good = steady(200, period_s=0.1)
     dirty = list(good)
     dirty[100 : 100 + n_wrong] = steady(n_wrong, first=100, period_s=0.1, north=displacement_m)
@@ -470,7 +470,7 @@ def test_a_better_track_takes_over_although_the_worse_one_goes_on() -> None:
     assert east_north(at(buffer, 75.1))[0, 1] == pytest.approx(800.0, abs=1e-3)
 
 
-def test_an_old_position_says_so_in_its_sigma() -> None:
+def test_the_age_of_a_position_shows_in_its_sigma() -> None:
     buffer = filled([*steady(20), *(only(10.0 + i, heading_rad=0.0, speed_mps=2.0) for i in range(100))])
     track = at(buffer, 9.0, 60.0, 105.0)
     assert track.stale.tolist() == [False, True, True]
@@ -553,7 +553,7 @@ def test_a_vehicle_that_starts_to_move_changes_no_heading_that_is_ready() -> Non
 
 
 def assert_final(samples: list[NavSample], config: NavigationConfig | None = None) -> None:
-    """After each sample take every pose that is said to be ready; at the end they must all be the same still."""
+    """After each sample take every pose that is reported ready; at the end they must all be the same still."""
     times = START_S + np.arange(-32, 16 * 50) / 16.0
     buffer = NavBuffer(config or NavigationConfig())
     early: list[tuple[NDArray[np.float64], PoseTrack]] = []

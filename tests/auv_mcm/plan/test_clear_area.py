@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.plan.clear_area import MOST_VAIN_PASSES, ClearArea
+from auv_mcm.plan.clear_area import MAX_VAIN_PASSES, ClearArea
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
 from auv_mcm.settings.config import Config, PlanConfig
@@ -63,7 +63,7 @@ class Mission:
         longitude_deg: float = 5.0,
         is_blind: bool = False,
         command: bool = True,
-        told_after_s: float = 40.0,
+        shown_after_s: float = 40.0,
     ) -> None:
         self.frame = LocalFrame(latitude_deg=43.0, longitude_deg=longitude_deg)
         self.fence, self.max_track_m = fence, max_track_m
@@ -72,7 +72,7 @@ class Mission:
             vehicle=VehicleConfig(command=command, fence_deg=self.globe(fence)),
         )
         self.model = model or Model()
-        self.is_blind, self.told_after_s = is_blind, told_after_s
+        self.is_blind, self.shown_after_s = is_blind, shown_after_s
         self.planner, self.searched = ClearArea(self.config, self.model), ClearanceMap(self.model)
         self.look_again = LookAgain(self.config)
         self.contacts: tuple[Contact, ...] = ()
@@ -103,10 +103,10 @@ class Mission:
 
     def plan(self) -> bool:
         """Whether there is a new one. The clock goes on by as much as a vehicle waits."""
-        for _, patch in (told := [due for due in self.coming if due[0] <= self.now_s]):
+        for _, patch in (reported := [due for due in self.coming if due[0] <= self.now_s]):
             self.searched.add(patch)
             self.planner.add(patch)
-        self.coming = [due for due in self.coming if due not in told]
+        self.coming = [due for due in self.coming if due not in reported]
         request = self.look_again.request((*self.geodetic(self.place_m), self.heading_rad), self.now_s, self.now_s)
         if request is None:
             return False
@@ -117,10 +117,10 @@ class Mission:
         left = iter(range(STEPS))
         return self.planner.propose(self.searched.snapshot(), self.contacts, request, lambda: next(left, None) is not None)
 
-    def run(self, most_s: float = 20_000.0) -> str:
+    def run(self, max_s: float = 20_000.0) -> str:
         """Until there is a verdict and nothing more to fly. Returns it."""
         steps: Iterator[tuple[float, float]] = iter(())
-        while self.now_s < most_s:
+        while self.now_s < max_s:
             self.ping()
             if self.plan():
                 steps = self._way()
@@ -157,7 +157,7 @@ class Mission:
         for side, sense in (("port", -1.0), ("starboard", 1.0)):
             cells = None if self.is_blind else self._cells(entry, leave, course, sense)
             patch = drawn_patch(side, began_s, self.now_s + 10.0, cells)  # type: ignore[arg-type]  # a side by its name
-            self.coming.append((self.now_s + self.told_after_s, patch))
+            self.coming.append((self.now_s + self.shown_after_s, patch))
 
     def _cells(self, entry: NDArray[np.float64], leave: NDArray[np.float64], course: float, sense: float) -> SurveyedCells | None:
         """Cell by cell, those that lie abeam."""
@@ -218,14 +218,14 @@ def test_legs_are_flown_until_the_clearance_is_reached_and_then_none() -> None:
     assert not mission.plan()
 
 
-def test_a_leg_that_is_not_told_yet_is_not_flown_twice() -> None:
-    slow, quick = Mission(told_after_s=100.0), Mission(told_after_s=5.0)
+def test_a_leg_that_is_not_reported_yet_is_not_flown_twice() -> None:
+    slow, quick = Mission(shown_after_s=100.0), Mission(shown_after_s=5.0)
     assert slow.run().startswith("done")
     assert quick.run().startswith("done")
     assert len(slow.flown) <= len(quick.flown) + 1
 
 
-def test_where_nothing_can_be_found_it_is_said_at_once_that_it_cannot_be() -> None:
+def test_where_no_mine_can_be_found_the_plan_states_at_once_that_the_area_cannot_be_cleared() -> None:
     mission = Mission(model=Model(p=0.0))
     assert mission.run().startswith("cannot, because")
     assert not mission.flown
@@ -236,7 +236,7 @@ def test_what_passes_show_nothing_of_is_given_up() -> None:
     mission = Mission(is_blind=True)
     verdict = mission.run()
     assert verdict.startswith("cannot, because no leg adds to it any more")
-    assert f"passed {MOST_VAIN_PASSES} times in vain and given up" in verdict
+    assert f"passed {MAX_VAIN_PASSES} times in vain and given up" in verdict
     assert len(mission.flown) < 30
 
 
@@ -262,7 +262,7 @@ def test_an_area_that_no_leg_inside_the_fence_sees_cannot_be_cleared() -> None:
     assert "inside the fence" in mission.run() or "fits into the fence" in mission.look_again.area.verdict  # type: ignore[union-attr]  # there is an area
 
 
-def test_without_command_it_is_only_told_how_the_search_stands() -> None:
+def test_without_command_only_the_state_of_the_search_is_reported() -> None:
     mission = Mission(command=False)
     mission.ping()
     mission.plan()

@@ -125,17 +125,17 @@ def scan(start: PlanePose, end: PlanePose, radius: float, first: float, middle: 
             # at the touching point the heading is square to the line from the middle centre
             outward = math.atan2(contact[0] - middle_east, contact[1] - middle_north)
             arrival = outward + middle * math.pi / 2.0
-            along = least_turn(middle * (arrival - heading)) * radius
+            along = smallest_turn(middle * (arrival - heading)) * radius
         else:
             along = (centre[0] - east) * math.sin(heading) + (centre[1] - north) * math.cos(heading)
             arrival = heading
             if along < -1e-6 * radius:
                 continue
-        best = min(best, angle * radius + max(along, 0.0) + least_turn(last * (end.heading_rad - arrival)) * radius)
+        best = min(best, angle * radius + max(along, 0.0) + smallest_turn(last * (end.heading_rad - arrival)) * radius)
     return best
 
 
-def least_turn(angle: float) -> float:
+def smallest_turn(angle: float) -> float:
     turned = math.fmod(angle, 2.0 * math.pi)
     turned += 2.0 * math.pi if turned < 0.0 else 0.0
     return 0.0 if turned > 2.0 * math.pi - 1e-7 else turned

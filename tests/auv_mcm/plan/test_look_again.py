@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.plan.look_again import MOST_LOOKS, MOST_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, PlanRequest
+from auv_mcm.plan.look_again import MAX_LOOKS, MAX_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, PlanRequest
 from auv_mcm.plan.propose import propose
 from auv_mcm.records import Contact, Waypoint, contact_id
 from auv_mcm.settings.config import Config
@@ -68,14 +68,14 @@ def legs(plan: tuple[Waypoint, ...] | None) -> list[tuple[Waypoint, Waypoint]]:
     return [(a, b) for a, b in pairwise(points) if b.kind == "leg_exit"]
 
 
-def test_a_contact_worth_a_look_is_asked_for_at_once_and_one_that_is_not_never() -> None:
+def test_a_view_of_a_contact_worth_it_is_requested_at_once_and_of_others_never() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     assert len(legs(mission.plan())) == 1
     decided = msgspec.structs.replace(contact(2, 40.0, 40.0), next_look_deg=())
     assert Mission([decided]).plan() is None
 
 
-def test_contacts_that_ask_for_no_look_cost_no_memory() -> None:
+def test_contacts_that_request_no_look_cost_no_memory() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     decided = msgspec.structs.replace(mission.contacts["C00001"], next_look_deg=())
     ids = [contact_id(number) for number in range(2, 3000)]
@@ -138,7 +138,7 @@ def test_a_decided_contact_is_withdrawn() -> None:
 def test_a_contact_that_two_legs_show_nothing_new_of_is_given_up() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     mission.be_at(0.0, 0.0)
-    for n_flown in range(1, MOST_VAIN_LOOKS + 1):
+    for n_flown in range(1, MAX_VAIN_LOOKS + 1):
         plan = mission.plan(10.0)
         ((entry, leaving),) = legs(plan)
         mission.fly(entry, leaving)
@@ -175,7 +175,7 @@ def test_whatever_happens_a_contact_is_looked_at_so_often_and_no_more(events: li
         elif event in ("lose", "command"):
             mission.be_at(0.0, 0.0, commanding=event == "command")
         plan = mission.plan(100.0)
-        if n_flown >= MOST_LOOKS:
+        if n_flown >= MAX_LOOKS:
             assert not plan
 
 
@@ -196,7 +196,7 @@ def test_crossing_a_leg_is_not_flying_it() -> None:
     assert request.sailed_m > 100.0
 
 
-def test_a_leg_that_takes_longer_than_a_plan_lasts_is_asked_for_once_more_without_planning() -> None:
+def test_a_leg_that_takes_longer_than_a_plan_lasts_is_requested_once_more_without_planning() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     mission.be_at(0.0, 0.0)
     plan = mission.plan()
@@ -208,7 +208,7 @@ def test_a_leg_that_takes_longer_than_a_plan_lasts_is_asked_for_once_more_withou
     assert mission.look_again.insist(mission.now_s) is None
 
 
-def test_when_all_track_is_sailed_the_plan_is_withdrawn_which_is_told_once() -> None:
+def test_when_all_track_is_sailed_the_plan_is_withdrawn_which_is_reported_once() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     short = msgspec.structs.replace(CONFIG, plan=msgspec.structs.replace(CONFIG.plan, max_track_m=100.0))
     mission.look_again = LookAgain(short)

@@ -154,7 +154,7 @@ def test_plans_for_nine_contacts_are_within_a_twentieth_of_the_optimum(seed: int
     assert plan.bound_m2 >= best - 1e-6
 
 
-def test_a_look_tells_most_where_nothing_is_decided_and_nothing_where_it_sees_no_difference() -> None:
+def test_a_look_adds_most_where_nothing_is_decided_and_nothing_where_it_sees_no_difference() -> None:
     assert information_nats(0.5, 0.9) > information_nats(0.9, 0.9) > information_nats(0.999, 0.9) > 0.0
     assert information_nats(0.5, 0.9) > information_nats(0.5, 0.6) > 0.0
     assert information_nats(0.5, 0.1) == pytest.approx(0.0, abs=1e-12)

@@ -65,7 +65,7 @@ PLACES = pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (55.0, 
 
 
 @PLACES
-def test_contacts_lie_at_the_stand_off_abeam_of_mid_leg_and_are_seen_from_the_direction_asked_for_or_its_opposite(
+def test_contacts_lie_at_the_stand_off_abeam_of_mid_leg_and_are_seen_from_the_direction_requested_or_its_opposite(
     latitude: float, longitude: float
 ) -> None:
     contacts = {found.id: found for found in field(12, latitude, longitude)}
@@ -165,10 +165,10 @@ def test_the_reason_names_the_direction_and_what_is_open() -> None:
     assert "undecided after 2 looks" in two
 
 
-def test_directions_a_hair_from_north_are_told_as_north() -> None:
+def test_directions_a_hair_from_north_count_as_north() -> None:
     for next_look in (0.3, 179.8):
         plan = plan_reinspection([contact("C1", 55.0, 12.0, 0.6, (next_look,))], 55.0, 12.0, 0.0, CONFIG)
-        assert any(f"looks towards {told}°" in plan[-1].why for told in ("000", "180"))
+        assert any(f"looks towards {reported}°" in plan[-1].why for reported in ("000", "180"))
 
 
 def test_nothing_to_visit_is_an_empty_plan() -> None:

@@ -85,7 +85,7 @@ def legs_alone_raise(clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: 
     for row in range(exponent.shape[0]):
         for column in range(exponent.shape[1]):
             centre = np.array([clearance.first_east + column + 0.5, clearance.first_north + row + 0.5]) * CELL_M
-            had: list[float] = []
+            taken: list[float] = []
             for leg in legs:
                 heading = leg.entry.heading_rad
                 ahead, right = np.array([math.sin(heading), math.cos(heading)]), np.array([math.cos(heading), -math.sin(heading)])
@@ -104,10 +104,10 @@ def legs_alone_raise(clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: 
                 p = part * min(float(sonar.p_look(one[0], *(value.astype(np.float32) for value in one[1:]))[0]), HIGHEST_P)
                 if p <= 0.0:
                     continue
-                alike = any(abs(math.remainder(look - other, 2.0 * math.pi)) <= math.radians(15.0) for other in had)
-                rho = sonar.same_look_correlation if alike else sonar.other_look_correlation if had else 0.0
+                alike = any(abs(math.remainder(look - other, 2.0 * math.pi)) <= math.radians(15.0) for other in taken)
+                rho = sonar.same_look_correlation if alike else sonar.other_look_correlation if taken else 0.0
                 exponent[row, column] += -(1.0 - rho) * math.log1p(-p)
-                had.append(look)
+                taken.append(look)
     return exponent
 
 
@@ -175,7 +175,7 @@ def test_no_leg_and_no_turn_ever_breaks_a_limit(
     searched: float,
     patience: int,
 ) -> None:
-    state = world(14, 14, contacts=tuple(contact(number, *told) for number, told in enumerate(asking)))
+    state = world(14, 14, contacts=tuple(contact(number, *reported) for number, reported in enumerate(asking)))
     state.clearance.exponent[np.random.default_rng(7).random((14, 14)) < searched] = 3.0
     limits = LIMITS._replace(turn_radius_m=radius_m, budget_m=budget_m, fence=fence, fence_margin_m=margin_m, settling_m=settling_m)
     plan = replan(state, pose, limits, None, steps(patience))
@@ -192,20 +192,20 @@ def test_no_leg_and_no_turn_ever_breaks_a_limit(
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"altitude_m": 1.0}, "below the least allowed of 2 m"),
-        ({"altitude_m": math.nan}, "below the least allowed"),
+        ({"altitude_m": 1.0}, "below the minimum of 2 m"),
+        ({"altitude_m": math.nan}, "is below the minimum"),
         ({"turn_radius_m": 0.0}, "turn radius"),
-        ({"swath": (50.0, 50.0)}, "looks at nothing"),
+        ({"swath": (50.0, 50.0)}, "m is empty"),
         ({"budget_m": 0.0}, "no track is left"),
         ({"budget_m": math.nan}, "no track is left"),
         ({"budget_m": 30.0}, "no leg can be reached"),
-        ({"fence": SQUARE[:2]}, "no polygon"),
-        ({"fence": SQUARE * math.nan}, "no polygon"),
+        ({"fence": SQUARE[:2]}, "must be a polygon"),
+        ({"fence": SQUARE * math.nan}, "must be a polygon"),
         ({"fence": SQUARE + 500.0}, "outside its fence"),
         ({"fence": np.array([[-25.0, -25.0], [-25.0, -15.0], [-15.0, -15.0], [-15.0, -25.0]])}, "room for a turn"),
     ],
 )
-def test_where_nothing_can_be_planned_it_says_why(changes: dict[str, Any], reason: str) -> None:
+def test_where_nothing_can_be_planned_it_gives_the_reason(changes: dict[str, Any], reason: str) -> None:
     for state in (world(), world(contacts=(contact(1, 30.0, 40.0),))):
         plan = replan(state, POSE, LIMITS._replace(**changes), None, steps(50))
         assert not plan.legs
@@ -220,14 +220,14 @@ def test_without_a_pose_there_is_no_plan(pose: PlanePose) -> None:
 
 
 @pytest.mark.parametrize("highest_p", [0.0, math.nan])
-def test_a_sonar_that_finds_nothing_plans_nothing_and_says_so(highest_p: float) -> None:
+def test_a_sonar_that_finds_nothing_gives_an_empty_plan_with_a_reason(highest_p: float) -> None:
     plan = replan(world(sonar=Sonar(highest_p)), POSE, LIMITS, None, steps(50))
     assert plan.legs == ()
     assert plan.verdict.startswith("cannot, because ")
     assert "finds nothing" in plan.verdict
 
 
-def test_what_no_leg_adds_to_is_told_as_the_area_that_is_not_clear() -> None:
+def test_what_no_leg_adds_to_counts_as_the_area_that_is_not_clear() -> None:
     state = world(5, 8, required=0.9, sonar=Sonar(0.0))
     state.clearance.exponent[:, 0] = 3.0  # clear
     state.clearance.exponent[:, 1:4] = 1.0
@@ -235,12 +235,12 @@ def test_what_no_leg_adds_to_is_told_as_the_area_that_is_not_clear() -> None:
     assert verdict.startswith(f"cannot, because {5 * 7 * CELL_M**2:.0f} m² are not clear and no leg adds to that")
 
 
-def test_what_cannot_be_reached_is_said_with_the_best_that_can() -> None:
+def test_what_cannot_be_reached_is_stated_with_the_best_that_can() -> None:
     plan = replan(world(sonar=Sonar(0.02)), POSE, LIMITS, None, steps(20))
     assert "cannot be brought to 0.90 by any leg; the best that can be reached is 0." in plan.verdict
 
 
-def test_a_budget_for_a_part_is_spent_on_it_and_the_share_is_said() -> None:
+def test_a_budget_for_a_part_is_spent_on_it_and_the_share_is_stated() -> None:
     plan = replan(world(40, 40), POSE, LIMITS._replace(budget_m=700.0), None, steps(200))
     assert 400.0 < plan.length_m <= 700.0
     assert "700 m of track suffice for" in plan.verdict
@@ -271,7 +271,7 @@ def test_contacts_are_looked_at_towards_where_they_ask_from_the_range_that_is_be
     state = world(contacts=asking)
     state.clearance.exponent[:] = 3.0
     plan = replan(state, POSE, LIMITS, None, steps(50))
-    assert sorted(leg.contact_id for leg in plan.legs) == [told.id for told in asking]
+    assert sorted(leg.contact_id for leg in plan.legs) == [reported.id for reported in asking]
     for leg in plan.legs:
         place = np.array([20.0, -15.0]) * int(leg.contact_id[1:]) + np.array([0.0, 60.0])
         heading = leg.entry.heading_rad
@@ -289,7 +289,7 @@ def test_contacts_all_at_one_place_are_each_looked_at() -> None:
     asking = tuple(contact(number, 40.0, 40.0, look_deg=0.0) for number in range(5))
     state = world(contacts=asking)._replace(area=np.zeros((20, 20), dtype=np.bool_))
     plan = replan(state, POSE, LIMITS, None, steps(50))
-    assert [sorted(leg.contact_id for leg in plan.legs), plan.verdict] == [[told.id for told in asking], ""]
+    assert [sorted(leg.contact_id for leg in plan.legs), plan.verdict] == [[reported.id for reported in asking], ""]
 
 
 @pytest.mark.parametrize("origin_deg", [(0.0, 180.0), (-17.0, -179.9999), (89.99, 30.0)])

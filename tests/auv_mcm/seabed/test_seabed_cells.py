@@ -74,7 +74,7 @@ def model() -> SeabedModel:
 
 
 @pytest.mark.parametrize("name", ["flat", "ripple", "rough"])
-def test_floors_are_told_apart(model: SeabedModel, name: SeabedType) -> None:
+def test_floors_are_distinguished(model: SeabedModel, name: SeabedType) -> None:
     rng = np.random.Generator(np.random.PCG64(77))
     intensity = rippled(rng, SHAPE, 0.9, 1.0) if name == "ripple" else speckled(rng, SHAPE)
     if name == "rough":
@@ -88,7 +88,7 @@ def test_floors_are_told_apart(model: SeabedModel, name: SeabedType) -> None:
 @pytest.mark.parametrize(
     ("side", "heading_deg", "expected_deg"), [("starboard", 0.0, 30.0), ("port", 0.0, 150.0), ("starboard", 100.0, 130.0)]
 )
-def test_ripples_are_told_by_the_compass(model: SeabedModel, side: str, heading_deg: float, expected_deg: float) -> None:
+def test_ripples_are_described_by_the_compass(model: SeabedModel, side: str, heading_deg: float, expected_deg: float) -> None:
     rng = np.random.Generator(np.random.PCG64(5))
     tile = tile_of(rippled(rng, SHAPE, 0.9, math.radians(30.0)), side="port" if side == "port" else "starboard", heading_deg=heading_deg)
     cells = seabed_cells(tile, model)

@@ -51,7 +51,7 @@ def one_by_one(intensity: Array, mask: NDArray[np.uint8], cell: tuple[int, int],
     echo, there = wide[inner, inner], wide_valid[inner, inner]
     wide_level = np.log(np.maximum(wide, 1e-2))
     level = wide_level[inner, inner]
-    told = {
+    reported = {
         "spread": math.log(level[there].var()),
         "skewness": float(np.mean((level[there] - level[there].mean()) ** 3) / level[there].std() ** 3),
         "dark": math.log(float(np.mean(echo[there] < 0.35)) + 0.003),
@@ -62,9 +62,9 @@ def one_by_one(intensity: Array, mask: NDArray[np.uint8], cell: tuple[int, int],
             further = slice(4 + down, 4 + down + N), slice(4 + right, 4 + right + N)
             both = there & wide_valid[further]
             step = (wide_level[further] - level)[both]
-            told[f"{name}_{way}"] = math.log(0.5 * float(np.mean(step**2)) + 0.003)
+            reported[f"{name}_{way}"] = math.log(0.5 * float(np.mean(step**2)) + 0.003)
             if name == "lag" and way == "across":
-                told["rise_far"] = float(np.mean(step**3) / (np.mean(step**2) + 0.003) ** 1.5)
+                reported["rise_far"] = float(np.mean(step**3) / (np.mean(step**2) + 0.003) ** 1.5)
     for name, n in (("medium", 2), ("coarse", 4)):
         boxes = []
         for i in range(0, N, n):
@@ -72,8 +72,8 @@ def one_by_one(intensity: Array, mask: NDArray[np.uint8], cell: tuple[int, int],
                 part = there[i : i + n, j : j + n]
                 if 2 * np.count_nonzero(part) >= n * n:
                     boxes.append(math.log(echo[i : i + n, j : j + n][part].mean()))
-        told[f"spread_{name}"] = math.log(float(np.var(boxes)) + 0.003)
-    return told
+        reported[f"spread_{name}"] = math.log(float(np.var(boxes)) + 0.003)
+    return reported
 
 
 def cell(texture: Texture, name: str, at: tuple[int, int]) -> float:
@@ -146,7 +146,7 @@ def test_ripples_are_a_peak_at_their_wavelength_and_direction(wavelength_m: floa
         assert peaks.min() > others.max()
 
 
-def test_what_is_not_measured_is_told_as_such() -> None:
+def test_what_is_not_measured_counts_as_such() -> None:
     mask = np.full((200, 300), VALID, dtype=np.uint8)
     mask[:, 150:] = 0
     texture = measure_texture(tile_of(np.ones((200, 300)), mask))
@@ -171,7 +171,7 @@ def test_where_the_tile_is_cut_makes_no_difference() -> None:
     assert np.array_equal(later.features, whole.features[4:], equal_nan=True)
 
 
-def test_grazing_goes_by_range_over_altitude_and_without_one_nothing_is_told() -> None:
+def test_grazing_goes_by_range_over_altitude_and_without_one_nothing_is_reported() -> None:
     tile = tile_of(speckled(np.random.Generator(np.random.PCG64(7)), (200, 300)))
     texture = measure_texture(tile)
     middle_m = (np.arange(len(texture.cot_grazing)) + 0.5) * texture.cell_m[1]

@@ -92,7 +92,7 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
         ("vehicle: {altitude_m: 1.0}", "must not be below min_altitude_m"),
         (f"vehicle: {{command: true, {FENCE}}}\nports: [{GNSS}]", "command is true, but no port has a vehicle's device (imc, bluefin, "),
         ("plan: {area_deg: [[43, 5], [43, 6]]}", "plan: area_deg needs at least three corners [latitude, longitude] - at `plan`"),
-        ("plan: {area_deg: [[43, 5], [43, 5.001], [43, 5.002]]}", "area_deg is no area; give its corners in order"),
+        ("plan: {area_deg: [[43, 5], [43, 5.001], [43, 5.002]]}", "area_deg encloses no area: give its corners in order"),
         ("plan: {area_deg: [[43, 5], [44, 5], [44, 6]]}", "corners more than 50 km apart"),
         ("plan: {area_deg: [[43, 5], [43.1, 5], [43.1, 5.1]]}", "more than 1000000: give a larger cell_m"),
         ("plan: {area_deg: [[43, 5], [43.001, 5], [99, 5.001]]}", "<= 90.0 - at `plan.area_deg[2][0]`"),

@@ -91,7 +91,7 @@ def test_a_clock_from_before_the_installation_fails_and_says_how_to_set_it() -> 
 
 
 @pytest.mark.parametrize(
-    ("discipline", "unit_gives_utc", "verdict", "says"),
+    ("discipline", "unit_gives_utc", "verdict", "statement"),
     [
         (Discipline(True, 0.012), False, "ok", "synchronised, maximum error 0.012 s"),
         (Discipline(False, 16.0), False, "warning", "not synchronised: times of contacts"),
@@ -99,10 +99,12 @@ def test_a_clock_from_before_the_installation_fails_and_says_how_to_set_it() -> 
         (None, False, "ok", "cannot be seen here"),
     ],
 )
-def test_whether_the_clock_is_synchronised_is_told(discipline: Discipline | None, unit_gives_utc: bool, verdict: str, says: str) -> None:
+def test_whether_the_clock_is_synchronised_is_reported(
+    discipline: Discipline | None, unit_gives_utc: bool, verdict: str, statement: str
+) -> None:
     found = clock_finding(time.time(), discipline, PACKAGE, unit_gives_utc)
     assert found.verdict == verdict
-    assert says in found.detail
+    assert statement in found.detail
 
 
 def test_the_kernel_is_asked_without_changing_anything() -> None:

@@ -144,7 +144,7 @@ def test_coverage_crosses_as_its_place(tmp_path: Path) -> None:
         assert [patch.tile_index for patch in coverage.in_order()] == [0, 3]
 
 
-def test_a_disk_that_takes_no_more_contacts_is_told_of_once_and_counted_and_all_of_them_cross(tmp_path: Path) -> None:
+def test_a_disk_that_takes_no_more_contacts_is_reported_once_and_counted_and_all_of_them_cross(tmp_path: Path) -> None:
     with closing(temporary_record_file(tmp_path)) as records:
         answered = asyncio.run(answers([fake.ping(number) for number in range(12)], fake.FullDisk, records=records))
     assert [event.code for event in answered.events if isinstance(event, Notice)] == ["perception.disk_full"]

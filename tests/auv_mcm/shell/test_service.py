@@ -207,7 +207,7 @@ def test_contacts_are_announced_even_if_the_disk_is_full(tmp_path: Path, monkeyp
     assert summary(results)["counters"]["service.journal_failed"] == 3
 
 
-def test_what_a_full_disk_does_not_take_is_counted_told_and_still_among_the_results(
+def test_what_a_full_disk_does_not_take_is_counted_reported_and_still_among_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def full(*_: object) -> int:
@@ -296,7 +296,7 @@ def test_a_live_source_that_does_not_let_go_is_left(tmp_path: Path, monkeypatch:
     assert len(ids(serve_ports(tmp_path, Stuck(mission(10))))) == 5
 
 
-def test_what_became_of_the_recording_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_became_of_the_recording_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.recording.start_recording.SessionRecorder", partial(SessionRecorder, free_bytes=lambda folder: 0))
     lines: list[str] = []
     results = serve_ports(tmp_path, Ports(mission(10)), console=lines.append)
@@ -325,15 +325,15 @@ def test_perception_at_work_is_a_warning_only_where_pings_may_be_lost(
     assert bool(warned) == warns
 
 
-def test_what_asks_nothing_of_a_person_is_a_remark_and_no_notice(tmp_path: Path) -> None:
-    asked = Notice(code="port_down", text="port 'nav' is down. Check its cable.", place="nav")
+def test_what_needs_no_action_is_a_remark_and_not_a_notice(tmp_path: Path) -> None:
+    requested = Notice(code="port_down", text="port 'nav' is down. Check its cable.", place="nav")
     for_the_record = Notice(code="utc_taken", text="UTC is that of 'nav'", place="nav", for_the_record=True)
     lines: list[str] = []
-    results = serve(tmp_path, Events([asked, for_the_record, *mission(3)]), console=lines.append)
-    told = summary(results)
+    results = serve(tmp_path, Events([requested, for_the_record, *mission(3)]), console=lines.append)
+    reported = summary(results)
     assert [line for line in lines if line.startswith("notice")] == ["notice port_down: port 'nav' is down. Check its cable. (nav)"]
-    assert [notice["code"] for notice in told["notices"]] == ["port_down"]
-    assert told["remarks"] == [{"code": "utc_taken", "text": "UTC is that of 'nav'", "place": "nav"}]
+    assert [notice["code"] for notice in reported["notices"]] == ["port_down"]
+    assert reported["remarks"] == [{"code": "utc_taken", "text": "UTC is that of 'nav'", "place": "nav"}]
 
 
 def test_stop_works_off_what_is_queued_and_loses_no_contact(tmp_path: Path) -> None:
@@ -372,7 +372,7 @@ def test_contacts_announced_before_perception_failed_are_kept(
     assert announced == ids(tmp_path / "latest") == journal(tmp_path / "latest") == ["C0000", "C0003"]
 
 
-def test_what_perception_took_with_it_is_said_to_be_in_the_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_contacts_lost_with_perception_are_reported_to_be_in_the_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     lines: list[str] = []
     config = Config(service=ServiceConfig(output_directory=str(tmp_path)))
     with pytest.raises(PerceptionError):

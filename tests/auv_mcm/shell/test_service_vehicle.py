@@ -30,7 +30,7 @@ class Vehicle:
     def __init__(self) -> None:
         self.authority = "listening"
         self.counters: Counter[str] = Counter({"vehicle.told": 1})
-        self.said: list[tuple[str, Any]] = []
+        self.reports: list[tuple[str, Any]] = []
         self.on_contact: Callable[[Contact], None] = lambda contact: None
 
     def health(self) -> str:
@@ -40,20 +40,20 @@ class Vehicle:
         return []
 
     def report(self, contact: Contact) -> None:
-        self.said.append(("contact", contact.id))
+        self.reports.append(("contact", contact.id))
         self.on_contact(contact)
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
-        self.said.append(("plan", plan))
+        self.reports.append(("plan", plan))
 
     def report_health(self, state: str, text: str) -> None:
-        self.said.append((state, text))
+        self.reports.append((state, text))
 
     def release(self, reason: str) -> None:
-        self.said.append(("release", reason))
+        self.reports.append(("release", reason))
 
     def words(self) -> list[str]:
-        return [word for word, _ in self.said]
+        return [word for word, _ in self.reports]
 
 
 class Ports:
@@ -124,32 +124,32 @@ def serve(
     return asyncio.run(main())
 
 
-def test_contacts_are_told_once_they_are_on_disk_and_the_vehicle_is_left_in_order(tmp_path: Path) -> None:
+def test_contacts_are_reported_once_they_are_on_disk_and_the_vehicle_is_left_in_order(tmp_path: Path) -> None:
     def is_on_disk(contact: Contact) -> None:
         assert contact.id in (tmp_path / "latest" / "contacts.jsonl").read_text()
 
     ports = Ports()
     ports.vehicle.on_contact = is_on_disk
     results = serve(tmp_path, ports, lambda: ports.vehicle.words().count("contact") >= 3)
-    said = ports.vehicle.words()
-    assert said[0] == "starting"
-    assert said.index("normal") < said.index("release") < said.index("failure")
-    assert said[-2:] == ["release", "failure"]
-    last = max(k for k, word in enumerate(said) if word == "contact")
-    assert ports.vehicle.said[last] == ("contact", "C9999")  # those of the very end as well
-    assert said.index("release") < last  # but control goes back as soon as the service is to stop
+    stated = ports.vehicle.words()
+    assert stated[0] == "starting"
+    assert stated.index("normal") < stated.index("release") < stated.index("failure")
+    assert stated[-2:] == ["release", "failure"]
+    last = max(k for k, word in enumerate(stated) if word == "contact")
+    assert ports.vehicle.reports[last] == ("contact", "C9999")  # those of the very end as well
+    assert stated.index("release") < last  # but control goes back as soon as the service is to stop
     assert not ports.is_served
     summary = json.loads((results / "summary.json").read_bytes())
     assert summary["vehicle"] == "vehicle=listening"
     assert summary["counters"]["vehicle.told"] == 1
 
 
-def test_what_is_wrong_is_told_and_that_it_is_well_again(tmp_path: Path) -> None:
+def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> None:
     ports = Ports()
     steps = iter(range(3))
 
     def healths() -> list[tuple[str, Any]]:
-        return [said for said in ports.vehicle.said if said[0] in ("normal", "fault")]
+        return [stated for stated in ports.vehicle.reports if stated[0] in ("normal", "fault")]
 
     def until() -> bool:
         if healths()[-1:] == [("normal", "")] and not ports.wrong:
@@ -166,12 +166,12 @@ def test_what_is_wrong_is_told_and_that_it_is_well_again(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("make", "reason"), [(fake.Failing, "perception failed"), (fake.Dying, "was killed by SIGKILL"), (fake.Unstartable, "no model file")]
 )
-def test_a_perception_that_fails_is_told_and_control_goes_back(tmp_path: Path, make: MakePipeline, reason: str) -> None:
+def test_a_perception_that_fails_is_reported_and_control_goes_back(tmp_path: Path, make: MakePipeline, reason: str) -> None:
     ports = Ports()
     with pytest.raises(AuvMcmError, match=reason):
         serve(tmp_path, ports, lambda: False, make)
-    assert [word for word, _ in ports.vehicle.said[-2:]] == ["release", "failure"]
-    assert all(reason in text for _, text in ports.vehicle.said[-2:])
+    assert [word for word, _ in ports.vehicle.reports[-2:]] == ["release", "failure"]
+    assert all(reason in text for _, text in ports.vehicle.reports[-2:])
     assert not ports.is_served
 
 
@@ -183,10 +183,10 @@ def test_a_service_that_is_ended_at_once_gives_control_back_all_the_same(tmp_pat
     assert not ports.is_served
 
 
-def test_legs_are_asked_for_and_what_was_asked_last_is_among_the_results(tmp_path: Path) -> None:
+def test_legs_are_requested_and_the_last_request_is_among_the_results(tmp_path: Path) -> None:
     ports = Ports()
     results = serve(tmp_path, ports, lambda: "plan" in ports.vehicle.words(), fake.Undecided)
-    plan = next(what for word, what in ports.vehicle.said if word == "plan")
+    plan = next(what for word, what in ports.vehicle.reports if word == "plan")
     assert {point.contact_id for point in plan} == {"C0000"}
     written = json.loads((results / "waypoints.geojson").read_bytes())["features"]
     assert "C0000" in json.dumps(written)
@@ -194,7 +194,7 @@ def test_legs_are_asked_for_and_what_was_asked_last_is_among_the_results(tmp_pat
 
 
 @pytest.mark.parametrize("vehicle", [VehicleConfig(), VehicleConfig(fence_deg=FENCED.fence_deg)])
-def test_nothing_is_asked_for_unless_it_is_wanted(tmp_path: Path, vehicle: VehicleConfig) -> None:
+def test_nothing_is_requested_unless_it_is_wanted(tmp_path: Path, vehicle: VehicleConfig) -> None:
     ports = Ports()
     serve(
         tmp_path, ports, lambda: ports.vehicle.words().count("contact") > 2 and "normal" in ports.vehicle.words(), fake.Undecided, vehicle
@@ -203,19 +203,19 @@ def test_nothing_is_asked_for_unless_it_is_wanted(tmp_path: Path, vehicle: Vehic
 
 
 @pytest.mark.parametrize("vehicle", [VehicleConfig(), FENCED])
-def test_how_far_an_area_is_cleared_is_told_to_the_vehicle_and_left_in_the_results(tmp_path: Path, vehicle: VehicleConfig) -> None:
+def test_how_far_an_area_is_cleared_is_reported_to_the_vehicle_and_left_in_the_results(tmp_path: Path, vehicle: VehicleConfig) -> None:
     ports = Ports()
     plan = PlanConfig(area_deg=((43.0, 5.0), (43.0, 5.001), (43.001, 5.001)))
-    told = ("normal", "clearance 0.00 of 0.90")
-    results = serve(tmp_path, ports, lambda: told in ports.vehicle.said, vehicle=vehicle, plan=plan)
+    reported = ("normal", "clearance 0.00 of 0.90")
+    results = serve(tmp_path, ports, lambda: reported in ports.vehicle.reports, vehicle=vehicle, plan=plan)
     summary = json.loads((results / "summary.json").read_bytes())
     assert summary["area"]["p_detected_mean"] == 0.0
     assert summary["area"]["km2"] == pytest.approx(0.5 * 0.111 * 0.0815, rel=0.1)
     assert summary["vehicle"] == "vehicle=listening clearance 0.00 of 0.90"
-    assert ("plan", ()) not in ports.vehicle.said
+    assert ("plan", ()) not in ports.vehicle.reports
 
 
-def test_a_vehicle_that_is_out_of_reach_is_asked_for_nothing(tmp_path: Path) -> None:
+def test_no_request_goes_to_a_vehicle_that_is_out_of_reach(tmp_path: Path) -> None:
     ports = Ports()
     ports.vehicle.authority = "down"
     until = time.monotonic() + 2.0

@@ -122,7 +122,7 @@ def test_a_right_altitude_field_decides_where_the_samples_cannot() -> None:
         assert rms_bins(track([*sides], altitude), bottom) <= 1.5
 
 
-def test_where_no_step_shows_the_altitude_field_stands_in_and_the_doubt_is_told() -> None:
+def test_where_no_step_shows_the_altitude_field_stands_in_and_the_doubt_is_reported() -> None:
     random = np.random.default_rng(8)
     level: list[NDArray[np.float32] | None] = [random.exponential(size=(N_PINGS, 600)).astype(np.float32) for _ in range(2)]
     found = track(level, np.full(N_PINGS, 8.0))

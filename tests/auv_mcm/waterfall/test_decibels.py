@@ -71,14 +71,14 @@ def test_texture_that_leaves_no_region_even_does_not_pass_for_speckle(looks: int
 
 
 @pytest.mark.parametrize("looks", [1, 2, 4, 8])
-def test_the_water_column_tells_decibels_where_ripples_fill_the_floor(looks: int) -> None:
+def test_the_water_column_shows_decibels_where_ripples_fill_the_floor(looks: int) -> None:
     found = estimate(counts(gamma_db(looks, seed=3) + ripples_db() + mean_db(50.0, 25.0)))
     assert found.db_per_count == pytest.approx(DB_PER_COUNT, rel=0.1)
     assert found.db_interval[0] < DB_PER_COUNT < found.db_interval[1]
 
 
 @pytest.mark.parametrize(("looks", "water_db"), [(1, 14.0), (2, 10.0), (4, 7.0), (8, 5.0)])
-def test_a_water_column_partly_below_the_lowest_count_tells_decibels(looks: int, water_db: float) -> None:
+def test_a_water_column_partly_below_the_lowest_count_shows_decibels(looks: int, water_db: float) -> None:
     """Its tail is cut off at zero: without allowance, skewness would make looks too many and decibels too few."""
     samples = counts(gamma_db(looks, seed=4) + ripples_db() + mean_db(45.0, water_db))
     assert (samples[:, :BOTTOM] == 0).any()
@@ -88,7 +88,7 @@ def test_a_water_column_partly_below_the_lowest_count_tells_decibels(looks: int,
 
 
 @pytest.mark.parametrize("looks", [1, 8])
-def test_speckle_that_lasts_over_pings_on_a_textured_floor_is_told_from_texture(looks: int) -> None:
+def test_speckle_that_lasts_over_pings_on_a_textured_floor_is_separated_from_texture(looks: int) -> None:
     random = np.random.default_rng(6)
     taps = np.exp(-2.0 * np.log(2.0) * (np.arange(-4, 5) / 1.75) ** 2)
     taps /= np.sqrt(taps @ taps)
@@ -108,7 +108,7 @@ def test_quiet_cells_are_those_of_the_water_column_alone() -> None:
     assert speckle_of(counts(gamma_db(2, seed=8) + texture_db(seed=9, std_db=1.0) + 50.0)).quiet == ()
 
 
-def test_fish_in_the_water_column_do_not_change_what_it_tells() -> None:
+def test_fish_in_the_water_column_do_not_change_what_it_shows() -> None:
     decibels = gamma_db(2, seed=10) + mean_db(50.0, 22.0)
     fish = decibels.copy()
     fish[40:44, 60:66] += 25.0
@@ -122,7 +122,7 @@ def test_a_textured_water_column_is_not_quiet() -> None:
     assert speckle_of(counts(gamma_db(2, seed=12) + bubbles + mean_db(60.0, 20.0))).quiet == ()
 
 
-def test_samples_whose_skewness_tells_nothing_are_left_to_the_prior() -> None:
+def test_samples_whose_skewness_adds_nothing_are_left_to_the_prior() -> None:
     """Smoothed and decimated logarithms are spread nearly normally, which would be 32 looks and more."""
     smoothed = np.random.default_rng(13).normal(0.0, 2.0, (N_PINGS, N_SAMPLES))
     low, high = estimate(counts(smoothed + texture_db(seed=14, std_db=0.5) + mean_db(40.0, 20.0))).db_interval

@@ -50,7 +50,7 @@ def test_decibels_that_are_hardly_known_await_more_pings() -> None:
     assert number == 255
 
 
-def test_a_decisive_choice_without_decibels_asks_nothing_of_a_person() -> None:
+def test_a_decisive_choice_without_decibels_needs_no_action() -> None:
     (notice,) = notices_of(SonarConfig(), pings(AMPLITUDE))
     assert notice.code == "transfer.chosen"
     assert notice.for_the_record
@@ -69,7 +69,7 @@ def test_a_short_record_is_decided_at_its_end() -> None:
     assert verdict.transfer == Transfer("amplitude")
 
 
-def test_without_speckle_the_commonest_is_used_and_the_notice_says_so() -> None:
+def test_without_speckle_the_commonest_is_used_and_the_notice_states_it() -> None:
     for sonar, kind in ((SonarConfig(), "amplitude"), (SonarConfig(transfer="log"), "log")):
         ((_, verdict),) = verdicts_of(LawWatch(sonar), pings(np.full((40, 100), 7, dtype=np.uint8)))
         assert verdict.transfer is not None

@@ -195,7 +195,7 @@ def test_a_level_is_the_mean_of_the_usable_pixels_around(seed: int, shape: tuple
     mean, known = kernel.box_level(intensity, usable, half, 0.25)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
     places, limits = kernel.bright_spots(logarithms, usable, half, 0.5, 3.0, 0.0)
-    told = dict(zip(places.tolist(), limits.tolist(), strict=True))
+    reported = dict(zip(places.tolist(), limits.tolist(), strict=True))
     for row in range(shape[0]):
         for column in range(shape[1]):
             box = (
@@ -210,8 +210,8 @@ def test_a_level_is_the_mean_of_the_usable_pixels_around(seed: int, shape: tuple
             if usable[row, column]:
                 limit = logarithms[box][usable[box]].astype(np.float64).mean() + 0.5
                 if abs(logarithms[row, column] - min(limit, 3.0)) > 1e-6:
-                    assert (row * shape[1] + column in told) == (logarithms[row, column] >= min(limit, 3.0))
-                assert told.get(row * shape[1] + column, limit) == pytest.approx(limit)
+                    assert (row * shape[1] + column in reported) == (logarithms[row, column] >= min(limit, 3.0))
+                assert reported.get(row * shape[1] + column, limit) == pytest.approx(limit)
 
 
 def test_a_row_takes_what_its_pings_say() -> None:
