@@ -132,7 +132,8 @@ def cos_incidence(
 
 
 def cast_shadow(elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], column_spacing_m: float) -> NDArray[np.bool_]:
-    """Where a nearer pixel of the same ping rises above the line of sight, (n_pings, n_columns) bool: O(n) by a
-    running maximum."""
+    """Mask pixels where a nearer pixel of the same ping rises above the line of sight, (n_pings, n_columns) bool: O(n)
+    by a running maximum.
+    """
     tangent = (elevation_m - altitude_m[:, None]) / ground_range_m(elevation_m.shape[1], column_spacing_m)
     return np.asarray(tangent < np.maximum.accumulate(tangent, axis=1))

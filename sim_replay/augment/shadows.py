@@ -1,4 +1,4 @@
-"""Where a recorded image lies in shadow: dark stretches of range behind something bright, which mud and smooth sand
+"""Find shadow in a recorded image: dark stretches of range behind something bright, which mud and smooth sand
 are not."""
 
 from __future__ import annotations

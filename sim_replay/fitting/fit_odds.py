@@ -341,7 +341,7 @@ def _logistic(columns: Array, target: Array, weight: Array) -> Array:
 
 
 def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> None:
-    """What each step is worth on scenes it was not fitted on, every scene as it is judged with the weights of all
+    """Report the worth of each step on left-out scenes, every scene as it is judged with the weights of all
     others; and what more missions would bring.
     """
     usual = [example for example in examples if example.usual]

@@ -250,8 +250,9 @@ def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
 
 
 def _matched(first: Sequence[Placed], second: Sequence[Placed], gate_m: float) -> list[tuple[int, int, float]]:
-    """As many pairs, one-to-one and not farther apart than gate_m, as can be, with the minimum sum of distances: index,
-    index, metres."""
+    """Match as many pairs as possible, one-to-one and not farther apart than gate_m, with the minimum sum of distances:
+    index, index, metres.
+    """
     if not first or not second:
         return []
     frame = LocalFrame(latitude_deg=first[0].latitude_deg, longitude_deg=first[0].longitude_deg)

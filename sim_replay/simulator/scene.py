@@ -158,8 +158,8 @@ class Scatter(_Section, frozen=True, kw_only=True):
 
 
 class TimeVariedGain(_Section, frozen=True, kw_only=True):
-    """What the recorder makes up for: spreading_db * log10(range) and absorption. Left out, absorption is the water's
-    own; 30 dB and the water's own level out a floor that scatters alike at all angles.
+    """Set what the recorder compensates: spreading_db * log10(range) and absorption. Left out, absorption is the
+    water's own; 30 dB and the water's own level out a floor that scatters alike at all angles.
     """
 
     spreading_db: Annotated[float, Meta(ge=0.0, le=60.0)] = 30.0
@@ -167,9 +167,9 @@ class TimeVariedGain(_Section, frozen=True, kw_only=True):
 
 
 class SampleRecorder(_Section, frozen=True, kw_only=True):
-    """How echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root mean
-    square) midway between its first return and range_m; for logarithms that is the count of its mean intensity. Above
-    `full_scale` it clips.
+    """Set how echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root
+    mean square) midway between its first return and range_m; for logarithms that is the count of its mean intensity.
+    Above `full_scale` it clips.
     """
 
     samples: Literal["amplitude_uint8", "amplitude_uint16", "amplitude_float32", "log_uint8", "log_uint16"] = "amplitude_uint16"
@@ -256,7 +256,7 @@ class Waypoints(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="w
 
 
 class Motion(_Section, frozen=True, kw_only=True):
-    """How the vehicle really moves. Angles wander with the standard deviations given, over `attitude_period_s`. The
+    """Set the vehicle's true motion. Angles wander with the standard deviations given, over `attitude_period_s`. The
     current pushes it towards `current_towards_deg`, so it crabs. Altitude is held behind by `altitude_lag_s`, with an
     error that wanders by `altitude_sigma_m`.
     """

@@ -1,4 +1,4 @@
-"""What views of single objects make one believe, beside what the source paper prints, and whether it holds as
+"""Measure the beliefs from views of single objects, beside what the source paper prints, and whether it holds as
 probability.
 
 auv-mcm bench beliefs [--objects N]

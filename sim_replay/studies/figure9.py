@@ -273,8 +273,9 @@ def odds_of_share(falling: Sequence[float], n_objects: int, share: float) -> flo
 
 
 def _covers(tile: LabelledTile, row: float, column: float, place: Place, reach_m: float) -> bool:
-    """Whether a place, by its pixel, is within reach of an object's highlight at (row, column) or in the shadow behind
-    it."""
+    """Report whether a place, by its pixel, is within reach of an object's highlight at (row, column) or in the shadow
+    behind it.
+    """
     along_m = abs(place.row + 0.5 - row) * tile.row_spacing_m
     across_m = (place.column + 0.5 - column) * tile.column_spacing_m
     altitude_m = tile.first_return_m[min(max(math.floor(row), 0), len(tile.first_return_m) - 1)]

@@ -260,8 +260,8 @@ def scene_rows(
 
 
 def odds_row(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS) -> OddsRow:
-    """What the odds after contours reject of all that the chain's detector hands on, at the threshold that loses no
-    more targets than _LOST. Raises UsageError if no target was detected.
+    """Count what the odds after contours reject of all that the chain's detector hands on, at the threshold that loses
+    no more targets than _LOST. Raises UsageError if no target was detected.
     """
     handed = [each for seed in seeds for each in _handed_on(name, seed)]
     targets, clutter = ([each for each in handed if each.label == label] for label in ("target", "clutter"))

@@ -107,7 +107,7 @@ class _Beam:
         self._ahead = ahead if tile.side == "starboard" else -ahead
 
     def ahead_and_ground_m(self, place: Floats) -> tuple[Floats, Floats]:
-        """How far a place (2,) lies ahead of the beam of each row, and its distance across the track, (n_rows,)
+        """Return how far a place (2,) lies ahead of the beam of each row, and its distance across the track, (n_rows,)
         each."""
         ground_m = ((place - self._below) * self._level).sum(axis=1)
         met = self._at_ground_range(np.maximum(ground_m, 0.0))
@@ -145,8 +145,9 @@ def _column(tile: Tile, sonar: SonarConfig, target: PlacedTarget, position: floa
 
 
 def near_side_m(target: PlacedTarget, look_rad: float) -> float:
-    """How far the side turned to the sonar stands before the object's middle; 0 for groups and where sizes are not
-    known."""
+    """Return how far the side turned to the sonar stands before the object's middle; 0 for groups and where sizes are
+    not known.
+    """
     half_length, half_width = 0.5 * target.length_m, 0.5 * target.width_m
     if target.kind in _WIDESPREAD or not (half_length > 0.0 and half_width > 0.0):
         return 0.0

@@ -50,7 +50,7 @@ class SeedRange(_Section, frozen=True, kw_only=True):
 
 
 class Seeds(_Section, frozen=True, kw_only=True):
-    """Which missions are trained on, which ones stop the training, and which ones judge it."""
+    """Choose the missions to train on, to stop the training, and to judge it."""
 
     train: SeedRange
     validate: SeedRange | None = None
@@ -58,8 +58,8 @@ class Seeds(_Section, frozen=True, kw_only=True):
 
 
 class Kind(_Section, frozen=True, kw_only=True):
-    """How many of the targets are of a kind, in proportion to the other shares, and how large they are; what is left
-    out is the scene's.
+    """Set how many of the targets are of a kind, in proportion to the other shares, and how large they are; what is
+    left out is the scene's.
     """
 
     share: Annotated[float, Meta(gt=0.0, le=1000.0)] = 1.0
@@ -233,7 +233,7 @@ def _simulated(spec: Spec, label: str, scene: Scene, seed: int, number: int, spl
 
 
 def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:
-    """What else the scene has, some of it large, then targets, then rocks."""
+    """Return the scene's other objects, some of them large, then targets, then rocks."""
     own = {group.kind: group for group in scene.scatter}
     some_target = next((group for group in scene.scatter if group.kind in TARGET_KINDS), None)
     groups = [group for group in scene.scatter if group.kind != "rock" and group.kind not in TARGET_KINDS]

@@ -74,9 +74,9 @@ class _Tiles(NamedTuple):
 
 
 class _Lesson(NamedTuple):
-    """What a pass over the training shards brought: box means (n_boxes, n) and shard (n,) of targets and others; where
-    others stand, (n, 4): shard, tile, row, column. n_asked: others that would have been taken. spacings_m: (n_tiles,
-    2).
+    """Hold the samples of a pass over the training shards: box means (n_boxes, n) and shard (n,) of targets and others;
+    where others stand, (n, 4): shard, tile, row, column. n_asked: others that would have been taken. spacings_m:
+    (n_tiles, 2).
     """
 
     targets: Floats

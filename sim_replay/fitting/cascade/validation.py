@@ -1,4 +1,4 @@
-"""What a cascade makes of sea floor it has not been trained on: which targets pass, how many other windows do, what
+"""Validate a cascade on held-out sea floor: which targets pass, how many other windows do, what
 scores mean."""
 
 from __future__ import annotations

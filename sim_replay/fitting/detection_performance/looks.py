@@ -1,4 +1,4 @@
-"""What became of every look at a target: a mission flown, and each pass that saw all of the floor around a target,
+"""Judge every look at a target: a mission flown, and each pass that saw all of the floor around a target,
 found or not."""
 
 from __future__ import annotations

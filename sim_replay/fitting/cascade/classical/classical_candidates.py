@@ -1,5 +1,6 @@
-"""Where the classical classifier looks: at what the training-free prescreen sees in a labelled tile; and what that
-is."""
+"""Choose the classical classifier's candidates: detections of the training-free prescreen in a labelled tile; and what
+that is.
+"""
 
 from __future__ import annotations
 
