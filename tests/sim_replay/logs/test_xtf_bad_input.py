@@ -69,7 +69,7 @@ def test_empty_file(tmp_path: Path) -> None:
 def test_wrong_magic(tmp_path: Path) -> None:
     path = tmp_path / "picture.xtf"
     path.write_bytes(b"\x89PNG" + bytes(4000))
-    assert "no XTF file" in refusal(path)
+    assert "not an XTF file" in refusal(path)
 
 
 def test_cut_off_inside_the_file_header(tmp_path: Path) -> None:
